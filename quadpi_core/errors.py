@@ -1,0 +1,27 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The errors that quadpi reports to its user in one line."""
+
+
+class QuadpiError(Exception):
+    """A problem with what the user gave: the message says which file, topic and sample, and what to do.
+
+    The command line prints the message alone and exits with status 2. Each package derives its own
+    class, so that callers can tell a bad log from a bad model.
+    """
+
+
+class VehicleError(QuadpiError):
+    """A vehicle file is missing, incomplete or physically impossible."""
+
+
+class LogError(QuadpiError):
+    """A log or bag cannot be read, or what it holds cannot be used."""
+
+
+class SignalError(QuadpiError):
+    """Signals cannot be aligned, filtered or fused."""
+
+
+class ModelError(QuadpiError):
+    """A model cannot be identified, loaded or applied."""

@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a flight is to quadpi: a recording (sensor streams, each on its own clock) and a flight (one grid).
+
+A log reader or a bag gives a :class:`Recording`. :func:`quadpi_core.signals.fusion.fuse` turns it into a
+:class:`Flight` on the IMU's time grid, with the state estimated. Everything is SI, body axes
+forward-right-down, world north-east-down, quaternions (w, x, y, z) body to world, rotors in the order of
+the vehicle file. Stamps are integer nanoseconds; samples are on the first axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import LogError
+from quadpi_core.frames import Array
+
+Stamps: TypeAlias = npt.NDArray[np.int64]
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Samples of one topic: `time_ns` (N,) and one array of N rows per quantity."""
+
+    topic: ClassVar[str]
+    time_ns: Stamps
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def check(self, source: str) -> None:
+        """Refuse what no later step can use.
+
+        Raises:
+            LogError: naming source, topic and sample, for an empty stream, stamps that repeat or run
+                backward, and values that are not finite.
+        """
+        where = f"{source}: topic {self.topic}"
+        if len(self) == 0:
+            raise LogError(f"{where}: holds no samples")
+        steps = np.diff(self.time_ns)
+        if np.any(steps <= 0):
+            index = int(np.argmax(steps <= 0)) + 1
+            kind = "repeats" if steps[index - 1] == 0 else "runs backward"
+            raise LogError(f"{where}: sample {index}: the stamp {kind} ({self.time_ns[index]} ns)")
+        for column in fields(self):
+            values = getattr(self, column.name).reshape(len(self), -1)
+            if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
+                index = int(np.argmax(~np.isfinite(values).all(axis=1)))
+                raise LogError(f"{where}: sample {index}: {column.name} is not finite")
+
+
+@dataclass(frozen=True)
+class ImuStream(Stream):
+    """angular_velocity (N, 3) rad/s and specific_force (N, 3) m/s² in body axes (hover: z near -9.8)."""
+
+    topic: ClassVar[str] = "imu"
+    angular_velocity: Array
+    specific_force: Array
+
+
+@dataclass(frozen=True)
+class RotorSpeedStream(Stream):
+    """speeds (N, 4) rad/s, mechanical, rotor order of the vehicle file."""
+
+    topic: ClassVar[str] = "rotor_speeds"
+    speeds: Array
+
+
+@dataclass(frozen=True)
+class PoseStream(Stream):
+    """position (N, 3) m in the world and attitude (N, 4) body to world, from motion capture."""
+
+    topic: ClassVar[str] = "mocap/pose"
+    position: Array
+    attitude: Array
+
+
+@dataclass(frozen=True)
+class OdometryStream(Stream):
+    """A fused state: position (N, 3) m world, attitude (N, 4), velocity (N, 3) m/s and rates (N, 3) body."""
+
+    topic: ClassVar[str] = "odometry"
+    position: Array
+    attitude: Array
+    velocity: Array
+    rates: Array
+
+
+@dataclass(frozen=True)
+class WindStream(Stream):
+    """velocity (N, 3) m/s of the air over ground, in the world."""
+
+    topic: ClassVar[str] = "wind"
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What one log holds, topic by topic; None where the log has no such topic.
+
+    Attributes:
+        name: stem of the file that it came from.
+        vehicle: name of the vehicle file.
+        source: path of the file, for messages.
+        battery_v: (time_ns, volts) where the log has it; only `quadpi info` looks at it.
+    """
+
+    name: str
+    vehicle: str
+    source: str
+    imu: ImuStream
+    rotor_speeds: RotorSpeedStream | None = None
+    pose: PoseStream | None = None
+    odometry: OdometryStream | None = None
+    wind: WindStream | None = None
+    battery_v: tuple[Stamps, Array] | None = None
+
+    def streams(self) -> list[Stream]:
+        """The streams that are present."""
+        candidates = (self.imu, self.rotor_speeds, self.pose, self.odometry, self.wind)
+        return [stream for stream in candidates if stream is not None]
+
+    def check(self) -> None:
+        """Check every stream (see :meth:`Stream.check`)."""
+        for stream in self.streams():
+            stream.check(self.source)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight on one time grid, filtered by one low-pass so that all signals share its delay.
+
+    Attributes:
+        start_ns: stamp of the first sample.
+        time: (N,) seconds since the first sample.
+        position: (N, 3) m, world.
+        attitude: (N, 4) body to world.
+        velocity: (N, 3) m/s over ground, body axes.
+        rates: (N, 3) rad/s.
+        angular_acceleration: (N, 3) rad/s², the derivative of `rates`.
+        specific_force: (N, 3) m/s².
+        rotor_speeds: (N, 4) rad/s.
+        wind: (N, 3) m/s, world; zero where it was not measured.
+    """
+
+    name: str
+    vehicle: str
+    source: str
+    start_ns: int
+    time: Array
+    position: Array
+    attitude: Array
+    velocity: Array
+    rates: Array
+    angular_acceleration: Array
+    specific_force: Array
+    rotor_speeds: Array
+    wind: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean sample rate."""
+        return float((len(self) - 1) / (self.time[-1] - self.time[0]))
+
+    def slice(self, keep: slice) -> Flight:
+        """The flight cut to `keep`; `time` and `start_ns` still count from the original start."""
+        arrays = {
+            column.name: getattr(self, column.name)[keep]
+            for column in fields(self)
+            if isinstance(getattr(self, column.name), np.ndarray)
+        }
+        scalars = {
+            column.name: getattr(self, column.name)
+            for column in fields(self)
+            if column.name not in arrays
+        }
+        return Flight(**scalars, **arrays)

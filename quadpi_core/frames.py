@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frame conversions; every name says both frames.
+
+Inside the core: body axes forward-right-down (FRD), world north-east-down (NED), quaternions
+(w, x, y, z) rotating body vectors into the world. ROS and most logs use forward-left-up (FLU) and
+east-north-up (ENU, REP-103). Arrays carry the samples on their first axis.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+_FLIP_YZ = np.array([1.0, -1.0, -1.0])
+_SQRT_HALF = np.sqrt(0.5)
+
+
+def body_flu_to_frd(vector: Array) -> Array:
+    """Convert body vectors (..., 3) from forward-left-up to forward-right-down."""
+    return vector * _FLIP_YZ
+
+
+def body_frd_to_flu(vector: Array) -> Array:
+    """Convert body vectors (..., 3) from forward-right-down to forward-left-up."""
+    return vector * _FLIP_YZ
+
+
+def world_enu_to_ned(vector: Array) -> Array:
+    """Convert world vectors (..., 3) from east-north-up to north-east-down."""
+    return vector[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+
+
+def world_ned_to_enu(vector: Array) -> Array:
+    """Convert world vectors (..., 3) from north-east-down to east-north-up."""
+    return vector[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+
+
+def quaternion_flu_enu_to_frd_ned(quaternion: Array) -> Array:
+    """Convert body-to-world quaternions (..., 4), w first, from FLU-to-ENU to FRD-to-NED.
+
+    The same map serves both directions (see :func:`quaternion_frd_ned_to_flu_enu`): it is
+    q_world * q * q_body with q_world = (0, √½, √½, 0) and q_body = (0, 1, 0, 0), both half turns.
+    """
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    return _SQRT_HALF * np.stack((w + z, x + y, x - y, w - z), axis=-1)
+
+
+def quaternion_frd_ned_to_flu_enu(quaternion: Array) -> Array:
+    """Convert body-to-world quaternions (..., 4), w first, from FRD-to-NED to FLU-to-ENU."""
+    return quaternion_flu_enu_to_frd_ned(quaternion)
+
+
+def rotation_matrix(quaternion: Array) -> Array:
+    """Rotation matrices (..., 3, 3), body to world, of unit quaternions (..., 4), w first."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotate_body_to_world(quaternion: Array, vector: Array) -> Array:
+    """Rotate body vectors (..., 3) into the world by unit quaternions (..., 4), w first."""
+    return np.einsum("...ij,...j->...i", rotation_matrix(quaternion), vector)
+
+
+def rotate_world_to_body(quaternion: Array, vector: Array) -> Array:
+    """Rotate world vectors (..., 3) into the body by unit quaternions (..., 4), w first."""
+    return np.einsum("...ji,...j->...i", rotation_matrix(quaternion), vector)

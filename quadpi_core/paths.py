@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the files that belong to quadpi lie, and how output appears whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+def config_directory() -> Path:
+    """The config/ folder: beside the package in a checkout, inside it when installed."""
+    package = Path(__file__).resolve().parent
+    for candidate in (package.parent / "config", package / "config"):
+        if (candidate / "vehicles").is_dir():
+            return candidate
+    raise FileNotFoundError(f"no config folder beside or inside {package}")
+
+
+@contextmanager
+def whole_output(path: Path) -> Iterator[Path]:
+    """Give a temporary path in the target's folder that replaces `path` once the block succeeds.
+
+    Works for a file or a folder; on an exception the temporary one is removed and whatever stood at
+    `path` before stays as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    temporary = scratch / path.name
+    try:
+        yield temporary
+        if path.is_dir() and not path.is_symlink():
+            path.rename(scratch / "replaced")
+        os.replace(temporary, path)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)

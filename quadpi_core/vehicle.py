@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Vehicles: mass, inertia, rotors and sensors, read from a YAML file under config/vehicles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from quadpi_core.errors import VehicleError
+from quadpi_core.frames import Array
+from quadpi_core.paths import config_directory
+
+ROTORS = 4
+SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Noise of the sensors that the estimator fuses, one standard deviation.
+
+    ``*_noise`` of the IMU are per sample; ``*_bias_walk`` are in units per square-root second.
+    """
+
+    accelerometer_noise_m_s2: float = 0.3
+    gyro_noise_rad_s: float = 0.02
+    accelerometer_bias_walk: float = 0.02
+    gyro_bias_walk: float = 0.001
+    mocap_position_m: float = 0.003
+    mocap_attitude_rad: float = 0.01
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A quadrotor as the model sees it; SI units, body axes forward-right-down.
+
+    Attributes:
+        inertia: (3, 3), about the centre of gravity.
+        rotor_positions: (4, 3), from the centre of gravity; the row order is the rotor order.
+        rotor_spins: (4,), +1 where the rotor turns clockwise seen from above, else -1.
+        pole_pairs: mechanical speed = electrical speed / pole_pairs; None where the source of the
+            vehicle does not say, and then electrical speeds are refused.
+    """
+
+    name: str
+    mass_kg: float
+    inertia: Array
+    rotor_radius_m: float
+    rotor_positions: Array
+    rotor_spins: Array
+    pole_pairs: int | None
+    rotor_speed_max_rad_s: float
+    air_density_kg_m3: float = 1.225
+    gravity_m_s2: float = 9.80665
+    noise: SensorNoise = field(default_factory=SensorNoise)
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Vehicle:
+        """Read a vehicle by the name of a file in config/vehicles, or by path.
+
+        Raises:
+            VehicleError: naming the file and the key that is missing, unknown or impossible.
+        """
+        path = Path(name_or_path)
+        if path.suffix not in {".yaml", ".yml"}:
+            path = config_directory() / "vehicles" / f"{name_or_path}.yaml"
+        try:
+            data = yaml.safe_load(path.read_text())
+        except FileNotFoundError:
+            known = sorted(p.stem for p in (config_directory() / "vehicles").glob("*.yaml"))
+            raise VehicleError(
+                f"{path}: no such vehicle file; known vehicles: {', '.join(known)}"
+            ) from None
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise VehicleError(f"{path}: not a readable YAML file: {_first_line(error)}") from error
+        return _parse(path, data)
+
+    @cached_property
+    def hover_induced_velocity(self) -> float:
+        """v_h [m/s]: induced velocity in hover by momentum theory, from weight and disc area."""
+        disc_area = ROTORS * np.pi * self.rotor_radius_m**2
+        weight = self.mass_kg * self.gravity_m_s2
+        return float(np.sqrt(weight / (2.0 * self.air_density_kg_m3 * disc_area)))
+
+    def rotor_speeds_from_erpm(self, erpm: Array) -> Array:
+        """Convert electrical rev/min (..., 4) to mechanical rad/s.
+
+        Raises:
+            VehicleError: if the vehicle file does not give the pole pairs.
+        """
+        if self.pole_pairs is None:
+            raise VehicleError(
+                f"vehicle {self.name}: electrical rotor speeds need `pole_pairs` in the vehicle file"
+            )
+        return erpm * (2.0 * np.pi / 60.0 / self.pole_pairs)
+
+
+_REQUIRED = ("mass_kg", "inertia_kg_m2", "rotor_radius_m", "rotors", "pole_pairs")
+_OPTIONAL = ("rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2", "noise", "source")
+
+
+def _parse(path: Path, data: Any) -> Vehicle:
+    if not isinstance(data, dict):
+        raise VehicleError(f"{path}: expected keys and values, found {type(data).__name__}")
+    for key in _REQUIRED:
+        if key not in data:
+            raise VehicleError(f"{path}: missing key `{key}`")
+    for key in data:
+        if key not in _REQUIRED + _OPTIONAL:
+            raise VehicleError(f"{path}: unknown key `{key}`; known: {_REQUIRED + _OPTIONAL}")
+    rotors = data["rotors"]
+    if not isinstance(rotors, list) or len(rotors) != ROTORS:
+        raise VehicleError(f"{path}: `rotors` must list {ROTORS} rotors")
+    positions = np.array([_rotor_position(path, i, rotor) for i, rotor in enumerate(rotors)])
+    spins = np.array([_rotor_spin(path, i, rotor) for i, rotor in enumerate(rotors)])
+    pole_pairs = data["pole_pairs"]
+    if pole_pairs is not None and (not isinstance(pole_pairs, int) or pole_pairs < 1):
+        raise VehicleError(f"{path}: `pole_pairs` must be a positive integer or null")
+    return Vehicle(
+        name=path.stem,
+        mass_kg=_positive(path, data, "mass_kg"),
+        inertia=_inertia(path, data["inertia_kg_m2"]),
+        rotor_radius_m=_positive(path, data, "rotor_radius_m"),
+        rotor_positions=positions,
+        rotor_spins=spins,
+        pole_pairs=pole_pairs,
+        rotor_speed_max_rad_s=_positive(path, data, "rotor_speed_max_rad_s", 1e4),
+        air_density_kg_m3=_positive(path, data, "air_density_kg_m3", 1.225),
+        gravity_m_s2=_positive(path, data, "gravity_m_s2", 9.80665),
+        noise=_noise(path, data.get("noise") or {}),
+    )
+
+
+def _positive(path: Path, data: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = data.get(key, default)
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not np.isfinite(value) or value <= 0:
+        raise VehicleError(f"{path}: `{key}` must be a positive number, found {value!r}")
+    return float(value)
+
+
+def _inertia(path: Path, value: Any) -> Array:
+    """Full (3, 3) matrix from three diagonal numbers or three rows; must be a real body's inertia."""
+    try:
+        inertia = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        inertia = np.empty(0)
+    if inertia.shape == (3,):
+        inertia = np.diag(inertia)
+    if inertia.shape != (3, 3) or not np.all(np.isfinite(inertia)):
+        raise VehicleError(f"{path}: `inertia_kg_m2` must be 3 numbers or a 3x3 matrix")
+    moments = np.linalg.eigvalsh(inertia)
+    if (
+        not np.allclose(inertia, inertia.T)
+        or moments[0] <= 0
+        or moments[0] + moments[1] < moments[2]
+    ):
+        raise VehicleError(
+            f"{path}: `inertia_kg_m2` is not the inertia of a rigid body "
+            f"(symmetric, principal moments positive and obeying the triangle inequality)"
+        )
+    return inertia
+
+
+def _rotor_position(path: Path, index: int, rotor: Any) -> Array:
+    try:
+        position = np.array(rotor["position_m"], dtype=float)
+    except (KeyError, TypeError, ValueError):
+        position = np.empty(0)
+    if position.shape != (3,) or not np.all(np.isfinite(position)):
+        raise VehicleError(f"{path}: rotor {index + 1} needs `position_m` with 3 numbers")
+    if position[0] == 0 or position[1] == 0:
+        raise VehicleError(
+            f"{path}: rotor {index + 1} lies on a body axis; only x layouts are known"
+        )
+    return position
+
+
+def _rotor_spin(path: Path, index: int, rotor: Any) -> float:
+    spin = rotor.get("spin")
+    if spin not in SPIN_SIGN:
+        raise VehicleError(f"{path}: rotor {index + 1} needs `spin`: {' or '.join(SPIN_SIGN)}")
+    return SPIN_SIGN[spin]
+
+
+def _noise(path: Path, data: dict[str, Any]) -> SensorNoise:
+    known = {f.name for f in fields(SensorNoise)}
+    for key in data:
+        if key not in known:
+            raise VehicleError(f"{path}: unknown key `noise.{key}`; known: {sorted(known)}")
+    return SensorNoise(**{key: _positive(path, data, key) for key in data})
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).split())
