@@ -179,8 +179,6 @@ class Flight:
             if isinstance(getattr(self, column.name), np.ndarray)
         }
         scalars = {
-            column.name: getattr(self, column.name)
-            for column in fields(self)
-            if column.name not in arrays
+            column.name: getattr(self, column.name) for column in fields(self) if column.name not in arrays
         }
         return Flight(**scalars, **arrays)

@@ -73,9 +73,7 @@ class Vehicle:
             data = yaml.safe_load(path.read_text())
         except FileNotFoundError:
             known = sorted(p.stem for p in (config_directory() / "vehicles").glob("*.yaml"))
-            raise VehicleError(
-                f"{path}: no such vehicle file; known vehicles: {', '.join(known)}"
-            ) from None
+            raise VehicleError(f"{path}: no such vehicle file; known vehicles: {', '.join(known)}") from None
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
             raise VehicleError(f"{path}: not a readable YAML file: {_first_line(error)}") from error
         return _parse(path, data)
@@ -138,8 +136,7 @@ def _parse(path: Path, data: Any) -> Vehicle:
 
 def _positive(path: Path, data: dict[str, Any], key: str, default: float | None = None) -> float:
     value = data.get(key, default)
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not is_number or not np.isfinite(value) or value <= 0:
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 < value < np.inf:
         raise VehicleError(f"{path}: `{key}` must be a positive number, found {value!r}")
     return float(value)
 
@@ -155,11 +152,7 @@ def _inertia(path: Path, value: Any) -> Array:
     if inertia.shape != (3, 3) or not np.all(np.isfinite(inertia)):
         raise VehicleError(f"{path}: `inertia_kg_m2` must be 3 numbers or a 3x3 matrix")
     moments = np.linalg.eigvalsh(inertia)
-    if (
-        not np.allclose(inertia, inertia.T)
-        or moments[0] <= 0
-        or moments[0] + moments[1] < moments[2]
-    ):
+    if not np.allclose(inertia, inertia.T) or moments[0] <= 0 or moments[0] + moments[1] < moments[2]:
         raise VehicleError(
             f"{path}: `inertia_kg_m2` is not the inertia of a rigid body "
             f"(symmetric, principal moments positive and obeying the triangle inequality)"
@@ -175,9 +168,7 @@ def _rotor_position(path: Path, index: int, rotor: Any) -> Array:
     if position.shape != (3,) or not np.all(np.isfinite(position)):
         raise VehicleError(f"{path}: rotor {index + 1} needs `position_m` with 3 numbers")
     if position[0] == 0 or position[1] == 0:
-        raise VehicleError(
-            f"{path}: rotor {index + 1} lies on a body axis; only x layouts are known"
-        )
+        raise VehicleError(f"{path}: rotor {index + 1} lies on a body axis; only x layouts are known")
     return position
 
 
