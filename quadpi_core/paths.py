@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -37,3 +38,9 @@ def whole_output(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def data_directory() -> Path:
+    """The folder of real flights: $QUADPI_DATA, or shared/data beside the checkout; may not exist."""
+    beside_checkout = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
+    return Path(os.environ.get("QUADPI_DATA", beside_checkout))
