@@ -16,8 +16,9 @@ import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
-_FLIP_YZ = np.array([1.0, -1.0, -1.0])
-_SQRT_HALF = np.sqrt(0.5)
+_FLIP_YZ: Array = np.array([1.0, -1.0, -1.0])
+_FLIP_Z: Array = np.array([1.0, 1.0, -1.0])
+_SQRT_HALF = float(np.sqrt(0.5))
 
 
 def body_flu_to_frd(vector: Array) -> Array:
@@ -32,12 +33,12 @@ def body_frd_to_flu(vector: Array) -> Array:
 
 def world_enu_to_ned(vector: Array) -> Array:
     """Convert world vectors (..., 3) from east-north-up to north-east-down."""
-    return vector[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+    return vector[..., [1, 0, 2]] * _FLIP_Z
 
 
 def world_ned_to_enu(vector: Array) -> Array:
     """Convert world vectors (..., 3) from north-east-down to east-north-up."""
-    return vector[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+    return vector[..., [1, 0, 2]] * _FLIP_Z
 
 
 def quaternion_flu_enu_to_frd_ned(quaternion: Array) -> Array:
@@ -47,7 +48,8 @@ def quaternion_flu_enu_to_frd_ned(quaternion: Array) -> Array:
     q_world * q * q_body with q_world = (0, √½, √½, 0) and q_body = (0, 1, 0, 0), both half turns.
     """
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    return _SQRT_HALF * np.stack((w + z, x + y, x - y, w - z), axis=-1)
+    rotated: Array = np.stack((w + z, x + y, x - y, w - z), axis=-1)
+    return _SQRT_HALF * rotated
 
 
 def quaternion_frd_ned_to_flu_enu(quaternion: Array) -> Array:
@@ -68,9 +70,11 @@ def rotation_matrix(quaternion: Array) -> Array:
 
 def rotate_body_to_world(quaternion: Array, vector: Array) -> Array:
     """Rotate body vectors (..., 3) into the world by unit quaternions (..., 4), w first."""
-    return np.einsum("...ij,...j->...i", rotation_matrix(quaternion), vector)
+    rotated: Array = np.einsum("...ij,...j->...i", rotation_matrix(quaternion), vector)
+    return rotated
 
 
 def rotate_world_to_body(quaternion: Array, vector: Array) -> Array:
     """Rotate world vectors (..., 3) into the body by unit quaternions (..., 4), w first."""
-    return np.einsum("...ji,...j->...i", rotation_matrix(quaternion), vector)
+    rotated: Array = np.einsum("...ji,...j->...i", rotation_matrix(quaternion), vector)
+    return rotated
