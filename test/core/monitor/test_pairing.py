@@ -1,0 +1,152 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
+
+MS = 1_000_000
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def add_imu(pairing: Pairing, time_ns: int) -> None:
+    pairing.add_imu(time_ns, np.full(3, time_ns / 1e9), np.array([0.0, 0.0, -9.8]))
+
+
+def add_state(pairing: Pairing, time_ns: int) -> None:
+    pairing.add_state(time_ns, np.full(3, time_ns / 1e9), LEVEL)
+
+
+def add_rotors(pairing: Pairing, time_ns: int) -> None:
+    pairing.add_rotor_speeds(time_ns, np.full(4, float(time_ns)))
+
+
+def taken(pairing: Pairing) -> list[int]:
+    samples = pairing.take()
+    return [] if samples is None else samples.time_ns.tolist()
+
+
+def test_a_sample_waits_for_a_rotor_speed_at_or_after_its_stamp() -> None:
+    pairing = Pairing()
+    add_rotors(pairing, 1 * MS)
+    add_state(pairing, 2 * MS)
+    add_imu(pairing, 2 * MS)
+    assert pairing.take() is None
+    add_rotors(pairing, 5 * MS)
+    samples = pairing.take()
+    assert samples is not None
+    assert samples.time_ns.tolist() == [2 * MS]
+    np.testing.assert_allclose(samples.rotor_speeds, np.full((1, 4), 2.0 * MS))
+    assert pairing.take() is None
+
+
+def test_a_sample_waits_for_its_state() -> None:
+    pairing = Pairing()
+    add_state(pairing, 1 * MS)
+    add_rotors(pairing, 1 * MS)
+    add_rotors(pairing, 3 * MS)
+    add_imu(pairing, 2 * MS)
+    assert pairing.take() is None
+    add_state(pairing, 2 * MS)
+    assert taken(pairing) == [2 * MS]
+
+
+def test_whole_flight_equals_np_interp() -> None:
+    rng = np.random.default_rng(1)
+    imu_ns = np.arange(0, 400, 2) * MS
+    rotor_ns = np.cumsum(rng.integers(1, 4, 250)) * MS - 3 * MS
+    speeds = rng.uniform(100, 900, (len(rotor_ns), 4))
+    events = [(t, 0, i) for i, t in enumerate(imu_ns)] + [(t, 1, i) for i, t in enumerate(rotor_ns)]
+    pairing = Pairing()
+    blocks: list[PairedSamples] = []
+    for time_ns, kind, index in sorted(events):
+        if kind == 0:
+            add_state(pairing, int(time_ns))
+            add_imu(pairing, int(time_ns))
+        else:
+            pairing.add_rotor_speeds(int(time_ns), speeds[index])
+        block = pairing.take()
+        if block is not None:
+            blocks.append(block)
+    paired_ns = np.concatenate([block.time_ns for block in blocks])
+    inside = (imu_ns >= rotor_ns[0]) & (imu_ns <= rotor_ns[-1])
+    np.testing.assert_array_equal(paired_ns, imu_ns[inside])
+    expected = np.stack([np.interp(paired_ns, rotor_ns, column) for column in speeds.T], axis=1)
+    np.testing.assert_allclose(np.concatenate([b.rotor_speeds for b in blocks]), expected, rtol=1e-12)
+    assert pairing.counts.paired == inside.sum()
+    assert pairing.counts.dropped == 0
+
+
+def test_a_slower_state_is_interpolated_with_aligned_unit_attitude() -> None:
+    pairing = Pairing()
+    half_turn = np.array([0.8, 0.6, 0.0, 0.0])
+    pairing.add_state(0, np.zeros(3), LEVEL)
+    pairing.add_state(10 * MS, np.full(3, 2.0), -half_turn)
+    add_rotors(pairing, 0)
+    add_rotors(pairing, 10 * MS)
+    add_imu(pairing, 5 * MS)
+    samples = pairing.take()
+    assert samples is not None
+    np.testing.assert_allclose(samples.velocity, np.ones((1, 3)))
+    middle = LEVEL + half_turn
+    np.testing.assert_allclose(samples.attitude[0], middle / np.linalg.norm(middle))
+
+
+def test_silent_rotors_drop_samples_after_the_timeout_and_recover() -> None:
+    pairing = Pairing(timeout_s=0.02)
+    add_rotors(pairing, 0)
+    for k in range(1, 51):
+        add_state(pairing, 2 * k * MS)
+        add_imu(pairing, 2 * k * MS)
+        assert pairing.take() is None
+    assert pairing.counts.dropped == 39
+    add_rotors(pairing, 100 * MS)
+    assert taken(pairing) == list(range(80 * MS, 101 * MS, 2 * MS))
+
+
+def test_samples_before_the_first_state_are_early_not_dropped() -> None:
+    pairing = Pairing()
+    for k in range(10):
+        add_imu(pairing, k * MS)
+        add_rotors(pairing, k * MS)
+    add_state(pairing, 9 * MS)
+    assert taken(pairing) == [9 * MS]
+    assert (pairing.counts.early, pairing.counts.dropped) == (9, 0)
+
+
+def test_buffers_are_bounded() -> None:
+    pairing = Pairing(timeout_s=10.0, capacity=16)
+    add_state(pairing, 0)
+    add_rotors(pairing, 0)
+    for k in range(1, 101):
+        add_imu(pairing, k * MS)
+        add_state(pairing, k * MS)
+    assert pairing.counts.dropped == 84
+    add_rotors(pairing, 100 * MS)
+    assert len(taken(pairing)) == 16
+
+
+@pytest.mark.parametrize("late_ns", [5 * MS, 4 * MS])
+def test_a_stamp_that_does_not_advance_is_refused_and_counted(late_ns: int) -> None:
+    pairing = Pairing()
+    add_state(pairing, 5 * MS)
+    add_rotors(pairing, 5 * MS)
+    add_imu(pairing, 5 * MS)
+    add_imu(pairing, late_ns)
+    assert taken(pairing) == [5 * MS]
+    assert pairing.counts.disordered == 1
+    assert pairing.take() is None
+
+
+def test_wind_holds_its_last_value_and_is_calm_before() -> None:
+    pairing = Pairing()
+    pairing.add_wind(2 * MS, np.array([3.0, 0.0, 0.0]))
+    for k in range(1, 4):
+        add_state(pairing, k * MS)
+        add_rotors(pairing, k * MS)
+        add_imu(pairing, k * MS)
+    samples = pairing.take()
+    assert samples is not None
+    np.testing.assert_array_equal(samples.wind[:, 0], [0.0, 3.0, 3.0])
