@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Log readers, one file per format, each giving a :class:`quadpi_core.flight.Recording`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import Recording
+from quadpi_core.vehicle import Vehicle
+
+CFUSDLOG_MAGIC = 0xBC
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """A log format: how to tell it from others, and its reader.
+
+    Attributes:
+        description: what a user would call it, for messages.
+        recognise: whether a path that exists is of this format, by its suffix or first byte.
+        read: gives the recording; the last argument is the mapping file, which only tables take.
+    """
+
+    description: str
+    recognise: Callable[[Path], bool]
+    read: Callable[[Path, Vehicle, Path | None], Recording]
+    takes_mapping: bool = False
+
+
+def read_recording(path: Path | str, vehicle: Vehicle, mapping: Path | str | None = None) -> Recording:
+    """Read any supported log or bag, convert it to SI, FRD and NED, and check every stream.
+
+    Args:
+        path: a file, or a rosbag2 folder.
+        vehicle: gives the rotor order, pole pairs and the largest rotor speed.
+        mapping: for CSV and Parquet, a file that says what the columns are, or the name of one in
+            config/mappings.
+
+    Raises:
+        LogError: naming the file, and topic and sample where there is one.
+    """
+    recording = decode_recording(path, vehicle, mapping)
+    recording.check()
+    return recording
+
+
+def decode_recording(path: Path | str, vehicle: Vehicle, mapping: Path | str | None = None) -> Recording:
+    """As :func:`read_recording`, without the check of its streams: what `quadpi info` diagnoses."""
+    path = Path(path)
+    log_format = identify_format(path)
+    if mapping is not None and not log_format.takes_mapping:
+        raise LogError(f"{path}: a {log_format.description} takes no mapping file")
+    try:
+        return log_format.read(path, vehicle, None if mapping is None else Path(mapping))
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def identify_format(path: Path) -> LogFormat:
+    """The format of a log or bag.
+
+    Raises:
+        LogError: if the path does not exist, is empty, or is of no known format.
+    """
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder")
+    if path.is_file() and path.stat().st_size == 0:
+        raise LogError(f"{path}: the file is empty")
+    for log_format in FORMATS.values():
+        if log_format.recognise(path):
+            return log_format
+    known = ", ".join(log_format.description for log_format in FORMATS.values())
+    raise LogError(f"{path}: not a known log format; known: {known}")
+
+
+def _is_bag(path: Path) -> bool:
+    return (path.is_dir() and (path / "metadata.yaml").is_file()) or path.suffix.lower() == ".mcap"
+
+
+def _is_cfusdlog(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(1) == bytes([CFUSDLOG_MAGIC])
+
+
+def _has_suffix(*suffixes: str) -> Callable[[Path], bool]:
+    return lambda path: path.is_file() and path.suffix.lower() in suffixes
+
+
+def _read_bag(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
+    from quadpi_core.logs.bags import read_bag  # noqa: PLC0415 - readers load on demand, `--help` stays fast
+
+    return read_bag(path, vehicle)
+
+
+def _read_neurobem(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
+    from quadpi_core.logs.neurobem import read_neurobem  # noqa: PLC0415
+
+    return read_neurobem(path, vehicle)
+
+
+def _read_cfusdlog(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
+    from quadpi_core.logs.cfusdlog import read_cfusdlog  # noqa: PLC0415
+
+    return read_cfusdlog(path, vehicle)
+
+
+def _read_mapped(path: Path, vehicle: Vehicle, mapping: Path | None) -> Recording:
+    from quadpi_core.logs.mapping import read_mapped  # noqa: PLC0415
+
+    if mapping is None:
+        raise LogError(f"{path}: a table needs a mapping file that says what its columns are (--mapping)")
+    return read_mapped(path, vehicle, mapping)
+
+
+FORMATS = {
+    "bag": LogFormat("MCAP or rosbag2 bag (.mcap, folder)", _is_bag, _read_bag),
+    "neurobem": LogFormat("NeuroBEM matrix (.mat)", _has_suffix(".mat"), _read_neurobem),
+    "table": LogFormat(
+        "CSV or Parquet table with a mapping (.csv, .parquet)",
+        _has_suffix(".csv", ".parquet"),
+        _read_mapped,
+        takes_mapping=True,
+    ),
+    "cfusdlog": LogFormat("Crazyflie uSD log (first byte 0xBC)", _is_cfusdlog, _read_cfusdlog),
+}

@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reader for the flights of the NeuroBEM data set: one matrix of samples by 41 columns in a .mat file.
+
+Source: Bauersfeld et al., "NeuroBEM: Hybrid Aerodynamic Quadrotor Model", RSS 2021.
+Body axes in the file are forward-left-up; the world is z-up and taken as east-north-up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
+from quadpi_core.logs.conversion import stamps_ns, unit_attitude
+from quadpi_core.vehicle import Vehicle
+
+_COLUMN_COUNT = 41
+_TIME = 0
+_RATES = slice(4, 7)
+_ATTITUDE = [10, 7, 8, 9]
+_SPECIFIC_FORCE = slice(11, 14)
+_VELOCITY_BODY = slice(14, 17)
+_POSITION = slice(17, 20)
+_ROTOR_SPEEDS = slice(20, 24)
+_BATTERY_DECIVOLT = 28
+
+
+def read_neurobem(path: Path, vehicle: Vehicle) -> Recording:
+    """Read one NeuroBEM flight; every stream lies on the file's one clock.
+
+    The rotor order of the file is rear right, front right, rear left, front left: that of
+    config/vehicles/neurobem.yaml.
+
+    Raises:
+        LogError: if the file does not hold one (N, 41) matrix.
+    """
+    source = str(path)
+    matrix = _load_matrix(path)
+    time_ns = stamps_ns(source, matrix[:, _TIME])
+    rates = body_flu_to_frd(matrix[:, _RATES])
+    position = world_enu_to_ned(matrix[:, _POSITION])
+    attitude = quaternion_flu_enu_to_frd_ned(unit_attitude(source, PoseStream.topic, matrix[:, _ATTITUDE]))
+    velocity = body_flu_to_frd(matrix[:, _VELOCITY_BODY])
+    specific_force = body_flu_to_frd(matrix[:, _SPECIFIC_FORCE])
+    return Recording(
+        name=path.stem,
+        vehicle=vehicle.name,
+        source=source,
+        imu=ImuStream(time_ns, rates, specific_force),
+        rotor_speeds=RotorSpeedStream(time_ns, np.ascontiguousarray(matrix[:, _ROTOR_SPEEDS])),
+        pose=PoseStream(time_ns, position, attitude),
+        odometry=OdometryStream(time_ns, position, attitude, velocity, rates),
+        battery_v=(time_ns, matrix[:, _BATTERY_DECIVOLT] / 10.0),
+    )
+
+
+def _load_matrix(path: Path) -> Array:
+    try:
+        variables = scipy.io.loadmat(path)
+    except OSError:
+        raise
+    except Exception as error:  # scipy raises many kinds for a file that is damaged or of another version
+        raise LogError(f"{path}: not a readable MATLAB 5 file: {' '.join(str(error).split())}") from error
+    matrices = [
+        value
+        for name, value in variables.items()
+        if not name.startswith("__") and value.ndim == 2 and value.shape[1] == _COLUMN_COUNT
+    ]
+    if len(matrices) != 1 or matrices[0].dtype.kind != "f":
+        raise LogError(f"{path}: expected one NeuroBEM matrix of N samples by {_COLUMN_COUNT} columns")
+    return np.ascontiguousarray(matrices[0], dtype=np.float64)
