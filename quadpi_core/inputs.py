@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The aerodynamic input vector X (van Beers and de Visser, Eq. 4 to 10).
+
+X = [u, v, w, v_in, p, q, r, ω_avg, sin φ, cos φ, sin θ, cos θ, U_p, U_q, U_r, μ_x, μ_y, μ_z, μ_vin],
+in SI units and body axes forward-right-down. (u, v, w) is the velocity relative to the air.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from quadpi_core.flight import Flight
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+INPUT_NAMES = (
+    "u",
+    "v",
+    "w",
+    "v_in",
+    "p",
+    "q",
+    "r",
+    "omega_avg",
+    "sin_phi",
+    "cos_phi",
+    "sin_theta",
+    "cos_theta",
+    "U_p",
+    "U_q",
+    "U_r",
+    "mu_x",
+    "mu_y",
+    "mu_z",
+    "mu_v_in",
+)
+INPUT_INDEX = {name: index for index, name in enumerate(INPUT_NAMES)}
+
+# Below this mean speed the rotors stand still and an advance ratio means nothing: it is set to 0.
+ROTORS_AT_REST_RAD_S = 1.0
+_NEWTON_STEPS_MAX = 80
+_CONVERGED = 1e-15
+
+
+def flight_inputs(flight: Flight, vehicle: Vehicle) -> Array:
+    """Input vectors (N, 19) of a whole flight; airspeed = ground velocity − wind."""
+    velocity_air = flight.velocity - rotate_world_to_body(flight.attitude, flight.wind)
+    return aerodynamic_inputs(velocity_air, flight.attitude, flight.rates, flight.rotor_speeds, vehicle)
+
+
+def aerodynamic_inputs(
+    velocity_air: Array, attitude: Array, rates: Array, rotor_speeds: Array, vehicle: Vehicle
+) -> Array:
+    """Input vectors X (N, 19), columns as :data:`INPUT_NAMES`.
+
+    Args:
+        velocity_air: (N, 3) m/s, relative to the air, body axes.
+        attitude: (N, 4) unit quaternions w, x, y, z, body to world (NED).
+        rates: (N, 3) rad/s.
+        rotor_speeds: (N, 4) rad/s, rotor order of the vehicle file.
+        vehicle: gives rotor radius, rotor layout and the induced velocity in hover.
+    """
+    inputs = np.empty((len(velocity_air), len(INPUT_NAMES)))
+    inputs_kernel(velocity_air, attitude, rates, rotor_speeds, *vehicle_constants(vehicle), inputs)
+    return inputs
+
+
+def vehicle_constants(vehicle: Vehicle) -> tuple[Array, float, float]:
+    """What :func:`inputs_kernel` needs of a vehicle: control signs (3, 4), rotor radius, v_h.
+
+    The rows of the signs give U_p, U_q, U_r from the rotor speeds (Eq. 5 to 7) for any order of the
+    rotors: left minus right, front minus rear, clockwise minus counterclockwise. Eq. 7 writes the last
+    as S_R [(ω1 + ω3) − (ω2 + ω4)] with S_R = 1 where the first rotor turns clockwise.
+    """
+    x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
+    signs = np.stack((-np.sign(y), np.sign(x), vehicle.rotor_spins))
+    return signs, vehicle.rotor_radius_m, vehicle.hover_induced_velocity
+
+
+def induced_velocity(velocity_air: Array, hover_induced_velocity: float) -> Array:
+    """Induced velocity (N,) m/s of momentum theory, from velocity (N, 3) m/s relative to the air.
+
+    Solves v_in = v_h² / √((V cos α)² + (v_in − V sin α)²) (Eq. 8) with V cos α = √(u² + v²) in the rotor
+    plane and V sin α = w through it. Where descent allows several roots, the largest is taken: it
+    belongs to the working state of the rotor and joins hover without a jump.
+    """
+    velocity_air = np.ascontiguousarray(velocity_air, dtype=float)
+    solution = np.empty(len(velocity_air))
+    for i, (u, v, w) in enumerate(velocity_air):
+        solution[i] = solve_induced_velocity(np.hypot(u, v), w, hover_induced_velocity)
+    return solution
+
+
+@njit(cache=True)
+def solve_induced_velocity(in_plane: float, through: float, hover: float) -> float:
+    """Largest root x of x² (in_plane² + (x − through)²) = hover⁴, in units of the hover velocity.
+
+    The start lies above the largest root, where the quartic rises and is convex, so Newton's method
+    falls onto it; a bracket that shrinks with each sign guards the few cases with an inflection between.
+    """
+    a = (in_plane / hover) ** 2
+    b = through / hover
+    low = 0.0
+    high = max(b, 0.0) + 1.0
+    x = high
+    for _ in range(_NEWTON_STEPS_MAX):
+        excess = x * x * (a + (x - b) ** 2) - 1.0
+        slope = 2.0 * x * (a + (x - b) * (2.0 * x - b))
+        if excess > 0.0:
+            high = x
+        else:
+            low = x
+        newton = x - excess / slope if slope > 0.0 else low
+        previous = x
+        x = newton if low < newton <= high else 0.5 * (low + high)
+        if abs(x - previous) <= _CONVERGED * x:
+            break
+    return x * hover
+
+
+@njit(cache=True)
+def inputs_kernel(
+    velocity_air: Any,
+    attitude: Any,
+    rates: Any,
+    rotor_speeds: Any,
+    control_signs: Any,
+    rotor_radius: float,
+    hover_induced_velocity: float,
+    out: Any,
+) -> None:
+    """Fill `out` (N, 19); see :func:`aerodynamic_inputs` and :func:`vehicle_constants`."""
+    for i in range(velocity_air.shape[0]):
+        u, v, w = velocity_air[i, 0], velocity_air[i, 1], velocity_air[i, 2]
+        q0, q1, q2, q3 = attitude[i, 0], attitude[i, 1], attitude[i, 2], attitude[i, 3]
+        v_in = solve_induced_velocity(np.sqrt(u * u + v * v), w, hover_induced_velocity)
+
+        square_sum = 0.0
+        for rotor in range(ROTORS):
+            square_sum += rotor_speeds[i, rotor] ** 2
+        omega_avg = np.sqrt(square_sum / ROTORS)
+        tip_speed = omega_avg * rotor_radius
+        per_tip_speed = 1.0 / tip_speed if omega_avg > ROTORS_AT_REST_RAD_S else 0.0
+
+        # Third row of the body-to-world matrix: −sin θ, sin φ cos θ, cos φ cos θ.
+        sin_theta = min(1.0, max(-1.0, 2.0 * (q0 * q2 - q1 * q3)))
+        cos_theta = np.sqrt(1.0 - sin_theta * sin_theta)
+        roll = np.arctan2(2.0 * (q2 * q3 + q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2))
+
+        row = out[i]
+        row[0], row[1], row[2], row[3] = u, v, w, v_in
+        row[4], row[5], row[6] = rates[i, 0], rates[i, 1], rates[i, 2]
+        row[7] = omega_avg
+        row[8], row[9], row[10], row[11] = np.sin(roll), np.cos(roll), sin_theta, cos_theta
+        for control in range(3):
+            moment = 0.0
+            for rotor in range(ROTORS):
+                moment += control_signs[control, rotor] * rotor_speeds[i, rotor]
+            row[12 + control] = moment
+        row[15], row[16], row[17] = u * per_tip_speed, v * per_tip_speed, w * per_tip_speed
+        row[18] = v_in * per_tip_speed

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The aerodynamic model of a vehicle: one fitted regressor per axis, and all that belongs to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.models.kernel import CompiledPolynomials, Evaluation
+from quadpi_core.models.polynomial import FittedPolynomial
+from quadpi_core.monitor.envelope import Envelope
+
+
+@dataclass(frozen=True)
+class TrainingFlight:
+    """A flight that a model was identified on."""
+
+    name: str
+    sha256: str
+    samples: int
+
+
+@dataclass(frozen=True)
+class AerodynamicModel:
+    """Wrench model of one vehicle with prediction intervals.
+
+    Attributes:
+        name: of the model folder.
+        vehicle: name of the vehicle file.
+        settings: "default" or "paper".
+        cutoff_hz: of the low-pass that every signal passed before identification, and must pass before use.
+        confidence: nominal coverage that the monitor uses unless told otherwise.
+        polynomials: fitted axes by name, in the order of `AXES`.
+        envelope: what the training flights showed.
+        training_range: per axis, range (max − min) of the measured training data, the denominator of NMPIW.
+        flights: that the model was identified on.
+        selection: per axis, the selection log (see `StepwisePolynomial.selection_log`).
+        identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
+    """
+
+    name: str
+    vehicle: str
+    settings: str
+    cutoff_hz: float
+    confidence: float
+    polynomials: dict[str, FittedPolynomial]
+    envelope: Envelope
+    training_range: dict[str, float]
+    flights: tuple[TrainingFlight, ...]
+    selection: dict[str, list[dict[str, Any]]]
+    identity: str = ""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes held, in the order of `AXES`."""
+        return tuple(axis for axis in AXES if axis in self.polynomials)
+
+    @cached_property
+    def _compiled(self) -> CompiledPolynomials:
+        return CompiledPolynomials.pack(self.polynomials)
+
+    @cached_property
+    def _factors(self) -> Any:
+        return lru_cache(maxsize=16)(self._compiled.factors)
+
+    def evaluate(self, inputs: Array, confidence: float | None = None) -> Evaluation:
+        """Predictions, bounds and evidence for input vectors (N, 19), all axes at once.
+
+        Raises:
+            ModelError: for a confidence that the calibration cannot support.
+        """
+        return self._compiled.evaluate(inputs, self._factors(confidence or self.confidence))
+
+    def save(self, folder: Path) -> AerodynamicModel:
+        """Write the model as a folder of JSON and safetensors; returns it with its identity."""
+        # Storage knows this class, so it is imported when needed.
+        from quadpi_core.models.storage import save_model
+
+        return save_model(self, folder)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> AerodynamicModel:
+        """Read a model folder; nothing in it is executed.
+
+        Raises:
+            ModelError: naming the file that is missing, altered or not understood.
+        """
+        from quadpi_core.models.storage import load_model
+
+        return load_model(Path(folder))

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How wide an interval around a polynomial prediction must be.
+
+An interval is ŷ ± factor(confidence) · √(1 + inflation · h) with the leverage h = z (ZᵀZ)⁻¹ zᵀ.
+:class:`ResidualNoise` is the paper's textbook rule, :class:`HeldOutNoise` the default.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.stats import t as student_t
+
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+
+# Share of new flights whose coverage should reach the nominal one, given enough flights to tell.
+FLIGHT_SHARE = 0.9
+# Confidence levels at which the held-out flights' quantiles are stored.
+LEVELS: Array = np.concatenate((np.arange(0.50, 0.99, 0.01), np.arange(0.99, 0.9991, 0.001)))
+
+
+@dataclass(frozen=True)
+class ResidualNoise:
+    """Noise from the training residuals, taken as independent (van Beers and de Visser, Eq. 13, 16, 17)."""
+
+    std: float
+    freedom: float
+
+    inflation = 1.0
+
+    def factor(self, confidence: float) -> float:
+        """Half width at zero leverage."""
+        _check_confidence(confidence, 1.0)
+        return self.std * float(student_t.ppf(0.5 + confidence / 2.0, self.freedom))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, as stored with a model."""
+        return {"kind": "residual", "std": self.std, "freedom": self.freedom}
+
+
+@dataclass(frozen=True)
+class HeldOutNoise:
+    """Noise from flights that the coefficients and the terms never saw, each left out in turn.
+
+    Residuals of flight data are autocorrelated, so neither their training variance nor N − p degrees of
+    freedom say how wide an honest interval is. The exchangeable unit is the flight: per flight, the quantile
+    of |error| / √(1 + inflation · h) is an interval factor that would have covered that flight. Of the F
+    flights' factors the ⌈0.9 (F + 1)⌉-th smallest is used, or the largest while F is too small for that
+    rank (split conformal prediction by group). A flight's factor also covers its errors in the final fit,
+    whose leverage is smaller than that of the model without the flight.
+
+    Attributes:
+        inflation: weight κ of the leverage, by which errors on held-out flights grow away from the training
+            data: maximum likelihood of e ~ N(0, σ² (1 + κ h)), flights weighing the same. Independent
+            residuals of a true model would give κ = 1; correlation and a wrong model give hundreds.
+        flight_factors: (F, len(LEVELS)), each flight's own, at the confidence :data:`LEVELS`.
+    """
+
+    inflation: float
+    flight_factors: Array
+
+    def factor(self, confidence: float) -> float:
+        """Half width at zero leverage."""
+        _check_confidence(confidence, float(LEVELS[-1]))
+        factors = np.sort([np.interp(confidence, LEVELS, row) for row in self.flight_factors])
+        rank = int(np.ceil(FLIGHT_SHARE * (len(factors) + 1)))
+        return float(factors[min(rank, len(factors)) - 1])
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, as stored with a model."""
+        return {
+            "kind": "held-out",
+            "inflation": self.inflation,
+            "flight_factors": self.flight_factors.tolist(),
+        }
+
+
+def noise_from_json(data: dict[str, Any]) -> ResidualNoise | HeldOutNoise:
+    """Read what `to_json` gave.
+
+    Raises:
+        ModelError: for an unknown kind.
+        KeyError, TypeError, ValueError: for missing or malformed numbers.
+    """
+    if data["kind"] == "residual":
+        return ResidualNoise(float(data["std"]), float(data["freedom"]))
+    if data["kind"] == "held-out":
+        return HeldOutNoise(float(data["inflation"]), np.array(data["flight_factors"], dtype=float))
+    raise ModelError(f"unknown kind of noise {data['kind']!r}")
+
+
+def fit_inflation(errors: list[Array], leverages: list[Array], highest: float) -> float:
+    """κ, 1 to `highest`, that maximises the likelihood of held-out errors e ~ N(0, σ² (1 + κ h)).
+
+    Args:
+        errors: per flight, (N_f,) errors under the model of the other flights.
+        leverages: per flight, (N_f,) leverage in that model.
+        highest: number of training samples: κ = N says that all of them are worth a single one.
+    """
+
+    def cost(log_inflation: float) -> float:
+        growth = [1.0 + np.exp(log_inflation) * h for h in leverages]
+        variance = np.mean([np.mean(e**2 / g) for e, g in zip(errors, growth, strict=True)])
+        return float(np.log(variance) + np.mean([np.mean(np.log(g)) for g in growth]))
+
+    bounds = (0.0, float(np.log(max(highest, 1.0 + 1e-9))))
+    return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
+
+
+def flight_factors(errors: list[Array], leverages: list[Array], inflation: float) -> Array:
+    """Per flight, the factors (F, len(LEVELS)) whose intervals would have covered its errors."""
+    scores = [np.abs(e) / np.sqrt(1.0 + inflation * h) for e, h in zip(errors, leverages, strict=True)]
+    return np.stack([np.quantile(flight, LEVELS, method="higher") for flight in scores])
+
+
+def _check_confidence(confidence: float, highest: float) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise ModelError(f"confidence {confidence} is not between 0 and 1")
+    if not (LEVELS[0] <= confidence <= highest):
+        raise ModelError(
+            f"confidence {confidence} is outside {LEVELS[0]:g} to {highest:g}, which can be calibrated"
+        )

@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Candidate pools: which regressors a stepwise selection may choose from, per axis.
+
+A pool file under config/candidates is YAML; under each axis, `fixed` lists regressors that are always in
+the model (the bias is too) and `candidates` lists families in the paper's notation, for example
+``P^3(u, |v|, w)·{1, omega_avg}``: every monomial of degree 1 to 3 in the three variables, times each factor.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.models.regressors import (
+    CONSTANT,
+    Regressor,
+    monomial_product,
+    parse_monomial,
+    unique_regressors,
+)
+from quadpi_core.paths import config_directory
+
+_FAMILY = re.compile(r"P\^(?P<degree>\d+)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?")
+
+
+@dataclass(frozen=True)
+class CandidatePool:
+    """The fixed regressors (bias first) and the candidates of one axis, each once, in file order.
+
+    A candidate that is also fixed stays listed, as the paper counts it; the selection never adds it.
+    """
+
+    fixed: tuple[Regressor, ...]
+    candidates: tuple[Regressor, ...]
+
+    @classmethod
+    def parse(cls, fixed: list[str], families: list[str]) -> CandidatePool:
+        """Read a pool from its notation.
+
+        Raises:
+            ModelError: naming the entry with unknown inputs or broken syntax.
+        """
+        bias = Regressor(((1.0, CONSTANT),))
+        candidates = [regressor for family in families for regressor in expand_family(family)]
+        return cls(
+            fixed=tuple(unique_regressors([bias, *map(Regressor.parse, fixed)])),
+            candidates=tuple(unique_regressors(candidates)),
+        )
+
+
+def expand_family(text: str) -> list[Regressor]:
+    """All regressors of one family such as ``P^3(u, |v|, w)·{1, omega_avg}``.
+
+    P^d holds the monomials of total degree 1 to d: models identified in the paper contain lower degrees
+    than d, although its text names degree d only.
+
+    Raises:
+        ModelError: naming the text, for broken syntax or an unknown input.
+    """
+    match = _FAMILY.fullmatch(text.strip())
+    if match is None:
+        raise ModelError(f"candidates {text!r}: expected the form P^3(u, |v|, w)·{{1, omega_avg}}")
+    variables = [parse_monomial(v) for v in match["variables"].split(",")]
+    factors = [parse_monomial(f) for f in (match["factors"] or "1").split(",")]
+    return [
+        Regressor(((1.0, monomial_product(factor, *chosen)),))
+        for factor in factors
+        for degree in range(1, int(match["degree"]) + 1)
+        for chosen in combinations_with_replacement(variables, degree)
+    ]
+
+
+def load_pools(name_or_path: str | Path) -> dict[str, CandidatePool]:
+    """Read the pools of all axes by the name of a file in config/candidates, or by path.
+
+    Raises:
+        ModelError: naming the file, the axis and the entry that cannot be read.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in {".yaml", ".yml"}:
+        path = config_directory() / "candidates" / f"{name_or_path}.yaml"
+    try:
+        data = yaml.safe_load(path.read_text())
+    except FileNotFoundError:
+        known = sorted(p.stem for p in (config_directory() / "candidates").glob("*.yaml"))
+        raise ModelError(f"{path}: no such candidate file; known: {', '.join(known)}") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ModelError(f"{path}: not a readable YAML file: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict) or not data:
+        raise ModelError(f"{path}: expected axes, each with `fixed` and `candidates`")
+    return {axis: _parse_axis(path, axis, entry) for axis, entry in data.items()}
+
+
+def _parse_axis(path: Path, axis: Any, entry: Any) -> CandidatePool:
+    if axis not in AXES:
+        raise ModelError(f"{path}: unknown axis {axis!r}; axes: {', '.join(AXES)}")
+    if not isinstance(entry, dict) or set(entry) - {"fixed", "candidates"}:
+        raise ModelError(f"{path}: {axis}: expected the keys `fixed` and `candidates`")
+    try:
+        return CandidatePool.parse(
+            [str(text) for text in entry.get("fixed") or []],
+            [str(text) for text in entry.get("candidates") or []],
+        )
+    except ModelError as error:
+        raise ModelError(f"{path}: {axis}: {error}") from error

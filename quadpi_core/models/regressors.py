@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Polynomial regressors as text, as values and as a compiled program.
+
+A regressor is a sum of monomials in the inputs X and their absolute values, written as in
+``omega_avg*mu_z^2``, ``|u|*w^2`` or ``mu_x^2 + mu_y^2``. A :class:`RegressorProgram` evaluates many of them
+with one multiplication each, since all but the shortest extend another by one factor.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+
+# Powers by input, in the order of INPUT_NAMES: (input, power of it, power 0 or 1 of its absolute value).
+Monomial: TypeAlias = tuple[tuple[str, int, int], ...]
+
+CONSTANT: Monomial = ()
+_FACTOR = re.compile(
+    r"\|(?P<absolute>\w+)\|(?:\^(?P<absolute_power>\d+))?|(?P<plain>\w+)(?:\^(?P<power>\d+))?"
+)
+_SIGNED_MONOMIAL = re.compile(r"\s*([+-]?)\s*([^+-]+)")
+
+
+@dataclass(frozen=True)
+class Regressor:
+    """A sum of monomials: `parts` holds (coefficient, monomial)."""
+
+    parts: tuple[tuple[float, Monomial], ...]
+
+    @classmethod
+    def parse(cls, text: str) -> Regressor:
+        """Read a regressor from text; `bias` is the constant 1.
+
+        Raises:
+            ModelError: naming the text, for an unknown input or broken syntax.
+        """
+        parts = []
+        for sign, monomial in _SIGNED_MONOMIAL.findall(text):
+            parts.append((-1.0 if sign == "-" else 1.0, parse_monomial(monomial)))
+        if not parts:
+            raise ModelError(f"regressor {text!r}: empty")
+        return cls(tuple(parts))
+
+    def __str__(self) -> str:
+        texts = [("-" if c < 0 else "+") + " " + format_monomial(m) for c, m in self.parts]
+        return " ".join(texts).removeprefix("+ ")
+
+
+def monomial_product(*factors: Monomial) -> Monomial:
+    """The product in canonical form, in which |x|² is x², so that equal monomials compare equal."""
+    plain: dict[str, int] = {}
+    absolute: dict[str, int] = {}
+    for factor in factors:
+        for name, power, absolute_power in factor:
+            plain[name] = plain.get(name, 0) + power
+            absolute[name] = absolute.get(name, 0) + absolute_power
+    canonical = []
+    for name in sorted(plain, key=INPUT_INDEX.__getitem__):
+        pairs, odd = divmod(absolute[name], 2)
+        canonical.append((name, plain[name] + 2 * pairs, odd))
+    return tuple(canonical)
+
+
+def parse_monomial(text: str) -> Monomial:
+    """Read a product such as ``omega_avg*|u|*w^2``; ``bias`` and ``1`` are the constant.
+
+    Raises:
+        ModelError: naming the text, for an unknown input or broken syntax.
+    """
+    factors: list[Monomial] = []
+    for part in map(str.strip, re.split(r"[*·]", text)):
+        if part in {"1", "bias"}:
+            continue
+        match = _FACTOR.fullmatch(part)
+        name = match and (match["absolute"] or match["plain"])
+        if match is None or name not in INPUT_INDEX:
+            raise ModelError(
+                f"regressor {text.strip()!r}: unknown factor {part!r}; inputs: {', '.join(INPUT_NAMES)}"
+            )
+        if match["absolute"]:
+            power = int(match["absolute_power"] or 1)
+            factors.append(monomial_product(*[((name, 0, 1),)] * power))
+        else:
+            factors.append(((name, int(match["power"] or 1), 0),))
+    return monomial_product(*factors)
+
+
+def format_monomial(monomial: Monomial) -> str:
+    """Text of a monomial, in the form that :func:`parse_monomial` reads."""
+    texts = []
+    for name, power, absolute in monomial:
+        if absolute and power % 2 == 0:
+            texts.append(f"|{name}|" + (f"^{power + 1}" if power else ""))
+        else:
+            texts += [f"|{name}|"] * absolute
+            texts += [name + (f"^{power}" if power > 1 else "")]
+    return "*".join(texts) or "bias"
+
+
+def _first_factor(monomial: Monomial) -> tuple[int, Monomial]:
+    """Split one factor off: its row among the base rows, and the monomial that remains."""
+    name, power, absolute = monomial[-1]
+    if absolute:
+        row = 1 + len(INPUT_NAMES) + INPUT_INDEX[name]
+        remaining = (name, power, 0)
+    else:
+        row = 1 + INPUT_INDEX[name]
+        remaining = (name, power - 1, 0)
+    tail = (remaining,) if remaining[1] or remaining[2] else ()
+    return row, monomial[:-1] + tail
+
+
+@dataclass(frozen=True)
+class RegressorProgram:
+    """Evaluates regressors row by row: a row is the product or the weighted sum of two earlier rows.
+
+    Rows start with the constant 1, the inputs and their absolute values; `first`, `second` name the
+    earlier rows, `weights` (n, 2) are zero for a product; `outputs` are the rows of the regressors.
+    """
+
+    first: npt.NDArray[np.int64]
+    second: npt.NDArray[np.int64]
+    weights: Array
+    outputs: npt.NDArray[np.int64]
+
+    @classmethod
+    def compile(cls, regressors: Iterable[Regressor]) -> RegressorProgram:
+        """Lay out the rows for `regressors`, sharing every common product."""
+        rows: dict[Monomial, int] = {CONSTANT: 0}
+        operations: list[tuple[int, int, float, float]] = []
+
+        def add(first: int, second: int, first_weight: float = 0.0, second_weight: float = 0.0) -> int:
+            operations.append((first, second, first_weight, second_weight))
+            return BASE_ROWS + len(operations) - 1
+
+        def row_of(monomial: Monomial) -> int:
+            if monomial not in rows:
+                factor_row, rest = _first_factor(monomial)
+                rows[monomial] = factor_row if rest == CONSTANT else add(row_of(rest), factor_row)
+            return rows[monomial]
+
+        def output_of(regressor: Regressor) -> int:
+            (weight, monomial), *others = regressor.parts
+            row = row_of(monomial)
+            if not others and weight != 1.0:
+                return add(row, 0, weight, 0.0)
+            for other_weight, other in others:
+                row = add(row, row_of(other), weight, other_weight)
+                weight = 1.0
+            return row
+
+        outputs = [output_of(regressor) for regressor in regressors]
+        table = np.array(operations, dtype=float).reshape(-1, 4)
+        return cls(
+            first=table[:, 0].astype(np.int64),
+            second=table[:, 1].astype(np.int64),
+            weights=np.ascontiguousarray(table[:, 2:]),
+            outputs=np.array(outputs, dtype=np.int64),
+        )
+
+    def evaluate(self, inputs: Array) -> Array:
+        """Regressors (N, p) of input vectors (N, 19); memory N × p, so meant for selected terms."""
+        rows = np.empty((BASE_ROWS + len(self.first), len(inputs)))
+        rows_kernel(np.ascontiguousarray(inputs), self.first, self.second, self.weights, rows)
+        return np.ascontiguousarray(rows[self.outputs].T)
+
+
+BASE_ROWS = 1 + 2 * len(INPUT_NAMES)
+
+
+@njit(cache=True)
+def rows_kernel(inputs: Any, first: Any, second: Any, weights: Any, rows: Any) -> None:
+    """Fill `rows` (BASE_ROWS + n, N) of a program, one row after the other, for inputs (N, 19)."""
+    count = inputs.shape[0]
+    n_inputs = inputs.shape[1]
+    for i in range(count):
+        rows[0, i] = 1.0
+    for j in range(n_inputs):
+        for i in range(count):
+            rows[1 + j, i] = inputs[i, j]
+            rows[1 + n_inputs + j, i] = abs(inputs[i, j])
+    base = 1 + 2 * n_inputs
+    for k in range(first.shape[0]):
+        a, b = rows[first[k]], rows[second[k]]
+        out = rows[base + k]
+        wa, wb = weights[k, 0], weights[k, 1]
+        if wa == 0.0:
+            for i in range(count):
+                out[i] = a[i] * b[i]
+        else:
+            for i in range(count):
+                out[i] = wa * a[i] + wb * b[i]
+
+
+def unique_regressors(regressors: Sequence[Regressor]) -> list[Regressor]:
+    """The regressors in their order, each kept once."""
+    return list(dict.fromkeys(regressors))

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Models on disk: a folder with model.json (what and from where) and arrays.safetensors (numbers).
+
+model.json holds the hash of the arrays, and the model's identity is the hash of model.json, so any
+change of either shows. Both are data: reading them executes nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_arrays
+from safetensors.numpy import save as save_arrays
+
+from quadpi_core import __version__
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.noise import noise_from_json
+from quadpi_core.models.polynomial import FittedPolynomial
+from quadpi_core.models.regressors import Regressor
+from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.paths import whole_output
+
+MODEL_FILE = "model.json"
+ARRAYS_FILE = "arrays.safetensors"
+FORMAT = 1
+
+
+def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
+    """Write `model` to `folder`, whole or not at all; returns it with name and identity."""
+    arrays = {}
+    axes: dict[str, Any] = {}
+    for axis, polynomial in model.polynomials.items():
+        arrays[f"{axis}.coefficients"] = polynomial.coefficients
+        arrays[f"{axis}.whitening"] = np.ascontiguousarray(polynomial.whitening)
+        axes[axis] = {
+            "regressors": [str(regressor) for regressor in polynomial.regressors],
+            "noise": polynomial.noise.to_json(),
+            "mean_spread": polynomial.mean_spread,
+            "training_range": model.training_range[axis],
+            "selection": model.selection[axis],
+        }
+    array_bytes = save_arrays(arrays)
+    content = {
+        "format": FORMAT,
+        "method": "polynomial",
+        "settings": model.settings,
+        "vehicle": model.vehicle,
+        "cutoff_hz": model.cutoff_hz,
+        "confidence": model.confidence,
+        "axes": axes,
+        "envelope": model.envelope.to_json(),
+        "flights": [asdict(flight) for flight in model.flights],
+        "versions": {"quadpi": __version__, "numpy": np.__version__, "python": platform.python_version()},
+        "arrays_sha256": hashlib.sha256(array_bytes).hexdigest(),
+    }
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    with whole_output(folder) as temporary:
+        temporary.mkdir()
+        (temporary / ARRAYS_FILE).write_bytes(array_bytes)
+        (temporary / MODEL_FILE).write_text(text)
+    return replace(model, name=folder.name, identity=_identity(folder.name, text))
+
+
+def load_model(folder: Path) -> AerodynamicModel:
+    """Read a model folder.
+
+    Raises:
+        ModelError: naming the file that is missing, altered or not understood.
+    """
+    path = folder / MODEL_FILE
+    text = _read(path).decode(errors="replace")
+    array_bytes = _read(folder / ARRAYS_FILE)
+    try:
+        content = json.loads(text)
+        if content["format"] != FORMAT:
+            raise ModelError(f"{path}: format {content['format']!r} is not known to this version ({FORMAT})")
+        if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
+            raise ModelError(
+                f"{folder / ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered"
+            )
+        return _parse(folder, content, load_arrays(array_bytes), _identity(folder.name, text))
+    except ModelError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, SafetensorError) as error:
+        raise ModelError(f"{path}: not a quadpi model: {type(error).__name__} {error}") from error
+
+
+def _parse(
+    folder: Path, content: dict[str, Any], arrays: dict[str, Array], identity: str
+) -> AerodynamicModel:
+    axes: dict[str, Any] = content["axes"]
+    return AerodynamicModel(
+        name=folder.name,
+        vehicle=str(content["vehicle"]),
+        settings=str(content["settings"]),
+        cutoff_hz=float(content["cutoff_hz"]),
+        confidence=float(content["confidence"]),
+        polynomials={axis: _polynomial(folder, axis, entry, arrays) for axis, entry in axes.items()},
+        envelope=Envelope.from_json(content["envelope"]),
+        training_range={axis: float(entry["training_range"]) for axis, entry in axes.items()},
+        flights=tuple(TrainingFlight(**flight) for flight in content["flights"]),
+        selection={axis: entry["selection"] for axis, entry in axes.items()},
+        identity=identity,
+    )
+
+
+def _polynomial(folder: Path, axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
+    regressors = tuple(Regressor.parse(text) for text in entry["regressors"])
+    coefficients, whitening = arrays[f"{axis}.coefficients"], arrays[f"{axis}.whitening"]
+    size = len(regressors)
+    if coefficients.shape != (size,) or whitening.shape != (size, size):
+        raise ModelError(f"{folder / ARRAYS_FILE}: {axis}: shapes do not fit the {size} regressors")
+    if not (np.all(np.isfinite(coefficients)) and np.all(np.isfinite(whitening))):
+        raise ModelError(f"{folder / ARRAYS_FILE}: {axis}: numbers that are not finite")
+    return FittedPolynomial(
+        regressors, coefficients, whitening, noise_from_json(entry["noise"]), float(entry["mean_spread"])
+    )
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _identity(name: str, text: str) -> str:
+    return f"{name}@{hashlib.sha256(text.encode()).hexdigest()[:12]}"
