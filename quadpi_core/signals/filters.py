@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fourth-order Butterworth low-pass, and the derivative that is consistent with it.
+
+The filter is the bilinear transform of the analogue prototype H(s), as two sections whose numerators are
+gain (1 + z⁻¹)². The bilinear transform of s H(s) replaces one factor (1 + z⁻¹) by 2 f (1 − z⁻¹), f being the
+sample rate. In direct form II both outputs share one delay line, so the derivative costs one multiplication,
+and its trapezoidal integral is the filtered signal exactly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy.signal import butter
+
+from quadpi_core.errors import SignalError
+from quadpi_core.frames import Array
+
+ORDER = 4
+SECTIONS = 2
+DELAYS = 2
+# The slowest pole of the filter decays by e^(-0.38 · 2π · 6) = 6e-7 in this many periods of the cut-off.
+SETTLING_PERIODS = 6.0
+
+
+class Section(NamedTuple):
+    """One second-order section: gain (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²), of unit gain at zero frequency."""
+
+    gain: float
+    a1: float
+    a2: float
+
+
+class LowPass(NamedTuple):
+    """The filter's coefficients, as the kernels take them."""
+
+    first: Section
+    second: Section
+    rate_hz: float
+
+
+class Filtered(NamedTuple):
+    """Low-passed samples (N, C) and their time derivative (N, C) in units per second."""
+
+    value: Array
+    derivative: Array
+
+
+def design_low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
+    """Design the filter; its gain at `cutoff_hz` is √½.
+
+    Raises:
+        SignalError: if the cut-off is not between zero and half the sample rate.
+    """
+    if not 0.0 < cutoff_hz < 0.5 * rate_hz:
+        raise SignalError(
+            f"cut-off {cutoff_hz:g} Hz must lie between 0 and half the sample rate ({0.5 * rate_hz:g} Hz)"
+        )
+    first, second = (
+        Section(gain=float(1.0 + a1 + a2) / 4.0, a1=float(a1), a2=float(a2))
+        for _, _, _, _, a1, a2 in butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    )
+    return LowPass(first, second, float(rate_hz))
+
+
+@njit(cache=True)
+def settled_state(design: LowPass, sample: Array) -> Array:
+    """Delay lines (2 sections, 2 delays, C) of a filter that has seen `sample` (C,) forever."""
+    state = np.empty((SECTIONS, DELAYS, len(sample)))
+    for channel in range(len(sample)):
+        state[0, :, channel] = sample[channel] / (1.0 + design.first.a1 + design.first.a2)
+        state[1, :, channel] = sample[channel] / (1.0 + design.second.a1 + design.second.a2)
+    return state
+
+
+@njit(cache=True)
+def low_pass(design: LowPass, state: Array, samples: Array, value: Array, derivative: Array) -> None:
+    """Filter `samples` (K, C) into `value` and `derivative` (K, C), updating `state` (2, 2, C) in place."""
+    first, second = design.first, design.second
+    slope_gain = 2.0 * design.rate_hz * second.gain
+    for row in range(samples.shape[0]):
+        for channel in range(samples.shape[1]):
+            last, before = state[0, 0, channel], state[0, 1, channel]
+            newest = samples[row, channel] - first.a1 * last - first.a2 * before
+            between = first.gain * (newest + 2.0 * last + before)
+            state[0, 0, channel], state[0, 1, channel] = newest, last
+
+            last, before = state[1, 0, channel], state[1, 1, channel]
+            newest = between - second.a1 * last - second.a2 * before
+            value[row, channel] = second.gain * (newest + 2.0 * last + before)
+            derivative[row, channel] = slope_gain * (newest - before)
+            state[1, 0, channel], state[1, 1, channel] = newest, last
+
+
+class CausalLowPass:
+    """The low-pass as it runs live: blocks of any length give the same samples, bit for bit.
+
+    The filter starts settled at its first sample. The sample rate is taken as constant; the caller decides
+    what a gap means and calls :meth:`reset` where the past no longer counts.
+    """
+
+    def __init__(self, cutoff_hz: float, rate_hz: float) -> None:
+        self._design = design_low_pass(cutoff_hz, rate_hz)
+        self._state: Array | None = None
+
+    def reset(self) -> None:
+        """Forget the past: the next sample starts the filter anew."""
+        self._state = None
+
+    def step(self, samples: Array) -> Filtered:
+        """Filter the next samples (K, C), K ≥ 1.
+
+        Raises:
+            SignalError: if a value is not finite; the filter stays as it was.
+        """
+        samples = np.ascontiguousarray(samples, dtype=np.float64)
+        _require_finite(samples)
+        if self._state is None:
+            self._state = settled_state(self._design, samples[0])
+        filtered = Filtered(np.empty_like(samples), np.empty_like(samples))
+        low_pass(self._design, self._state, samples, filtered.value, filtered.derivative)
+        return filtered
+
+
+def zero_phase(signal: Array, cutoff_hz: float, rate_hz: float) -> Filtered:
+    """Filter samples (N, C) forward, then backward, so that nothing is delayed; the gain is |H|².
+
+    The derivative is the forward derivative filter followed by the same backward low-pass: it has the phase
+    of a derivative and the gain |ω| |H|², and trapezoidal integration gives back the filtered signal. Both
+    ends are extended by odd reflection over the settling time of the filter.
+
+    Raises:
+        SignalError: if the cut-off is impossible, the signal is shorter than the settling time of the
+            filter, or a value is not finite.
+    """
+    design = design_low_pass(cutoff_hz, rate_hz)
+    samples = np.ascontiguousarray(signal, dtype=np.float64)
+    _require_finite(samples)
+    padding = int(np.ceil(SETTLING_PERIODS * rate_hz / cutoff_hz))
+    if len(samples) <= padding:
+        raise SignalError(
+            f"{len(samples)} samples are too few to filter at {cutoff_hz:g} Hz: need more than {padding}"
+        )
+    head = 2.0 * samples[0] - samples[padding:0:-1]
+    tail = 2.0 * samples[-1] - samples[-2 : -padding - 2 : -1]
+    forward = _run(design, np.concatenate((head, samples, tail)))
+    keep = slice(padding, padding + len(samples))
+    value = _run(design, forward.value[::-1]).value[::-1]
+    derivative = _run(design, forward.derivative[::-1]).value[::-1]
+    return Filtered(value[keep].copy(), derivative[keep].copy())
+
+
+def _run(design: LowPass, samples: Array) -> Filtered:
+    """Filter a whole signal (N, C) from the settled state of its first sample."""
+    samples = np.ascontiguousarray(samples)
+    filtered = Filtered(np.empty_like(samples), np.empty_like(samples))
+    low_pass(design, settled_state(design, samples[0]), samples, filtered.value, filtered.derivative)
+    return filtered
+
+
+def _require_finite(samples: Array) -> None:
+    finite = np.isfinite(samples)
+    if not finite.all():
+        row = int(np.argmax(~finite.all(axis=1)))
+        raise SignalError(f"sample {row} to be filtered is not finite")
