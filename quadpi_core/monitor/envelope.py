@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The training envelope: what the flights that a model was identified on have shown.
+
+Per input it is the range that the training flights covered, per axis the leverage and the relative
+interval width that they reached. The range of a flight runs between its 0.1 % and 99.9 % quantiles, so
+that one spike does not widen it; the envelope spans the ranges of all flights. Flights that repeat a
+trajectory still differ a little at its extremes, so the alarm allows a margin beyond the range and a
+headroom above the peaks. Both are plain fractions, not quantiles of a distribution: few flights cannot
+support a false-alarm rate, so none is claimed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
+
+RANGE_QUANTILE = 0.001
+MARGIN = 0.1
+LEVERAGE_HEADROOM = 2.0
+WIDTH_HEADROOM = 1.25
+_CONSTANT = 1e-9
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Limits beyond which the training flights say nothing.
+
+    Attributes:
+        lower, upper: (19,) range of each input over the training flights, columns as `INPUT_NAMES`.
+        margin: (19,) how far outside its range an input may be before it counts as evidence, in
+            :attr:`scale`.
+        leverage_limit, width_limit: (6,) leverage and relative width above which an axis counts as
+            evidence, order as `AXES`; 1 for axes that the model does not hold.
+    """
+
+    lower: Array
+    upper: Array
+    margin: Array
+    leverage_limit: Array
+    width_limit: Array
+
+    @classmethod
+    def fit(
+        cls,
+        inputs: Array,
+        groups: npt.ArrayLike,
+        leverage: Array,
+        relative_width: Array,
+    ) -> Envelope:
+        """Envelope of the training samples.
+
+        Args:
+            inputs: (N, 19) input vectors.
+            groups: (N,) label of the flight that each sample belongs to.
+            leverage: (N, 6) leverage of each sample, zero columns for axes not held.
+            relative_width: (N, 6) interval width over its training mean, likewise.
+
+        Raises:
+            ModelError: for no samples, shapes that do not fit or values that are not finite.
+        """
+        labels = np.asarray(groups)
+        samples = len(labels)
+        for name, values, columns in (
+            ("inputs", inputs, len(INPUT_NAMES)),
+            ("leverage", leverage, len(AXES)),
+            ("relative width", relative_width, len(AXES)),
+        ):
+            if values.shape != (samples, columns) or samples == 0:
+                raise ModelError(f"envelope: {name} {values.shape} for {samples} flight labels")
+            if not np.all(np.isfinite(values)):
+                sample = int(np.argmin(np.isfinite(values).all(axis=1)))
+                raise ModelError(f"envelope: {name} of sample {sample} is not finite")
+
+        flights = [labels == label for label in np.unique(labels)]
+        high = 1.0 - RANGE_QUANTILE
+
+        def peak(values: Array) -> Array:
+            peaks: Array = np.max([np.quantile(values[flight], high, axis=0) for flight in flights], axis=0)
+            return peaks
+
+        leverage_peak, width_peak = peak(leverage), peak(relative_width)
+        return cls(
+            lower=-peak(-inputs),
+            upper=peak(inputs),
+            margin=np.full(len(INPUT_NAMES), MARGIN),
+            leverage_limit=np.where(leverage_peak > 0.0, LEVERAGE_HEADROOM * leverage_peak, 1.0),
+            width_limit=np.where(width_peak > 0.0, WIDTH_HEADROOM * width_peak, 1.0),
+        )
+
+    @cached_property
+    def scale(self) -> Array:
+        """(19,) width of each range; 1 (in the unit of the input) for one that training kept constant."""
+        width = self.upper - self.lower
+        constant = width <= _CONSTANT * np.maximum(np.abs(self.upper), 1.0)
+        return np.where(constant, 1.0, width)
+
+    def input_excess(self, inputs: Array) -> Array:
+        """Distance (N, 19) of inputs (N, 19) outside their training range in :attr:`scale`; 0 inside."""
+        outside = np.maximum(self.lower - inputs, inputs - self.upper)
+        return np.maximum(outside, 0.0) / self.scale
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary for the model file, by input and axis name; :meth:`from_json` reads it."""
+        return {
+            "inputs": {
+                name: {
+                    "lower": float(self.lower[i]),
+                    "upper": float(self.upper[i]),
+                    "margin": float(self.margin[i]),
+                }
+                for i, name in enumerate(INPUT_NAMES)
+            },
+            "axes": {
+                axis: {
+                    "leverage_limit": float(self.leverage_limit[i]),
+                    "width_limit": float(self.width_limit[i]),
+                }
+                for i, axis in enumerate(AXES)
+            },
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> Envelope:
+        """Envelope from what :meth:`to_json` gave.
+
+        Raises:
+            ModelError: naming the entry that is missing or not usable.
+        """
+
+        def column(part: str, names: tuple[str, ...], key: str) -> Array:
+            try:
+                values = np.array([data[part][name][key] for name in names], dtype=float)
+            except (KeyError, TypeError, ValueError) as error:
+                raise ModelError(f"envelope: `{part}` needs a number `{key}` for each of {names}") from error
+            if not np.all(np.isfinite(values)):
+                raise ModelError(f"envelope: `{part}`: `{key}` is not finite")
+            return values
+
+        envelope = cls(
+            lower=column("inputs", INPUT_NAMES, "lower"),
+            upper=column("inputs", INPUT_NAMES, "upper"),
+            margin=column("inputs", INPUT_NAMES, "margin"),
+            leverage_limit=column("axes", AXES, "leverage_limit"),
+            width_limit=column("axes", AXES, "width_limit"),
+        )
+        if np.any(envelope.lower > envelope.upper) or np.any(envelope.margin < 0.0):
+            raise ModelError("envelope: a lower bound lies above its upper bound, or a margin is negative")
+        if np.any(envelope.leverage_limit <= 0.0) or np.any(envelope.width_limit <= 0.0):
+            raise ModelError("envelope: limits of leverage and width must be positive")
+        return envelope

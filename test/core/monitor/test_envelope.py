@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.monitor.envelope import LEVERAGE_HEADROOM, Envelope
+
+SAMPLES = 3000
+U = INPUT_INDEX["u"]
+
+
+@pytest.fixture
+def training() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    leverage = np.zeros((SAMPLES, 6))
+    leverage[:, 0] = rng.uniform(0.0, 0.01, SAMPLES)
+    width = np.zeros((SAMPLES, 6))
+    width[:, 0] = rng.uniform(0.9, 1.1, SAMPLES)
+    return {
+        "inputs": rng.uniform(-1.0, 1.0, (SAMPLES, len(INPUT_NAMES))),
+        "groups": np.repeat([0, 1, 2], SAMPLES // 3),
+        "leverage": leverage,
+        "relative_width": width,
+    }
+
+
+def test_training_samples_lie_inside_the_margin(training):
+    envelope = Envelope.fit(**training)
+    excess = envelope.input_excess(training["inputs"])
+    assert np.all(excess <= envelope.margin)
+    assert np.all(training["leverage"] < envelope.leverage_limit)
+    assert np.all(training["relative_width"] < envelope.width_limit)
+
+
+def test_excess_counts_in_widths_of_the_range(training):
+    envelope = Envelope.fit(**training)
+    width = envelope.upper - envelope.lower
+    above = envelope.upper + 0.5 * width
+    below = envelope.lower - 2.0 * width
+    np.testing.assert_allclose(envelope.input_excess(np.stack((above, below)))[0], 0.5)
+    np.testing.assert_allclose(envelope.input_excess(np.stack((above, below)))[1], 2.0)
+
+
+def test_one_spike_does_not_widen_the_range_but_a_flight_does(training):
+    spiked = training["inputs"].copy()
+    spiked[10, U] = 50.0
+    assert Envelope.fit(**training | {"inputs": spiked}).upper[U] < 1.5
+
+    faster = training["inputs"].copy()
+    faster[training["groups"] == 2, U] *= 3.0
+    assert Envelope.fit(**training | {"inputs": faster}).upper[U] > 2.9
+
+
+def test_axes_that_the_model_does_not_hold_never_count(training):
+    envelope = Envelope.fit(**training)
+    np.testing.assert_array_equal(envelope.leverage_limit[1:], 1.0)
+    np.testing.assert_array_equal(envelope.width_limit[1:], 1.0)
+    assert envelope.leverage_limit[0] == pytest.approx(LEVERAGE_HEADROOM * 0.01, rel=0.01)
+
+
+def test_constant_input_is_measured_in_its_unit(training):
+    inputs = training["inputs"].copy()
+    inputs[:, U] = 7.0
+    envelope = Envelope.fit(**training | {"inputs": inputs})
+    sample = inputs[:1].copy()
+    assert envelope.input_excess(sample)[0, U] == 0.0
+    sample[0, U] = 7.3
+    assert envelope.input_excess(sample)[0, U] == pytest.approx(0.3)
+
+
+def test_json_gives_the_same_envelope(training):
+    envelope = Envelope.fit(**training)
+    again = Envelope.from_json(json.loads(json.dumps(envelope.to_json())))
+    for name in ("lower", "upper", "margin", "leverage_limit", "width_limit"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(envelope, name))
+
+
+def _without_mu_x(data):
+    del data["inputs"]["mu_x"]
+
+
+def _with_text(data):
+    data["axes"]["Fz"]["leverage_limit"] = "high"
+
+
+def _with_infinity(data):
+    data["inputs"]["u"]["upper"] = float("inf")
+
+
+def _turned_round(data):
+    data["inputs"]["u"]["lower"] = 99.0
+
+
+def _without_limit(data):
+    data["axes"]["Fx"]["width_limit"] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_without_mu_x, "`inputs` needs a number `lower`"),
+        (_with_text, "`axes` needs a number `leverage_limit`"),
+        (_with_infinity, "`upper` is not finite"),
+        (_turned_round, "lies above its upper bound"),
+        (_without_limit, "must be positive"),
+    ],
+)
+def test_damaged_json_is_refused(training, damage, message):
+    data = Envelope.fit(**training).to_json()
+    damage(data)
+    with pytest.raises(ModelError, match=message):
+        Envelope.from_json(data)
+
+
+def test_training_that_is_not_finite_or_does_not_fit_is_refused(training):
+    inputs = training["inputs"].copy()
+    inputs[17, 3] = np.nan
+    with pytest.raises(ModelError, match="inputs of sample 17 is not finite"):
+        Envelope.fit(**training | {"inputs": inputs})
+    with pytest.raises(ModelError, match="flight labels"):
+        Envelope.fit(**training | {"groups": training["groups"][:-1]})
