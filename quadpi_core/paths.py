@@ -13,12 +13,22 @@ from pathlib import Path
 
 
 def config_directory() -> Path:
-    """The config/ folder: beside the package in a checkout, inside it when installed."""
+    """The folder of vehicles, candidate pools, mappings and node parameters."""
+    return _share_directory() / "config"
+
+
+def message_directory() -> Path:
+    """The folder of quadpi's message definitions."""
+    return _share_directory() / "msg"
+
+
+def _share_directory() -> Path:
+    """The checkout, or share/quadpi of the prefix that pip or colcon installed the package below."""
     package = Path(__file__).resolve().parent
-    for candidate in (package.parent / "config", package / "config"):
-        if (candidate / "vehicles").is_dir():
+    for candidate in (package.parent, *(prefix / "share" / "quadpi" for prefix in package.parents)):
+        if (candidate / "package.xml").is_file():
             return candidate
-    raise FileNotFoundError(f"no config folder beside or inside {package}")
+    raise FileNotFoundError(f"no package.xml beside {package} or in share/quadpi above it")
 
 
 @contextmanager

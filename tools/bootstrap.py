@@ -71,7 +71,13 @@ def run(log: Path, *command: str | Path) -> None:
     }
     with log.open("ab") as output:
         result = subprocess.run(
-            command, cwd=ROOT, env=environment, stdout=output, stderr=output, stdin=subprocess.DEVNULL
+            command,
+            check=False,
+            cwd=ROOT,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
         )
     if result.returncode != 0:
         tail = "\n".join(log.read_text(errors="replace").splitlines()[-15:])
@@ -87,7 +93,7 @@ def make_environment(log: Path) -> None:
 
 
 def install_packages(log: Path) -> None:
-    """quadpi as an editable install, with ROS and the development tools at the pinned versions."""
+    """Editable quadpi, with ROS and the development tools at the pinned versions."""
     pip_install(log, "--no-build-isolation", "--editable", ".[ros,test,dev]")
 
 
