@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Log readers, one file per format, each giving a :class:`quadpi_core.flight.Recording`."""
+"""Log readers, one file per format, each giving a :class:`quadpi_core.flight.Recording`.
+
+Readers are imported when one is needed: each brings libraries that the others do not need.
+"""
 
 from __future__ import annotations
 
@@ -93,25 +96,25 @@ def _has_suffix(*suffixes: str) -> Callable[[Path], bool]:
 
 
 def _read_bag(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
-    from quadpi_core.logs.bags import read_bag  # noqa: PLC0415 - readers load on demand, `--help` stays fast
+    from quadpi_core.logs.bags import read_bag
 
     return read_bag(path, vehicle)
 
 
 def _read_neurobem(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
-    from quadpi_core.logs.neurobem import read_neurobem  # noqa: PLC0415
+    from quadpi_core.logs.neurobem import read_neurobem
 
     return read_neurobem(path, vehicle)
 
 
 def _read_cfusdlog(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
-    from quadpi_core.logs.cfusdlog import read_cfusdlog  # noqa: PLC0415
+    from quadpi_core.logs.cfusdlog import read_cfusdlog
 
     return read_cfusdlog(path, vehicle)
 
 
 def _read_mapped(path: Path, vehicle: Vehicle, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.mapping import read_mapped  # noqa: PLC0415
+    from quadpi_core.logs.mapping import read_mapped
 
     if mapping is None:
         raise LogError(f"{path}: a table needs a mapping file that says what its columns are (--mapping)")

@@ -10,6 +10,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 
+STANDARD_GRAVITY = 9.80665
 NORM_TOLERANCE = 0.05
 
 

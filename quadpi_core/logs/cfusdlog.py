@@ -1,0 +1,211 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reader for the binary logs that a Crazyflie writes to its micro-SD card ("cfusdlog", versions 1 and 2).
+
+Layout, little-endian: the byte 0xBC; version and number of event types (uint16 each); per event type its id
+(uint16), name, number of variables (uint16) and the variables as "group.name(T)" with a struct type letter T
+(strings end with a zero byte); then records of event id, stamp and packed values; a CRC32 of all before it.
+The stamp is a uint32 in milliseconds in version 1 and a uint64 in microseconds in version 2.
+
+The Crazyflie's body axes are forward-left-up; its world is z-up and taken as east-north-up.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.frames import (
+    Array,
+    body_flu_to_frd,
+    quaternion_flu_enu_to_frd_ned,
+    rotate_world_to_body,
+    world_enu_to_ned,
+)
+from quadpi_core.logs.conversion import STANDARD_GRAVITY, unit_attitude
+from quadpi_core.vehicle import Vehicle
+
+MAGIC = 0xBC
+_CRC_BYTES = 4
+_STAMP_TYPE = {1: "<u4", 2: "<u8"}
+_NANOSECONDS_PER_TICK = {1: 1_000_000, 2: 1_000}
+_VALUE_TYPE = {letter: f"<{np.dtype(letter).str[1:]}" for letter in "bBhHiIqQefd"}
+_ID = "event id"
+_STAMP = "stamp"
+
+_GYRO = ("gyro.x", "gyro.y", "gyro.z")
+_ACCELERATION = ("acc.x", "acc.y", "acc.z")
+_ROTORS = ("rpm.m1", "rpm.m2", "rpm.m3", "rpm.m4")
+_POSITION = ("x", "y", "z")
+_ATTITUDE = ("qw", "qx", "qy", "qz")
+_VELOCITY = ("vx", "vy", "vz")
+_ESTIMATE = tuple(f"stateEstimate.{name}" for name in _POSITION + _ATTITUDE + _VELOCITY)
+_MOCAP = tuple(f"locSrv.{name}" for name in _POSITION + _ATTITUDE)
+_BATTERY_MV = "pm.vbatMV"
+
+
+@dataclass(frozen=True)
+class Event:
+    """The records of one event type: stamps (N,) and one array (N,) per variable, as logged."""
+
+    time_ns: Stamps
+    variables: dict[str, Array]
+
+    def __contains__(self, names: tuple[str, ...]) -> bool:
+        return all(name in self.variables for name in names)
+
+    def stack(self, names: tuple[str, ...]) -> Array:
+        """Variables side by side (N, len(names))."""
+        return np.stack([self.variables[name] for name in names], axis=1)
+
+
+def read_cfusdlog(path: Path, vehicle: Vehicle) -> Recording:
+    """Read one uSD log; the rotor order m1 to m4 is that of config/vehicles/crazyflie_rpm.yaml.
+
+    The log needs `gyro` (deg/s) and `acc` (g); it may have `rpm`, `stateEstimate` (with its gyro in the same
+    event), `locSrv` (motion capture, position and attitude) and `pm.vbatMV`, in any event type.
+
+    Raises:
+        LogError: if the file is damaged or truncated, naming the byte, or has no gyro and accelerometer.
+    """
+    source = str(path)
+    events = decode_events(source, path.read_bytes())
+    inertial = _find(events, _GYRO + _ACCELERATION)
+    if inertial is None:
+        logged = sorted(name for event in events.values() for name in event.variables)
+        raise LogError(f"{source}: needs gyro and acc in one event; it logs {', '.join(logged) or 'nothing'}")
+    rotors = _find(events, _ROTORS)
+    mocap = _find(events, _MOCAP)
+    estimate = _find(events, _ESTIMATE + _GYRO)
+    battery = _find(events, (_BATTERY_MV,))
+    return Recording(
+        name=path.name,
+        vehicle=vehicle.name,
+        source=source,
+        imu=_imu(inertial),
+        rotor_speeds=None if rotors is None else _rotor_speeds(rotors),
+        pose=None if mocap is None else PoseStream(mocap.time_ns, *_pose(source, mocap, "locSrv")),
+        odometry=None if estimate is None else _odometry(source, estimate),
+        battery_v=None if battery is None else (battery.time_ns, battery.variables[_BATTERY_MV] * 1e-3),
+    )
+
+
+def _find(events: dict[str, Event], names: tuple[str, ...]) -> Event | None:
+    """The first event type that has records and all of these variables."""
+    return next((event for event in events.values() if names in event and len(event.time_ns)), None)
+
+
+def _imu(event: Event) -> ImuStream:
+    specific_force = body_flu_to_frd(event.stack(_ACCELERATION)) * STANDARD_GRAVITY
+    return ImuStream(event.time_ns, _rates(event), specific_force)
+
+
+def _rates(event: Event) -> Array:
+    return body_flu_to_frd(np.radians(event.stack(_GYRO)))
+
+
+def _rotor_speeds(event: Event) -> RotorSpeedStream:
+    return RotorSpeedStream(event.time_ns, event.stack(_ROTORS) * (2.0 * np.pi / 60.0))
+
+
+def _odometry(source: str, event: Event) -> OdometryStream:
+    position, attitude = _pose(source, event, "stateEstimate")
+    velocity_world = world_enu_to_ned(event.stack(tuple(f"stateEstimate.{name}" for name in _VELOCITY)))
+    velocity = rotate_world_to_body(attitude, velocity_world)
+    return OdometryStream(event.time_ns, position, attitude, velocity, _rates(event))
+
+
+def _pose(source: str, event: Event, group: str) -> tuple[Array, Array]:
+    position = event.stack(tuple(f"{group}.{name}" for name in _POSITION))
+    attitude = unit_attitude(source, group, event.stack(tuple(f"{group}.{name}" for name in _ATTITUDE)))
+    return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)
+
+
+def decode_events(source: str, data: bytes) -> dict[str, Event]:
+    """All records of a log, by the name of their event type.
+
+    Raises:
+        LogError: naming the byte where the log is cut off or damaged, or for a checksum that does not match.
+    """
+    if len(data) < 5 or data[0] != MAGIC:
+        raise LogError(f"{source}: not a Crazyflie uSD log (it must begin with the byte 0x{MAGIC:X})")
+    version, event_count = struct.unpack_from("<HH", data, 1)
+    if version not in _STAMP_TYPE:
+        raise LogError(f"{source}: uSD log version {version} is not known; known: {list(_STAMP_TYPE)}")
+    layouts, names, start = _decode_header(source, data, version, event_count)
+    offsets = _record_offsets(source, data, start, layouts)
+    (expected,) = struct.unpack_from("<I", data, len(data) - _CRC_BYTES)
+    if zlib.crc32(data[:-_CRC_BYTES]) != expected:
+        raise LogError(f"{source}: the checksum does not match: the file is damaged")
+    tick_ns = _NANOSECONDS_PER_TICK[version]
+    return {
+        names[event_id]: _decode_records(data, offsets[event_id], layout, tick_ns)
+        for event_id, layout in layouts.items()
+    }
+
+
+def _decode_header(
+    source: str, data: bytes, version: int, event_count: int
+) -> tuple[dict[int, np.dtype[Any]], dict[int, str], int]:
+    """Record layout and name per event id, and the byte at which the records start."""
+    layouts: dict[int, np.dtype[Any]] = {}
+    names: dict[int, str] = {}
+    position = 5
+    try:
+        for _ in range(event_count):
+            (event_id,) = struct.unpack_from("<H", data, position)
+            names[event_id], position = _string(data, position + 2)
+            (variable_count,) = struct.unpack_from("<H", data, position)
+            position += 2
+            columns = [(_ID, "<u2"), (_STAMP, _STAMP_TYPE[version])]
+            for _ in range(variable_count):
+                variable, position = _string(data, position)
+                columns.append((variable[:-3], _VALUE_TYPE[variable[-2]]))
+            layouts[event_id] = np.dtype(columns)
+    except (struct.error, ValueError, LookupError) as error:
+        raise LogError(f"{source}: byte {position}: the list of logged variables is damaged") from error
+    return layouts, names, position
+
+
+def _string(data: bytes, start: int) -> tuple[str, int]:
+    end = data.index(0, start)
+    return data[start:end].decode(), end + 1
+
+
+def _record_offsets(
+    source: str, data: bytes, start: int, layouts: dict[int, np.dtype[Any]]
+) -> dict[int, list[int]]:
+    """First byte of each record per event id; records of all types are interleaved, so they are walked."""
+    sizes = {event_id: layout.itemsize for event_id, layout in layouts.items()}
+    offsets: dict[int, list[int]] = {event_id: [] for event_id in layouts}
+    begin = position = start
+    end = len(data) - _CRC_BYTES
+    while position < end:
+        begin = position
+        event_id = data[begin] | data[begin + 1] << 8
+        if event_id not in sizes:
+            raise LogError(f"{source}: byte {begin}: event id {event_id} is not defined: the file is damaged")
+        offsets[event_id].append(begin)
+        position += sizes[event_id]
+    if position != end:
+        raise LogError(f"{source}: byte {len(data)}: the file is cut off in the record from byte {begin}")
+    return offsets
+
+
+def _decode_records(data: bytes, offsets: list[int], layout: np.dtype[Any], tick_ns: int) -> Event:
+    """Gather the records of one type as rows of bytes and view them as columns."""
+    content = np.frombuffer(data, dtype=np.uint8)
+    rows = np.array(offsets, dtype=np.int64)[:, np.newaxis] + np.arange(layout.itemsize)
+    records: npt.NDArray[np.void] = content[rows].view(layout)[:, 0]
+    values = {
+        name: records[name].astype(np.float64) for name in layout.names or () if name not in (_ID, _STAMP)
+    }
+    return Event(records[_STAMP].astype(np.int64) * tick_ns, values)
