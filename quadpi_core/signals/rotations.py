@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled operations on one unit quaternion (w, x, y, z), body to world, and on one rotation vector."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from quadpi_core.frames import Array
+
+# Below this angle [rad] the next term of the series, angle²/24, is under the rounding of a double.
+_SMALL_ANGLE = 1e-8
+
+
+@njit(cache=True)
+def product(left: Array, right: Array) -> Array:
+    """Quaternion product: the rotation `right` followed by `left`."""
+    w, x, y, z = left[0], left[1], left[2], left[3]
+    a, b, c, d = right[0], right[1], right[2], right[3]
+    return np.array(
+        (
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        )
+    )
+
+
+@njit(cache=True)
+def inverse(quaternion: Array) -> Array:
+    """Inverse of a unit quaternion: world to body."""
+    return np.array((quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]))
+
+
+@njit(cache=True)
+def normalised(quaternion: Array) -> Array:
+    """The quaternion scaled to unit norm."""
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    scale = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
+    return np.array((w * scale, x * scale, y * scale, z * scale))
+
+
+@njit(cache=True)
+def from_rotation_vector(vector: Array) -> Array:
+    """Unit quaternion of a rotation vector (3,) rad (the exponential map)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    angle = np.sqrt(x * x + y * y + z * z)
+    scale = 0.5 if angle < _SMALL_ANGLE else np.sin(0.5 * angle) / angle
+    return np.array((np.cos(0.5 * angle), scale * x, scale * y, scale * z))
+
+
+@njit(cache=True)
+def to_rotation_vector(quaternion: Array) -> Array:
+    """Shortest rotation vector (3,) rad of a unit quaternion of either sign (the logarithm map)."""
+    sign = -1.0 if quaternion[0] < 0.0 else 1.0
+    w, x, y, z = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2], sign * quaternion[3]
+    sine = np.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * np.arctan2(sine, w) / sine
+    return np.array((scale * x, scale * y, scale * z))
+
+
+@njit(cache=True)
+def matrix(quaternion: Array) -> Array:
+    """Rotation matrix (3, 3), body to world, of a unit quaternion."""
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    rotation = np.empty((3, 3))
+    rotation[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    rotation[0, 1] = 2.0 * (x * y - w * z)
+    rotation[0, 2] = 2.0 * (x * z + w * y)
+    rotation[1, 0] = 2.0 * (x * y + w * z)
+    rotation[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    rotation[1, 2] = 2.0 * (y * z - w * x)
+    rotation[2, 0] = 2.0 * (x * z - w * y)
+    rotation[2, 1] = 2.0 * (y * z + w * x)
+    rotation[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return rotation
+
+
+@njit(cache=True)
+def body_rates(time_ns: Array, attitude: Array) -> Array:
+    """Mean body rates (N-1, 3) rad/s between consecutive attitudes (N, 4) at stamps (N,)."""
+    rates = np.empty((len(attitude) - 1, 3))
+    for row in range(len(rates)):
+        turn = to_rotation_vector(product(inverse(attitude[row]), attitude[row + 1]))
+        rates[row] = turn / (1e-9 * (time_ns[row + 1] - time_ns[row]))
+    return rates

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The wrench that a vehicle measures of itself, by the Newton-Euler equations of a rigid body."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from quadpi_core.flight import AXES, Flight
+from quadpi_core.frames import Array
+from quadpi_core.vehicle import Vehicle
+
+
+@njit(cache=True)
+def newton_euler(
+    specific_force: Array, rates: Array, angular_acceleration: Array, mass_kg: float, inertia: Array
+) -> Array:
+    """Wrench (N, 6) on a rigid body, gravity not included: F = m f, M = I Ω̇ + Ω × IΩ.
+
+    Compiled, and callable from other compiled functions.
+
+    Args:
+        specific_force: (N, 3) m/s², body axes.
+        rates: (N, 3) rad/s.
+        angular_acceleration: (N, 3) rad/s².
+        mass_kg: mass.
+        inertia: (3, 3) kg m², about the centre of gravity.
+
+    Returns:
+        (N, 6) force [N] and moment [Nm] in body axes, columns as :data:`quadpi_core.flight.AXES`.
+    """
+    wrench = np.empty((len(rates), len(AXES)))
+    momentum = np.empty(3)
+    for row in range(len(rates)):
+        rate = rates[row]
+        for axis in range(3):
+            wrench[row, axis] = mass_kg * specific_force[row, axis]
+            momentum[axis] = 0.0
+            wrench[row, 3 + axis] = 0.0
+            for other in range(3):
+                momentum[axis] += inertia[axis, other] * rate[other]
+                wrench[row, 3 + axis] += inertia[axis, other] * angular_acceleration[row, other]
+        wrench[row, 3] += rate[1] * momentum[2] - rate[2] * momentum[1]
+        wrench[row, 4] += rate[2] * momentum[0] - rate[0] * momentum[2]
+        wrench[row, 5] += rate[0] * momentum[1] - rate[1] * momentum[0]
+    return wrench
+
+
+def measured_wrench(flight: Flight, vehicle: Vehicle) -> Array:
+    """Wrench (N, 6) that the flight measured: N and Nm, body axes, gravity not included.
+
+    The low-pass of the flight has already been applied to every factor, and its angular acceleration is the
+    consistent derivative of its rates.
+    """
+    wrench: Array = newton_euler(
+        flight.specific_force, flight.rates, flight.angular_acceleration, vehicle.mass_kg, vehicle.inertia
+    )
+    return wrench
