@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A small flight as sensor samples, and a model identified on it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.flight import AXES
+from quadpi_core.frames import rotate_world_to_body
+from quadpi_core.inputs import aerodynamic_inputs
+from quadpi_core.models import AerodynamicModel, FittedPolynomial
+from quadpi_core.models.noise import ResidualNoise
+from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.signals.chain import SignalChain
+from quadpi_core.vehicle import Vehicle
+
+RATE_HZ = 500.0
+CUTOFF_HZ = 12.0
+
+
+def fly(seconds: float, vehicle: Vehicle, seed: int = 0) -> PairedSamples:
+    """Gentle swings about hover, forward-right-down, with sensor noise."""
+    rng = np.random.default_rng(seed)
+    count = round(seconds * RATE_HZ)
+    time = np.arange(count) / RATE_HZ
+    roll, pitch = 0.2 * np.sin(2.1 * time), 0.25 * np.sin(1.7 * time)
+    half_roll, half_pitch = roll / 2, pitch / 2
+    attitude = np.stack(
+        (
+            np.cos(half_roll) * np.cos(half_pitch),
+            np.sin(half_roll) * np.cos(half_pitch),
+            np.cos(half_roll) * np.sin(half_pitch),
+            -np.sin(half_roll) * np.sin(half_pitch),
+        ),
+        axis=1,
+    )
+    velocity = np.stack((3 * np.sin(1.3 * time), 2 * np.sin(0.9 * time), 0.5 * np.sin(2.3 * time)), axis=1)
+    rates = np.stack((0.42 * np.cos(2.1 * time), 0.425 * np.cos(1.7 * time), 0 * time), axis=1)
+    specific_force = np.array([0.0, 0.0, -vehicle.gravity_m_s2]) - 0.3 * velocity
+    swing = np.stack([np.sin(3.1 * time + phase) for phase in range(4)], axis=1)
+    return PairedSamples(
+        time_ns=1_700_000_000_000_000_000 + np.round(time * 1e9).astype(np.int64),
+        velocity=velocity + 0.01 * rng.standard_normal(velocity.shape),
+        attitude=attitude,
+        rates=rates + 0.02 * rng.standard_normal(rates.shape),
+        specific_force=specific_force + 0.3 * rng.standard_normal(specific_force.shape),
+        rotor_speeds=1100.0 + 80.0 * swing + 5.0 * rng.standard_normal(swing.shape),
+        wind=np.zeros((count, 3)),
+    )
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return Vehicle.load("neurobem")
+
+
+@pytest.fixture(scope="session")
+def samples(vehicle) -> PairedSamples:
+    return fly(10.0, vehicle)
+
+
+@pytest.fixture(scope="session")
+def model(vehicle) -> AerodynamicModel:
+    """Fx and My linear in a few inputs, as least squares on `fly` would give them."""
+    signals = SignalChain(RATE_HZ, CUTOFF_HZ).step(*fly(60.0, vehicle, seed=1)[1:])
+    velocity_air = signals.velocity - rotate_world_to_body(signals.attitude, signals.wind)
+    inputs = aerodynamic_inputs(velocity_air, signals.attitude, signals.rates, signals.rotor_speeds, vehicle)
+    polynomials = {}
+    for axis, terms in (("Fx", ("1", "mu_x")), ("My", ("1", "U_q", "q^2"))):
+        regressors = tuple(Regressor.parse(term) for term in terms)
+        z = RegressorProgram.compile(regressors).evaluate(inputs)
+        whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
+        polynomials[axis] = FittedPolynomial(
+            regressors, np.linspace(0.1, 0.01, len(terms)), whitening, ResidualNoise(0.2, 1000.0), 1.0
+        )
+    leverage, width = np.zeros((len(inputs), 6)), np.zeros((len(inputs), 6))
+    for axis, polynomial in polynomials.items():
+        leverage[:, AXES.index(axis)] = polynomial.leverage(inputs)
+        width[:, AXES.index(axis)] = polynomial.spread(inputs)
+    return AerodynamicModel(
+        name="swings",
+        vehicle=vehicle.name,
+        settings="default",
+        cutoff_hz=CUTOFF_HZ,
+        confidence=0.95,
+        polynomials=polynomials,
+        envelope=Envelope.fit(inputs, np.zeros(len(inputs)), leverage, width),
+        training_range=dict.fromkeys(polynomials, 1.0),
+        flights=(),
+        selection={axis: [] for axis in polynomials},
+        identity="swings@000000000000",
+    )

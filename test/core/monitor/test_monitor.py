@@ -1,0 +1,222 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError, SignalError
+from quadpi_core.frames import rotate_world_to_body
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models import Evaluation
+from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK
+from quadpi_core.monitor.monitor import GAP_S, Monitor
+from quadpi_core.monitor.output import Alarms, Predictions
+from quadpi_core.monitor.pairing import PairedSamples
+
+RATE_HZ = 500.0
+FX, MY = 0, 4
+
+
+def cut(samples: PairedSamples, keep) -> PairedSamples:
+    return PairedSamples(*(column[keep] for column in samples))
+
+
+def changed(samples: PairedSamples, **columns) -> PairedSamples:
+    return samples._replace(**{name: np.ascontiguousarray(values) for name, values in columns.items()})
+
+
+def run(monitor: Monitor, samples: PairedSamples, block: int | None = None) -> tuple[Predictions, Alarms]:
+    block = block or len(samples.time_ns)
+    outputs = [
+        monitor.step(*cut(samples, slice(start, start + block)))
+        for start in range(0, len(samples.time_ns), block)
+    ]
+    predictions, alarms = zip(*outputs, strict=True)
+    return joined(Predictions, predictions), joined(Alarms, alarms)
+
+
+def joined(kind, parts):
+    return kind(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(kind)))
+
+
+def assert_same(left, right):
+    for field in fields(left):
+        np.testing.assert_array_equal(getattr(left, field.name), getattr(right, field.name))
+
+
+def assert_finite(predictions: Predictions, alarms: Alarms):
+    for output in (predictions, alarms):
+        for field in fields(output):
+            assert np.all(np.isfinite(getattr(output, field.name))), field.name
+
+
+@pytest.fixture
+def monitor(model, vehicle) -> Monitor:
+    return Monitor(model, vehicle, RATE_HZ)
+
+
+def test_flight_inside_the_envelope_is_predicted_without_alarm(monitor, samples, vehicle):
+    predictions, alarms = monitor.step(*samples)
+    np.testing.assert_array_equal(predictions.time_ns, samples.time_ns)
+    assert np.all(alarms.level == LEVEL_OK)
+    for axis in (FX, MY):
+        assert np.all(predictions.lower[:, axis] < predictions.predicted[:, axis])
+        assert np.all(predictions.predicted[:, axis] < predictions.upper[:, axis])
+    assert np.all(predictions.upper[:, 1] == 0.0)
+    # Hover on average: thrust carries the weight, up being negative.
+    assert predictions.measured[:, 2].mean() == pytest.approx(
+        -vehicle.mass_kg * vehicle.gravity_m_s2, rel=0.02
+    )
+
+
+@pytest.mark.parametrize("block", [1, 13, 500])
+def test_blocks_give_the_same_rows_bit_for_bit(model, vehicle, samples, block):
+    rng = np.random.default_rng(2)
+    samples = cut(samples, slice(0, 1500))
+    time_ns = samples.time_ns.copy()
+    time_ns[700:] += 2 * round(GAP_S * 1e9)
+    rates = samples.rates.copy()
+    rates[rng.random(len(rates)) < 0.02, 1] = np.nan
+    samples = changed(samples, time_ns=time_ns, rates=rates)
+    whole = run(Monitor(model, vehicle, RATE_HZ), samples)
+    parts = run(Monitor(model, vehicle, RATE_HZ), samples, block)
+    for left, right in zip(whole, parts, strict=True):
+        assert_same(left, right)
+
+
+def test_leaving_the_envelope_raises_names_and_clears(monitor, samples):
+    velocity = samples.velocity.copy()
+    velocity[2000:3000, 0] += 12.0
+    predictions, alarms = monitor.step(*changed(samples, velocity=velocity))
+    seconds = (alarms.time_ns - samples.time_ns[0]) * 1e-9
+    raised = np.flatnonzero(alarms.level == LEVEL_ALARM)
+    # Within persistence plus the delay of the low-pass; until release after it.
+    assert 4.1 < seconds[raised[0]] < 4.25
+    assert 6.4 < seconds[raised[-1]] < 6.8
+    assert np.all(np.diff(raised) == 1)
+    assert np.all(alarms.causes[raised] == EXTRAPOLATION)
+    assert alarms.level[-1] == LEVEL_OK
+    outside = {INPUT_NAMES[k] for k in np.flatnonzero(alarms.input_excess[raised[5]])}
+    assert {"u", "mu_x"} <= outside
+    assert not outside & {"p", "q", "r", "omega_avg", "U_p"}
+    assert alarms.leverage[raised[5], FX] > 1.0
+    assert predictions.relative_width[2500, FX] > predictions.relative_width[1000, FX]
+
+
+def test_wind_counts_as_airspeed(monitor, samples):
+    wind = np.tile([-12.0, 0.0, 0.0], (len(samples.time_ns), 1))
+    _, alarms = monitor.step(*changed(samples, wind=wind))
+    assert alarms.level[-1] == LEVEL_ALARM
+    assert np.any(alarms.input_excess[:, INPUT_INDEX["u"]] > 0.5)
+
+
+def test_flying_with_the_wind_is_like_hovering(model, vehicle, samples):
+    wind = np.tile([8.0, -5.0, 1.0], (len(samples.time_ns), 1))
+    drifting = changed(
+        samples, velocity=samples.velocity + rotate_world_to_body(samples.attitude, wind), wind=wind
+    )
+    still, _ = Monitor(model, vehicle, RATE_HZ).step(*samples)
+    moving, alarms = Monitor(model, vehicle, RATE_HZ).step(*drifting)
+    # The low-pass acts on body velocity and on attitude apart, so they agree only closely.
+    np.testing.assert_allclose(moving.predicted, still.predicted, atol=2e-3)
+    assert np.all(alarms.level == LEVEL_OK)
+
+
+BROKEN = {
+    "NaN rate": ("rates", np.nan),
+    "infinite specific force": ("specific_force", np.inf),
+    "velocity of a lost estimator": ("velocity", 1e6),
+    "rates in deg/s": ("rates", 400.0),
+    "zero quaternion": ("attitude", 0.0),
+    "negative rotor speed": ("rotor_speeds", -5.0),
+    "rotor speed in eRPM": ("rotor_speeds", 70_000.0),
+    "NaN wind": ("wind", np.nan),
+}
+
+
+@pytest.mark.parametrize(("column", "value"), BROKEN.values(), ids=BROKEN.keys())
+def test_broken_samples_are_bad_data_and_disturb_nothing_else(model, vehicle, samples, column, value):
+    broken = getattr(samples, column).copy()
+    broken[1000:1200] = value
+    predictions, alarms = Monitor(model, vehicle, RATE_HZ).step(*changed(samples, **{column: broken}))
+    assert_finite(predictions, alarms)
+    assert len(predictions.time_ns) == len(samples.time_ns) - 200
+    assert alarms.causes[np.flatnonzero(alarms.level == LEVEL_ALARM)].tolist() == [
+        BAD_DATA
+    ] * np.count_nonzero(alarms.level == LEVEL_ALARM)
+    assert np.count_nonzero(alarms.level == LEVEL_ALARM) > 5
+    assert alarms.level[-1] == LEVEL_OK
+
+    undisturbed, _ = Monitor(model, vehicle, RATE_HZ).step(*samples)
+    np.testing.assert_array_equal(predictions.predicted[:1000], undisturbed.predicted[:1000])
+    # After the gap the low-pass starts anew: it agrees again once it has settled.
+    np.testing.assert_allclose(predictions.predicted[-2000:], undisturbed.predicted[-2000:], atol=1e-9)
+
+
+def test_repeated_stamps_give_no_second_prediction(monitor, samples):
+    twice = cut(samples, np.repeat(np.arange(100), 2))
+    predictions, alarms = monitor.step(*twice)
+    np.testing.assert_array_equal(predictions.time_ns, samples.time_ns[:100])
+    assert alarms.causes[-1] == BAD_DATA
+
+
+def test_clock_that_jumps_is_followed(monitor, samples):
+    time_ns = samples.time_ns.copy()
+    time_ns[1000:] -= 3_000_000_000
+    time_ns[2000] += 365 * 86_400 * 1_000_000_000
+    predictions, alarms = monitor.step(*changed(samples, time_ns=time_ns))
+    assert len(predictions.time_ns) == len(time_ns)
+    assert_finite(predictions, alarms)
+    assert np.all(alarms.level == LEVEL_OK)
+
+
+def test_all_samples_broken_give_alarms_and_no_predictions(monitor, samples):
+    rates = np.full_like(samples.rates, np.nan)
+    predictions, alarms = monitor.step(*changed(samples, rates=rates))
+    assert len(predictions.time_ns) == 0
+    assert predictions.predicted.shape == (0, 6)
+    assert alarms.level[-1] == LEVEL_ALARM
+
+
+def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
+    @dataclass(frozen=True)
+    class Overflowing(type(model)):
+        def evaluate(self, inputs, confidence=None) -> Evaluation:
+            evaluation = super().evaluate(inputs, confidence)
+            far = inputs[:, INPUT_INDEX["u"]] > 2.0
+            return replace(evaluation, upper=np.where(far[:, None], np.inf, evaluation.upper))
+
+    columns = {field.name: getattr(model, field.name) for field in fields(model)}
+    predictions, alarms = Monitor(Overflowing(**columns), vehicle, RATE_HZ).step(*samples)
+    assert 0 < len(predictions.time_ns) < len(samples.time_ns)
+    assert_finite(predictions, alarms)
+    assert BAD_DATA in alarms.causes
+
+
+def test_reset_gives_the_same_again(monitor, samples):
+    first = monitor.step(*samples)
+    monitor.reset()
+    again = monitor.step(*samples)
+    for left, right in zip(first, again, strict=True):
+        assert_same(left, right)
+
+
+def test_confidence_widens_the_interval(model, vehicle, samples):
+    narrow, _ = Monitor(model, vehicle, RATE_HZ, confidence=0.8).step(*samples)
+    wide, _ = Monitor(model, vehicle, RATE_HZ, confidence=0.99).step(*samples)
+    assert np.all(wide.upper[:, FX] > narrow.upper[:, FX])
+
+
+def test_model_of_another_vehicle_is_refused(model, vehicle):
+    with pytest.raises(ModelError, match="belongs to vehicle bebop2, not to vehicle neurobem"):
+        Monitor(replace(model, vehicle="bebop2"), vehicle, RATE_HZ)
+
+
+def test_impossible_confidence_or_rate_is_refused_at_once(model, vehicle):
+    with pytest.raises(ModelError, match="confidence"):
+        Monitor(model, vehicle, RATE_HZ, confidence=1.2)
+    with pytest.raises(SignalError, match="half the sample rate"):
+        Monitor(model, vehicle, 20.0)
