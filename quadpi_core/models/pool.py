@@ -99,6 +99,21 @@ def load_pools(name_or_path: str | Path) -> dict[str, CandidatePool]:
     return {axis: _parse_axis(path, axis, entry) for axis, entry in data.items()}
 
 
+def select_axes(pools: dict[str, CandidatePool], names: str | None) -> dict[str, CandidatePool]:
+    """The pools of the axes in a text such as ``Fx,Fz,My``; all of them for None.
+
+    Raises:
+        ModelError: for an axis without a pool.
+    """
+    if names is None:
+        return pools
+    wanted = [name.strip() for name in names.split(",")]
+    for name in wanted:
+        if name not in pools:
+            raise ModelError(f"no candidates for axis {name!r}; there are pools for {', '.join(pools)}")
+    return {name: pools[name] for name in wanted}
+
+
 def _parse_axis(path: Path, axis: Any, entry: Any) -> CandidatePool:
     if axis not in AXES:
         raise ModelError(f"{path}: unknown axis {axis!r}; axes: {', '.join(AXES)}")

@@ -1,0 +1,279 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command line `quadpi`. Known errors print one line and exit with status 2.
+
+Each command imports what it needs when it runs, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from quadpi_core.errors import QuadpiError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+app = typer.Typer(
+    help="How far can an aerodynamic model of a quadrotor be trusted?",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Bags = Annotated[list[Path], typer.Argument(help="Flights: MCAP bags, or any log that `import` reads.")]
+ModelFolder = Annotated[Path, typer.Argument(help="Model folder, as written by `identify`.")]
+VehicleName = Annotated[str, typer.Option("--vehicle", help="Vehicle in config/vehicles, or a YAML file.")]
+OptionalVehicle = Annotated[
+    str | None, typer.Option("--vehicle", help="Vehicle file, if it is not the one the bag or model names.")
+]
+JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the result as JSON.")]
+HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
+Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
+
+DEFAULT_CUTOFF_HZ = 30.0
+
+
+@app.command("import")
+def import_(
+    logs: Annotated[list[Path], typer.Argument(help="NeuroBEM .mat, Crazyflie uSD, CSV or Parquet files.")],
+    vehicle: VehicleName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],
+    mapping: Annotated[
+        str | None, typer.Option(help="Mapping for CSV or Parquet: a name in config/mappings, or a file.")
+    ] = None,
+) -> None:
+    """Convert flight logs to MCAP bags with the standard topics."""
+    from quadpi_core.logs.importing import import_logs
+    from quadpi_core.vehicle import Vehicle
+
+    console = _console()
+    for bag, recording in import_logs(logs, Vehicle.load(vehicle), output, mapping):
+        topics = ", ".join(stream.topic for stream in recording.streams())
+        console.print(f"{bag}: {len(recording.imu)} IMU samples; topics {topics}")
+
+
+@app.command()
+def info(
+    path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
+    vehicle: OptionalVehicle = None,
+    mapping: Annotated[str | None, typer.Option(help="Mapping for a CSV or Parquet file.")] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
+    from quadpi_core.report.info import describe
+
+    tables, data = describe(path, vehicle, mapping)
+    console = _console()
+    for table in tables:
+        console.print(table)
+    _write_json(json_file, data)
+
+
+@app.command()
+def identify(
+    bags: Bags,
+    vehicle: VehicleName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
+    method: Annotated[Literal["polynomial"], typer.Option(help="Kind of model.")] = "polynomial",
+    candidates: Annotated[
+        str, typer.Option(help="Candidate pools: a name in config/candidates, or a YAML file.")
+    ] = "quadrotor",
+    axes: Annotated[
+        str | None, typer.Option(help="Axes to identify, such as Fx,Fz,My; default: all.")
+    ] = None,
+    settings: Annotated[
+        Literal["default", "paper"], typer.Option(help="Calibrated on held-out flights, or as in the paper.")
+    ] = "default",
+    stop: Annotated[
+        Literal["pse", "r2", "bic", "leave-one-flight-out"] | None,
+        typer.Option(help="When to stop adding terms; default: the settings' rule."),
+    ] = None,
+    cutoff_hz: Annotated[
+        float, typer.Option(help="Cut-off of the low-pass over all signals.")
+    ] = DEFAULT_CUTOFF_HZ,
+    confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Identify a model on flights; every flight calibrates the intervals while it is left out."""
+    from quadpi_core.identification import identify as identify_model
+    from quadpi_core.identification import predict_flight, prepare_flights
+    from quadpi_core.models.pool import load_pools, select_axes
+    from quadpi_core.report.tables import selection_table
+    from quadpi_core.vehicle import Vehicle
+
+    console = _console()
+    the_vehicle = Vehicle.load(vehicle)
+    pools = select_axes(load_pools(candidates), axes)
+    with console.status("Reading flights") as status:
+        flights = prepare_flights(bags, the_vehicle, cutoff_hz)
+        model = identify_model(
+            flights,
+            the_vehicle,
+            pools,
+            cutoff_hz=cutoff_hz,
+            settings=settings,
+            stop=stop,
+            confidence=confidence,
+            progress=lambda axis: status.update(f"Identifying {axis}"),
+        ).save(output)
+    for axis in model.axes:
+        console.print(selection_table(model.selection[axis], axis))
+    names = ", ".join(flight.name for flight in model.flights)
+    console.print(f"{method} model {model.identity} of {model.vehicle} from {names}: {output}")
+    if json_file or html_file:
+        results = [predict_flight(model, flight, confidence) for flight in flights]
+        groups = {"identification": [flight.name for flight in flights]}
+        _report(model, results, groups, confidence, json_file, html_file)
+
+
+@app.command()
+def evaluate(
+    model: ModelFolder,
+    bags: Annotated[
+        list[Path] | None, typer.Argument(help="Flights; together they form the group `all`.")
+    ] = None,
+    group: Annotated[
+        list[str] | None,
+        typer.Option(help="A group of flights: NAME=BAG, with commas or repeated for several bags."),
+    ] = None,
+    confidence: Confidence = None,
+    vehicle: OptionalVehicle = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Judge a model's intervals on flights: coverage, width and errors, per flight, axis and group."""
+    from quadpi_core.identification import predict_flight, prepare_flights
+    from quadpi_core.models import AerodynamicModel
+    from quadpi_core.report.tables import evaluation_table
+    from quadpi_core.vehicle import Vehicle
+
+    the_model = AerodynamicModel.load(model)
+    the_vehicle = _model_vehicle(Vehicle.load(vehicle or the_model.vehicle), the_model.vehicle)
+    paths = group_bags(bags or [], group or [])
+    files = list(dict.fromkeys(path for members in paths.values() for path in members))
+    level = the_model.confidence if confidence is None else confidence
+    flights = prepare_flights(files, the_vehicle, the_model.cutoff_hz)
+    results = [predict_flight(the_model, flight, level) for flight in flights]
+    name_of = dict(zip(files, (flight.name for flight in flights), strict=True))
+    groups = {name: [name_of[path] for path in members] for name, members in paths.items()}
+    evaluation = _report(the_model, results, groups, level, json_file, html_file)
+    _console().print(evaluation_table(evaluation))
+
+
+@app.command()
+def replay(
+    model: ModelFolder,
+    bag: Annotated[Path, typer.Argument(help="Flight to replay.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Bag to write.")],
+    confidence: Confidence = None,
+    vehicle: OptionalVehicle = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
+    from dataclasses import asdict
+
+    from quadpi_core.models import AerodynamicModel
+    from quadpi_core.monitor.replay import replay as replay_bag
+    from quadpi_core.vehicle import Vehicle
+
+    the_model = AerodynamicModel.load(model)
+    the_vehicle = _model_vehicle(Vehicle.load(vehicle or the_model.vehicle), the_model.vehicle)
+    summary = asdict(replay_bag(the_model, the_vehicle, bag, output, confidence=confidence))
+    _console().print_json(data=summary)
+    _write_json(json_file, summary)
+
+
+@app.command()
+def demo(
+    data: Annotated[Path | None, typer.Option(help="Folder of real flights; default: $QUADPI_DATA.")] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for all that the demo makes.")
+    ] = Path("out/demo"),
+    rate: Annotated[float, typer.Option(help="Speed of the live replay; 1 is real time.")] = 1.0,
+) -> None:
+    """Run the whole story: identify on real flights, evaluate, replay one through the live nodes, report."""
+    from quadpi_core.demo import run_demo
+
+    run_demo(data, output, rate, _console())
+
+
+def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
+    """Flights by group, from the positional bags (group `all`) and the texts NAME=BAG[,BAG…].
+
+    Raises:
+        QuadpiError: for a text without a name or bag, and where no bag is given at all.
+    """
+    members: dict[str, list[Path]] = {"all": list(bags)} if bags else {}
+    for text in groups:
+        name, separator, paths = text.partition("=")
+        if not (name and separator and paths):
+            raise QuadpiError(f"--group {text}: expected NAME=BAG")
+        members.setdefault(name, []).extend(Path(path) for path in paths.split(","))
+    if not members:
+        raise QuadpiError("no flights given: name bags, or groups of bags with --group NAME=BAG")
+    return members
+
+
+def _report(
+    model: Any,
+    results: list[Any],
+    groups: dict[str, list[str]],
+    confidence: float,
+    json_file: Path | None,
+    html_file: Path | None,
+) -> dict[str, Any]:
+    from quadpi_core.intervals.evaluate import evaluate_flights
+    from quadpi_core.report.html import write_report
+
+    evaluation = evaluate_flights(
+        results,
+        groups,
+        model.training_range,
+        confidence,
+        model=model.identity,
+        vehicle=model.vehicle,
+    )
+    _write_json(json_file, evaluation)
+    if html_file is not None:
+        write_report(html_file, evaluation, results, model)
+    return evaluation
+
+
+def _model_vehicle(vehicle: Any, expected: str) -> Any:
+    if vehicle.name != expected:
+        raise QuadpiError(f"the model is of vehicle {expected}, not {vehicle.name}")
+    return vehicle
+
+
+def _write_json(path: Path | None, data: dict[str, Any]) -> None:
+    from quadpi_core.paths import whole_output
+
+    if path is not None:
+        with whole_output(path) as temporary:
+            temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    return Console()
+
+
+def main() -> None:
+    """Entry point of the command `quadpi`."""
+    try:
+        app()
+    except QuadpiError as error:
+        print(f"quadpi: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""From bags to a model, and from a model and bags to its intervals judged: the offline main path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES, Flight, Recording
+from quadpi_core.frames import Array
+from quadpi_core.inputs import flight_inputs
+from quadpi_core.intervals.evaluate import FlightResult
+from quadpi_core.logs import read_recording
+from quadpi_core.logs.inspect import check_plausible, find_duplicates, recording_hash
+from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.kernel import CompiledPolynomials
+from quadpi_core.models.polynomial import FittedPolynomial, StepwisePolynomial
+from quadpi_core.models.pool import CandidatePool
+from quadpi_core.models.selection import StopRule
+from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.signals.fusion import fuse
+from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.vehicle import Vehicle
+
+Settings: TypeAlias = Literal["default", "paper"]
+
+# The rotors carry the vehicle while their Σω² exceeds this share of its median over the flight.
+_FLYING_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class PreparedFlight:
+    """A flight ready for identification or evaluation.
+
+    Attributes:
+        name: file stem.
+        sha256: hash of the sensor streams, the same for every copy of the flight.
+        time: (N,) s.
+        inputs: (N, 19) input vectors X.
+        wrench: (N, 6) measured wrench.
+    """
+
+    name: str
+    sha256: str
+    time: Array
+    inputs: Array
+    wrench: Array
+
+
+def prepare_flights(paths: Sequence[Path], vehicle: Vehicle, cutoff_hz: float) -> list[PreparedFlight]:
+    """Read, fuse and filter bags; only the part in the air is kept.
+
+    Raises:
+        LogError: for what cannot be read or used, and a flight present twice, naming the files.
+        SignalError: naming the file, where the signals cannot be fused.
+    """
+    recordings = [read_recording(path, vehicle) for path in paths]
+    find_duplicates(recordings)
+    return [_prepare(recording, vehicle, cutoff_hz) for recording in recordings]
+
+
+def _prepare(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
+    check_plausible(recording, vehicle)
+    flight = airborne(fuse(recording, vehicle, cutoff_hz))
+    return PreparedFlight(
+        name=flight.name,
+        sha256=recording_hash(recording),
+        time=flight.time,
+        inputs=flight_inputs(flight, vehicle),
+        wrench=measured_wrench(flight, vehicle),
+    )
+
+
+def airborne(flight: Flight) -> Flight:
+    """The flight from lift-off to touch-down, by the rotors: on the ground the wrench is not aerodynamic."""
+    thrust = np.square(flight.rotor_speeds).sum(axis=1)
+    carrying = np.flatnonzero(thrust > _FLYING_SHARE * np.median(thrust))
+    return flight.slice(slice(int(carrying[0]), int(carrying[-1]) + 1))
+
+
+def identify(
+    flights: Sequence[PreparedFlight],
+    vehicle: Vehicle,
+    pools: dict[str, CandidatePool],
+    *,
+    cutoff_hz: float,
+    settings: Settings = "default",
+    stop: StopRule | None = None,
+    confidence: float = 0.95,
+    progress: Callable[[str], None] = lambda _: None,
+) -> AerodynamicModel:
+    """Identify one polynomial per axis of `pools`, with its envelope.
+
+    Args:
+        flights: to identify on; errors of flights left out in turn calibrate the intervals.
+        vehicle: the vehicle that flew.
+        pools: candidate pool by axis.
+        cutoff_hz: of the low-pass that the flights passed; kept with the model.
+        settings: "paper" for the paper's stop rule and noise estimate.
+        stop: stop rule other than that of the settings.
+        confidence: nominal coverage that the monitor will use.
+        progress: called with the name of each axis before it is identified.
+
+    Raises:
+        ModelError: naming the axis.
+    """
+    inputs = np.concatenate([flight.inputs for flight in flights])
+    wrench = np.concatenate([flight.wrench for flight in flights])
+    labels = np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights])
+    polynomials: dict[str, FittedPolynomial] = {}
+    selection, training_range = {}, {}
+    for axis in (axis for axis in AXES if axis in pools):
+        progress(axis)
+        pool = pools[axis]
+        regressor = StepwisePolynomial.paper(pool) if settings == "paper" else StepwisePolynomial(pool)
+        if stop is not None:
+            regressor.set_params(stop=stop)
+        target = wrench[:, AXES.index(axis)]
+        try:
+            regressor.fit(inputs, target, labels)
+            regressor.fitted_.noise.factor(confidence)
+        except ModelError as error:
+            raise ModelError(f"{axis}: {error}") from error
+        polynomials[axis] = regressor.fitted_
+        selection[axis] = regressor.selection_log()
+        training_range[axis] = float(np.ptp(target))
+    compiled = CompiledPolynomials.pack(polynomials)
+    evidence = compiled.evaluate(inputs, compiled.factors(confidence))
+    return AerodynamicModel(
+        name="",
+        vehicle=vehicle.name,
+        settings=settings,
+        cutoff_hz=cutoff_hz,
+        confidence=confidence,
+        polynomials=polynomials,
+        envelope=Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
+        training_range=training_range,
+        flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
+        selection=selection,
+    )
+
+
+def predict_flight(model: AerodynamicModel, flight: PreparedFlight, confidence: float) -> FlightResult:
+    """What the model says of one flight, beside what was measured."""
+    evaluation = model.evaluate(flight.inputs, confidence)
+    return FlightResult(
+        name=flight.name,
+        axes=model.axes,
+        time=flight.time,
+        measured=flight.wrench,
+        predicted=evaluation.predicted,
+        lower=evaluation.lower,
+        upper=evaluation.upper,
+        inputs=flight.inputs,
+    )

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""`quadpi demo`: the whole story on real flights, the live nodes included."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from quadpi_core.errors import QuadpiError
+from quadpi_core.identification import identify, predict_flight, prepare_flights
+from quadpi_core.intervals.evaluate import evaluate_flights
+from quadpi_core.logs.importing import import_logs
+from quadpi_core.models import load_pools
+from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.report.html import write_report
+from quadpi_core.report.tables import evaluation_table, selection_table
+from quadpi_core.vehicle import Vehicle
+from quadpi_ros.session import run_session
+
+VEHICLE = "neurobem"
+CUTOFF_HZ = 30.0
+CONFIDENCE = 0.95
+# The flight above this speed is kept from identification: the model has to extrapolate on it.
+FASTEST_IDENTIFIED_M_S = 12.0
+
+NO_DATA = """no flights at {directory}: the demo needs the four NeuroBEM flights bemnn*.mat there \
+(test flights of https://rpg.ifi.uzh.ch/NeuroBEM.html, one N x 41 matrix each); name their folder's parent with \
+--data or $QUADPI_DATA"""
+
+
+def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> None:
+    """Identify, evaluate, replay live and report; all files go to `output`.
+
+    Raises:
+        QuadpiError: saying what to provide where the flights are absent.
+    """
+    directory = (data or data_directory()) / "neurobem"
+    logs = sorted(directory.glob("*.mat"))
+    if not logs:
+        raise QuadpiError(NO_DATA.format(directory=directory))
+    vehicle = Vehicle.load(VEHICLE)
+
+    console.rule("1  Import: flight logs to MCAP bags")
+    identified: list[Path] = []
+    extrapolated: list[Path] = []
+    for bag, recording in import_logs(logs, vehicle, output / "bags"):
+        speed = float(np.linalg.norm(recording.odometry.velocity, axis=1).max())
+        (identified if speed < FASTEST_IDENTIFIED_M_S else extrapolated).append(bag)
+        console.print(f"{bag}: {len(recording.imu)} IMU samples, up to {speed:.1f} m/s")
+
+    console.rule("2  Identify: stepwise polynomials on the slower flights")
+    with console.status("Estimating states") as status:
+        flights = prepare_flights(identified, vehicle, CUTOFF_HZ)
+        model = identify(
+            flights,
+            vehicle,
+            load_pools("quadrotor"),
+            cutoff_hz=CUTOFF_HZ,
+            confidence=CONFIDENCE,
+            progress=lambda axis: status.update(f"Identifying {axis}"),
+        ).save(output / "model")
+    for axis in model.axes:
+        console.print(selection_table(model.selection[axis], axis))
+
+    console.rule("3  Evaluate: does the interval cover?")
+    flights += prepare_flights(extrapolated, vehicle, CUTOFF_HZ)
+    results = [predict_flight(model, flight, CONFIDENCE) for flight in flights]
+    groups = {
+        "identification": [bag.stem for bag in identified],
+        "extrapolation": [bag.stem for bag in extrapolated],
+    }
+    evaluation = evaluate_flights(
+        results, groups, model.training_range, CONFIDENCE, model=model.identity, vehicle=vehicle.name
+    )
+    console.print(evaluation_table(evaluation))
+
+    console.rule(f"4  Live: {extrapolated[0].name} through the ROS 2 nodes at {rate:g} x real time")
+    session = run_session(
+        extrapolated[0],
+        output / "model",
+        vehicle=VEHICLE,
+        rate=rate,
+        on_alarm=lambda line: console.print(line),
+    )
+
+    console.rule("5  Report")
+    summary = evaluation | {"live": session.summary()}
+    with whole_output(output / "summary.json") as temporary:
+        temporary.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n")
+    write_report(output / "report.html", evaluation, results, model, session)
+    console.print(f"Open {output / 'report.html'}; figures in {output / 'summary.json'}")
