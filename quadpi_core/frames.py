@@ -57,6 +57,35 @@ def quaternion_frd_ned_to_flu_enu(quaternion: Array) -> Array:
     return quaternion_flu_enu_to_frd_ned(quaternion)
 
 
+def quaternion_body_flu_to_frd(quaternion: Array) -> Array:
+    """Convert quaternions (..., 4), w first, out of FLU body axes to out of FRD: q * (0, 1, 0, 0)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rotated: Array = np.stack((-x, w, z, -y), axis=-1)
+    return rotated
+
+
+def quaternion_world_enu_to_ned(quaternion: Array) -> Array:
+    """Convert quaternions (..., 4), w first, into the ENU world to into NED: (0, √½, √½, 0) * q."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rotated: Array = np.stack((-x - y, w + z, w - z, y - x), axis=-1)
+    return _SQRT_HALF * rotated
+
+
+def quaternion_from_roll_pitch_yaw(angles: Array) -> Array:
+    """Quaternions (..., 4), w first, of angles (..., 3) rad: yaw about z, then pitch, then roll."""
+    (cr, cp, cy), (sr, sp, sy) = (np.moveaxis(f(0.5 * angles), -1, 0) for f in (np.cos, np.sin))
+    quaternion: Array = np.stack(
+        (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ),
+        axis=-1,
+    )
+    return quaternion
+
+
 def rotation_matrix(quaternion: Array) -> Array:
     """Rotation matrices (..., 3, 3), body to world, of unit quaternions (..., 4), w first."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)

@@ -8,11 +8,12 @@ Readers are imported when one is needed: each brings libraries that the others d
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
+from quadpi_core.logs.conversion import drop_rotor_spikes
 from quadpi_core.vehicle import Vehicle
 
 CFUSDLOG_MAGIC = 0xBC
@@ -30,16 +31,16 @@ class LogFormat:
 
     description: str
     recognise: Callable[[Path], bool]
-    read: Callable[[Path, Vehicle, Path | None], Recording]
+    read: Callable[[Path, Vehicle | None, Path | None], Recording]
     takes_mapping: bool = False
 
 
-def read_recording(path: Path | str, vehicle: Vehicle, mapping: Path | str | None = None) -> Recording:
-    """Read any supported log or bag, convert it to SI, FRD and NED, and check every stream.
+def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None) -> Recording:
+    """Read any supported log or bag in SI, FRD and NED, drop rotor-speed spikes, and check every stream.
 
     Args:
         path: a file, or a rosbag2 folder.
-        vehicle: gives the rotor order, pole pairs and the largest rotor speed.
+        vehicle: gives the pole pairs and the largest rotor speed; a log of electrical speeds needs it.
         mapping: for CSV and Parquet, a file that says what the columns are, or the name of one in
             config/mappings.
 
@@ -47,12 +48,17 @@ def read_recording(path: Path | str, vehicle: Vehicle, mapping: Path | str | Non
         LogError: naming the file, and topic and sample where there is one.
     """
     recording = decode_recording(path, vehicle, mapping)
+    if vehicle is not None and recording.rotor_speeds is not None:
+        speeds = drop_rotor_spikes(recording.source, recording.rotor_speeds, vehicle)
+        recording = replace(recording, rotor_speeds=speeds)
     recording.check()
     return recording
 
 
-def decode_recording(path: Path | str, vehicle: Vehicle, mapping: Path | str | None = None) -> Recording:
-    """As :func:`read_recording`, without the check of its streams: what `quadpi info` diagnoses."""
+def decode_recording(
+    path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None
+) -> Recording:
+    """Like :func:`read_recording`, but unchecked, with its spikes: what `quadpi info` diagnoses."""
     path = Path(path)
     log_format = identify_format(path)
     if mapping is not None and not log_format.takes_mapping:
@@ -95,30 +101,31 @@ def _has_suffix(*suffixes: str) -> Callable[[Path], bool]:
     return lambda path: path.is_file() and path.suffix.lower() in suffixes
 
 
-def _read_bag(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
+def _read_bag(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -> Recording:
     from quadpi_core.logs.bags import read_bag
 
     return read_bag(path, vehicle)
 
 
-def _read_neurobem(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
+def _read_neurobem(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -> Recording:
     from quadpi_core.logs.neurobem import read_neurobem
 
     return read_neurobem(path, vehicle)
 
 
-def _read_cfusdlog(path: Path, vehicle: Vehicle, _mapping: Path | None) -> Recording:
+def _read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -> Recording:
     from quadpi_core.logs.cfusdlog import read_cfusdlog
 
     return read_cfusdlog(path, vehicle)
 
 
-def _read_mapped(path: Path, vehicle: Vehicle, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.mapping import read_mapped
+def _read_table(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
+    from quadpi_core.logs.mapping import Mapping
+    from quadpi_core.logs.table import read_table
 
     if mapping is None:
         raise LogError(f"{path}: a table needs a mapping file that says what its columns are (--mapping)")
-    return read_mapped(path, vehicle, mapping)
+    return read_table(path, vehicle, Mapping.load(mapping))
 
 
 FORMATS = {
@@ -127,7 +134,7 @@ FORMATS = {
     "table": LogFormat(
         "CSV or Parquet table with a mapping (.csv, .parquet)",
         _has_suffix(".csv", ".parquet"),
-        _read_mapped,
+        _read_table,
         takes_mapping=True,
     ),
     "cfusdlog": LogFormat("Crazyflie uSD log (first byte 0xBC)", _is_cfusdlog, _read_cfusdlog),

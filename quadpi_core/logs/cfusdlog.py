@@ -67,7 +67,7 @@ class Event:
         return np.stack([self.variables[name] for name in names], axis=1)
 
 
-def read_cfusdlog(path: Path, vehicle: Vehicle) -> Recording:
+def read_cfusdlog(path: Path, vehicle: Vehicle | None) -> Recording:
     """Read one uSD log; the rotor order m1 to m4 is that of config/vehicles/crazyflie_rpm.yaml.
 
     The log needs `gyro` (deg/s) and `acc` (g); it may have `rpm`, `stateEstimate` (with its gyro in the same
@@ -88,7 +88,7 @@ def read_cfusdlog(path: Path, vehicle: Vehicle) -> Recording:
     battery = _find(events, (_BATTERY_MV,))
     return Recording(
         name=path.name,
-        vehicle=vehicle.name,
+        vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=_imu(inertial),
         rotor_speeds=None if rotors is None else _rotor_speeds(rotors),

@@ -30,7 +30,7 @@ _ROTOR_SPEEDS = slice(20, 24)
 _BATTERY_DECIVOLT = 28
 
 
-def read_neurobem(path: Path, vehicle: Vehicle) -> Recording:
+def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
     """Read one NeuroBEM flight; every stream lies on the file's one clock.
 
     The rotor order of the file is rear right, front right, rear left, front left: that of
@@ -49,7 +49,7 @@ def read_neurobem(path: Path, vehicle: Vehicle) -> Recording:
     specific_force = body_flu_to_frd(matrix[:, _SPECIFIC_FORCE])
     return Recording(
         name=path.stem,
-        vehicle=vehicle.name,
+        vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=ImuStream(time_ns, rates, specific_force),
         rotor_speeds=RotorSpeedStream(time_ns, np.ascontiguousarray(matrix[:, _ROTOR_SPEEDS])),
