@@ -22,7 +22,11 @@ from quadpi_core.frames import Array
 Row: TypeAlias = tuple[Array, ...]
 
 _CALM: Array = np.zeros(3)
+_NO_STATE: Row = (np.full(3, np.nan), np.full(4, np.nan), np.full(3, np.nan))
+_NO_ROTOR_SPEEDS: Array = np.full(4, np.nan)
 _NEVER = -(2**63)
+# A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
+_JUMP_BACK_NS = 1_000_000_000
 
 
 class PairedSamples(NamedTuple):
@@ -48,7 +52,7 @@ class PairingCounts:
     Attributes:
         paired: IMU samples that were completed.
         early: IMU samples from before the first state or rotor speed; nothing could complete them.
-        dropped: IMU samples whose state or rotor speed did not arrive in time.
+        dropped: IMU samples given up because their state or rotor speed did not arrive in time.
         disordered: samples of any topic refused because their stamp did not advance.
     """
 
@@ -62,29 +66,28 @@ class Pairing:
     """The bounded buffers between the topics and the monitor.
 
     Args:
-        timeout_s: how far, in stamps, the IMU may run ahead of an incomplete sample before it is dropped.
+        timeout_s: how far, in stamps, the IMU may run ahead of an incomplete sample before it is given up.
         capacity: samples kept per topic; the oldest makes room.
     """
 
     def __init__(self, timeout_s: float = 0.1, capacity: int = 256) -> None:
         self.counts = PairingCounts()
         self._timeout_ns = round(timeout_s * 1e9)
+        self._capacity = capacity
         self._imu = _Track(capacity)
         self._state = _Track(capacity)
         self._rotor_speeds = _Track(capacity)
         self._wind = _Track(capacity)
 
-    def add_imu(self, time_ns: int, rates: Array, specific_force: Array) -> None:
-        """Take one IMU sample: rates (3,) rad/s, specific_force (3,) m/s², body axes."""
-        if len(self._imu) == self._imu.capacity:
-            self._drop_oldest()
-        self._add(self._imu, time_ns, (rates, specific_force))
+    def add_imu(self, time_ns: int, specific_force: Array) -> None:
+        """Take one IMU sample: specific_force (3,) m/s², body axes."""
+        self._add(self._imu, time_ns, (specific_force,))
 
-    def add_state(self, time_ns: int, velocity: Array, attitude: Array) -> None:
-        """Take one state: velocity (3,) m/s in body axes, attitude (4,) body to world."""
+    def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
+        """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
         if len(self._state) and float(self._state.newest[1] @ attitude) < 0.0:
             attitude = -attitude
-        self._add(self._state, time_ns, (velocity, attitude))
+        self._add(self._state, time_ns, (velocity, attitude, rates))
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (4,) rad/s."""
@@ -95,50 +98,51 @@ class Pairing:
         self._add(self._wind, time_ns, (velocity,))
 
     def take(self) -> PairedSamples | None:
-        """The IMU samples completed since the last call, in order; None if there are none."""
-        complete = []
+        """The IMU samples completed or given up since the last call, in order; None if there are none."""
+        rows = []
         while len(self._imu):
-            time_ns, imu = self._imu.oldest
+            time_ns, (specific_force,) = self._imu.oldest
             if self._state.starts_after(time_ns) or self._rotor_speeds.starts_after(time_ns):
-                self._drop_oldest()
-                continue
-            if not (self._state.reaches(time_ns) and self._rotor_speeds.reaches(time_ns)):
-                if self._imu.newest_ns - time_ns <= self._timeout_ns:
-                    break
-                self._drop_oldest()
-                continue
+                self.counts.early += 1
+            elif self._state.reaches(time_ns) and self._rotor_speeds.reaches(time_ns):
+                self.counts.paired += 1
+                rows.append(self._complete(time_ns, specific_force))
+            elif len(self._imu) < self._capacity and self._imu.newest_ns - time_ns <= self._timeout_ns:
+                break
+            elif self._state and self._rotor_speeds:
+                self.counts.dropped += 1
+                rows.append((time_ns, *_NO_STATE, specific_force, _NO_ROTOR_SPEEDS, _CALM))
+            else:
+                self.counts.early += 1
             self._imu.drop_oldest()
-            velocity, attitude = self._state.interpolate(time_ns)
-            (rotor_speeds,) = self._rotor_speeds.interpolate(time_ns)
-            wind = self._wind.hold(time_ns)
-            complete.append(
-                (time_ns, velocity, _unit(attitude), *imu, rotor_speeds, _CALM if wind is None else wind[0])
-            )
-        if not complete:
+        if not rows:
             return None
-        self.counts.paired += len(complete)
-        return PairedSamples(*(np.array(column) for column in zip(*complete, strict=True)))
+        return PairedSamples(*(np.array(column) for column in zip(*rows, strict=True)))
+
+    def _complete(self, time_ns: int, specific_force: Array) -> tuple[int | Array, ...]:
+        velocity, attitude, rates = self._state.interpolate(time_ns)
+        (rotor_speeds,) = self._rotor_speeds.interpolate(time_ns)
+        wind = self._wind.hold(time_ns)
+        return (
+            time_ns,
+            velocity,
+            attitude / np.sqrt(attitude @ attitude),
+            rates,
+            specific_force,
+            rotor_speeds,
+            _CALM if wind is None else wind[0],
+        )
 
     def _add(self, track: _Track, time_ns: int, row: Row) -> None:
         if not track.add(time_ns, row):
             self.counts.disordered += 1
-
-    def _drop_oldest(self) -> None:
-        time_ns = self._imu.oldest[0]
-        self._imu.drop_oldest()
-        if self._state.covers_from(time_ns) and self._rotor_speeds.covers_from(time_ns):
-            self.counts.dropped += 1
-        else:
-            self.counts.early += 1
 
 
 class _Track:
     """The last samples of one topic, each a stamp and a row of arrays; stamps strictly increase."""
 
     def __init__(self, capacity: int) -> None:
-        self.capacity = capacity
         self.newest_ns = _NEVER
-        self._first_ns: int | None = None
         self._samples: deque[tuple[int, Row]] = deque(maxlen=capacity)
 
     def __len__(self) -> int:
@@ -155,9 +159,9 @@ class _Track:
     def add(self, time_ns: int, row: Row) -> bool:
         """Append a sample; False if its stamp does not advance."""
         if time_ns <= self.newest_ns:
-            return False
-        if self._first_ns is None:
-            self._first_ns = time_ns
+            if self.newest_ns - time_ns <= _JUMP_BACK_NS:
+                return False
+            self._samples.clear()
         self.newest_ns = time_ns
         self._samples.append((time_ns, row))
         return True
@@ -172,10 +176,6 @@ class _Track:
     def starts_after(self, time_ns: int) -> bool:
         """Whether every sample kept is later than the stamp: nothing can be interpolated there."""
         return bool(self._samples) and self._samples[0][0] > time_ns
-
-    def covers_from(self, time_ns: int) -> bool:
-        """Whether the topic had started by the stamp."""
-        return self._first_ns is not None and self._first_ns <= time_ns
 
     def hold(self, time_ns: int) -> Row | None:
         """The last row at or before the stamp, forgetting earlier ones; None if there is none."""
@@ -194,8 +194,3 @@ class _Track:
         after_ns, after = self._samples[1]
         fraction = (time_ns - before_ns) / (after_ns - before_ns)
         return tuple(a + fraction * (b - a) for a, b in zip(before, after, strict=True))
-
-
-def _unit(quaternion: Array) -> Array:
-    unit: Array = quaternion / np.sqrt(quaternion @ quaternion)
-    return unit

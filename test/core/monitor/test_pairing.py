@@ -12,11 +12,11 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def add_imu(pairing: Pairing, time_ns: int) -> None:
-    pairing.add_imu(time_ns, np.full(3, time_ns / 1e9), np.array([0.0, 0.0, -9.8]))
+    pairing.add_imu(time_ns, np.array([0.0, 0.0, -9.8]))
 
 
 def add_state(pairing: Pairing, time_ns: int) -> None:
-    pairing.add_state(time_ns, np.full(3, time_ns / 1e9), LEVEL)
+    pairing.add_state(time_ns, np.full(3, time_ns / 1e9), LEVEL, np.zeros(3))
 
 
 def add_rotors(pairing: Pairing, time_ns: int) -> None:
@@ -82,8 +82,8 @@ def test_whole_flight_equals_np_interp() -> None:
 def test_a_slower_state_is_interpolated_with_aligned_unit_attitude() -> None:
     pairing = Pairing()
     half_turn = np.array([0.8, 0.6, 0.0, 0.0])
-    pairing.add_state(0, np.zeros(3), LEVEL)
-    pairing.add_state(10 * MS, np.full(3, 2.0), -half_turn)
+    pairing.add_state(0, np.zeros(3), LEVEL, np.zeros(3))
+    pairing.add_state(10 * MS, np.full(3, 2.0), -half_turn, np.ones(3))
     add_rotors(pairing, 0)
     add_rotors(pairing, 10 * MS)
     add_imu(pairing, 5 * MS)
@@ -94,16 +94,24 @@ def test_a_slower_state_is_interpolated_with_aligned_unit_attitude() -> None:
     np.testing.assert_allclose(samples.attitude[0], middle / np.linalg.norm(middle))
 
 
-def test_silent_rotors_drop_samples_after_the_timeout_and_recover() -> None:
+def test_silent_rotors_give_samples_up_as_unknown_and_recover() -> None:
     pairing = Pairing(timeout_s=0.02)
     add_rotors(pairing, 0)
+    add_state(pairing, 0)
+    given_up = []
     for k in range(1, 51):
         add_state(pairing, 2 * k * MS)
         add_imu(pairing, 2 * k * MS)
-        assert pairing.take() is None
-    assert pairing.counts.dropped == 39
+        samples = pairing.take()
+        if samples is not None:
+            assert np.isnan(samples.rotor_speeds).all()
+            assert np.isfinite(samples.specific_force).all()
+            given_up += samples.time_ns.tolist()
+    assert given_up == list(range(2 * MS, 80 * MS, 2 * MS))
+    assert pairing.counts.dropped == len(given_up)
     add_rotors(pairing, 100 * MS)
     assert taken(pairing) == list(range(80 * MS, 101 * MS, 2 * MS))
+    assert pairing.counts.paired == 11
 
 
 def test_samples_before_the_first_state_are_early_not_dropped() -> None:
@@ -121,11 +129,23 @@ def test_buffers_are_bounded() -> None:
     add_state(pairing, 0)
     add_rotors(pairing, 0)
     for k in range(1, 101):
-        add_imu(pairing, k * MS)
         add_state(pairing, k * MS)
-    assert pairing.counts.dropped == 84
+        add_imu(pairing, k * MS)
+        pairing.take()
+    assert pairing.counts.dropped == 85
     add_rotors(pairing, 100 * MS)
-    assert len(taken(pairing)) == 16
+    assert len(taken(pairing)) == 15
+
+
+def test_a_bag_that_starts_over_is_followed() -> None:
+    pairing = Pairing()
+    for start_ns in (100_000 * MS, 0):
+        for k in range(5):
+            add_state(pairing, start_ns + k * MS)
+            add_rotors(pairing, start_ns + k * MS)
+            add_imu(pairing, start_ns + k * MS)
+        assert taken(pairing) == [start_ns + k * MS for k in range(5)]
+    assert pairing.counts.disordered == 0
 
 
 @pytest.mark.parametrize("late_ns", [5 * MS, 4 * MS])
