@@ -17,12 +17,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from quadpi_core.errors import LogError
+from quadpi_core.logs.payloads import Bytes, Indices, Payloads
 
-Bytes: TypeAlias = npt.NDArray[np.uint8]
-Indices: TypeAlias = npt.NDArray[np.int64]
 Columns: TypeAlias = dict[str, npt.NDArray[Any]]
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -30,77 +28,6 @@ _ORIGIN = len(_ENCAPSULATION)
 _PADDING_MAX = 3
 _LENGTH = struct.Struct("<I")
 _LENGTH_DTYPE = np.dtype("<u4")
-
-
-@njit(cache=True)
-def copy_spans(
-    source: Bytes, source_starts: Indices, target: Bytes, target_starts: Indices, lengths: Indices
-) -> None:
-    """Copy `lengths[i]` bytes from `source_starts[i]` of `source` to `target_starts[i]` of `target`."""
-    for i in range(len(lengths)):
-        start, goal = source_starts[i], target_starts[i]
-        for offset in range(lengths[i]):
-            target[goal + offset] = source[start + offset]
-
-
-@dataclass(frozen=True)
-class Payloads:
-    """N serialized messages: one buffer, and where in it each message starts and how long it is."""
-
-    data: Bytes
-    starts: Indices
-    lengths: Indices
-
-    @classmethod
-    def join(cls, messages: Sequence[bytes]) -> Payloads:
-        """Messages given one by one."""
-        lengths = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
-        return cls(np.frombuffer(b"".join(messages), dtype=np.uint8), _starts(lengths), lengths)
-
-    @classmethod
-    def from_rows(cls, rows: Bytes) -> Payloads:
-        """Messages of one length, one per row."""
-        lengths = np.full(len(rows), rows.shape[1])
-        return cls(np.ascontiguousarray(rows).reshape(-1), _starts(lengths), lengths)
-
-    @classmethod
-    def concatenate(cls, parts: Sequence[Payloads]) -> Payloads:
-        """The messages of all parts, in order."""
-        if len(parts) == 1:
-            return parts[0]
-        ends = np.cumsum([0, *(len(part.data) for part in parts)])
-        return cls(
-            np.concatenate([np.empty(0, np.uint8), *(part.data for part in parts)]),
-            np.concatenate(
-                [np.empty(0, np.int64), *(part.starts + end for part, end in zip(parts, ends, strict=False))]
-            ),
-            np.concatenate([np.empty(0, np.int64), *(part.lengths for part in parts)]),
-        )
-
-    def __len__(self) -> int:
-        return len(self.lengths)
-
-    def __getitem__(self, index: int) -> bytes:
-        start = self.starts[index]
-        return self.data[start : start + self.lengths[index]].tobytes()
-
-    def __iter__(self) -> Iterator[bytes]:
-        return (self[index] for index in range(len(self)))
-
-    def take(self, order: npt.NDArray[Any]) -> Payloads:
-        """The messages at the indices `order`, sharing the buffer."""
-        return Payloads(self.data, self.starts[order], self.lengths[order])
-
-    def rows(self, order: Indices, length: int) -> Bytes:
-        """The first `length` bytes of the messages at `order`, (n, length)."""
-        starts = self.starts[order]
-        if len(starts) * length == len(self.data) and np.array_equal(starts, np.arange(len(starts)) * length):
-            return self.data.reshape(len(starts), length)
-        return np.lib.stride_tricks.sliding_window_view(self.data, length)[starts]
-
-
-def _starts(lengths: Indices) -> Indices:
-    return np.cumsum(lengths) - lengths
 
 
 @dataclass(frozen=True)

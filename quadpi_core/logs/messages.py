@@ -35,8 +35,9 @@ from quadpi_core.frames import (
     world_ned_to_enu,
 )
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs.cdr import Columns, Payloads
+from quadpi_core.logs.cdr import Columns
 from quadpi_core.logs.definitions import codec
+from quadpi_core.logs.payloads import Payloads
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
@@ -49,6 +50,9 @@ ROTOR_SPEEDS = "quadpi/msg/RotorSpeeds"
 PREDICTION = "quadpi/msg/WrenchPrediction"
 ALARM = "quadpi/msg/ExtrapolationAlarm"
 
+TIME = "builtin_interfaces/msg/Time"
+STAMP_END = 12
+
 BODY_FRAME = "base_link"
 WORLD_FRAME = "map"
 
@@ -56,9 +60,17 @@ _NANOSECONDS = 1_000_000_000
 _QUATERNION_NORM_TOLERANCE = 0.01
 _ABSENT = -1.0
 _WRENCH_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
-_NED_TO_ENU: Array = np.kron(np.eye(2), world_ned_to_enu(np.eye(3)).T)
-_FRD_TO_FLU: Array = np.kron(np.eye(2), body_frd_to_flu(np.eye(3)).T)
+_NED_TO_ENU = np.kron(np.eye(2), world_ned_to_enu(np.eye(3)).T).astype(np.float64)
+_FRD_TO_FLU = np.kron(np.eye(2), body_frd_to_flu(np.eye(3)).T).astype(np.float64)
 _WXYZ, _XYZW = [3, 0, 1, 2], [1, 2, 3, 0]
+
+
+def unpack_stamps(payloads: Payloads) -> Stamps:
+    """Header stamps of messages of any type that begins with a std_msgs/Header.
+
+    Only the first :data:`STAMP_END` bytes of each message are looked at.
+    """
+    return _stamps(codec(TIME).decode(payloads.compact(STAMP_END)), "")
 
 
 def unpack_imu(payloads: Payloads | bytes) -> ImuStream:
@@ -291,7 +303,7 @@ def pack_alarms(alarms: Alarms, frame_id: str = BODY_FRAME) -> Payloads:
     rankings, membership = np.unique(np.where(outside, farthest_first, -1), axis=0, return_inverse=True)
     parts, orders = [], []
     for number, ranking in enumerate(rankings):
-        rows = np.flatnonzero(membership == number)
+        rows = np.flatnonzero(membership.reshape(-1) == number)
         columns = {
             **_header(alarms.time_ns[rows], frame_id),
             "level": alarms.level[rows],
@@ -306,13 +318,14 @@ def pack_alarms(alarms: Alarms, frame_id: str = BODY_FRAME) -> Payloads:
     return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
 
 
-def _stamps(columns: Columns) -> Stamps:
-    seconds, nanoseconds = columns["header.stamp.sec"], columns["header.stamp.nanosec"]
+def _stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:
+    seconds, nanoseconds = columns[f"{prefix}sec"], columns[f"{prefix}nanosec"]
     beyond = nanoseconds >= _NANOSECONDS
     if beyond.any():
         sample = int(np.argmax(beyond))
         raise LogError(f"sample {sample}: the stamp has {nanoseconds[sample]} ns beyond its second")
-    return seconds.astype(np.int64) * _NANOSECONDS + nanoseconds
+    stamps: Stamps = seconds.astype(np.int64) * _NANOSECONDS + nanoseconds
+    return stamps
 
 
 def _header(time_ns: Stamps, frame_id: str) -> dict[str, Any]:

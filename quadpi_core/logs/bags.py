@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings as MCAP bags with the standard topics, and back. Stamps are header stamps, never log times."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from rosbags.interfaces import Connection
+
+from quadpi_core import __version__
+from quadpi_core.errors import LogError
+from quadpi_core.flight import Recording, RotorSpeedStream, Stamps
+from quadpi_core.logs import messages
+from quadpi_core.logs.definitions import typestore
+from quadpi_core.logs.mcap import Bag, Topic
+from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.logs.payloads import Payloads
+from quadpi_core.monitor.output import Predictions
+from quadpi_core.vehicle import Vehicle
+
+TOPIC_TYPES = {
+    "imu": messages.IMU,
+    "erpm": messages.ERPM,
+    "rotor_speeds": messages.ROTOR_SPEEDS,
+    "mocap/pose": messages.POSE,
+    "odometry": messages.ODOMETRY,
+    "wind": messages.WIND,
+    "prediction": messages.PREDICTION,
+    "extrapolation_alarm": messages.ALARM,
+}
+_RECORDED = ("imu", "erpm", "rotor_speeds", "mocap/pose", "odometry", "wind")
+_STARTS_WITH_HEADER = re.compile(
+    r"(?:\s*(?:#[^\n]*|\w+\s+[A-Z_0-9]+\s*=[^\n]*)?\n)*\s*std_msgs/(?:msg/)?Header\s"
+)
+
+_Content = TypeVar("_Content")
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """What a bag holds on one topic.
+
+    Attributes:
+        stamps_ns: (N,) header stamps, or log times for messages without a header.
+        has_header: whether they are header stamps.
+    """
+
+    name: str
+    type_name: str
+    stamps_ns: Stamps
+    has_header: bool
+
+
+def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
+    """Read the standard topics of a bag; topics may stand in a namespace.
+
+    The streams are as recorded: :meth:`Recording.check` judges them.
+
+    Args:
+        path: a .mcap or .db3 file, or a rosbag2 folder.
+        vehicle: gives the pole pairs; needed where only `erpm` holds the rotor speeds.
+
+    Raises:
+        LogError: naming bag, topic and sample, for a bag that cannot be read or has no `imu`, a topic of
+            the wrong type, a name that several topics share, and `erpm` without a vehicle.
+        VehicleError: for `erpm` and a vehicle without pole pairs.
+    """
+    path = Path(path)
+    with Bag(path) as bag:
+        names = {}
+        for topic in _RECORDED:
+            connection = _find(bag, topic)
+            if connection is not None:
+                names[topic] = connection.topic
+        if "imu" not in names:
+            found = ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
+            raise LogError(f"{path}: topic imu: missing; topics of the bag: {found}")
+        if "rotor_speeds" in names:
+            names.pop("erpm", None)
+        topics = bag.read(names.values())
+        vehicle_name = vehicle.name if vehicle else bag.metadata.get("vehicle", "")
+
+    def unpacked(topic: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
+        return _unpacked(path, topics[names[topic]], unpack) if topic in names else None
+
+    def unpack_erpm(payloads: Payloads) -> RotorSpeedStream:
+        if vehicle is None:
+            raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
+        return messages.unpack_erpm(payloads, vehicle)
+
+    return Recording(
+        name=path.stem,
+        vehicle=vehicle_name,
+        source=str(path),
+        imu=_unpacked(path, topics[names["imu"]], messages.unpack_imu),
+        rotor_speeds=unpacked("rotor_speeds", messages.unpack_rotor_speeds) or unpacked("erpm", unpack_erpm),
+        pose=unpacked("mocap/pose", messages.unpack_pose),
+        odometry=unpacked("odometry", messages.unpack_odometry),
+        wind=unpacked("wind", messages.unpack_wind),
+    )
+
+
+def read_outputs(path: Path | str) -> tuple[Predictions | None, messages.ReportedAlarms | None]:
+    """Read what the monitor published; None where the bag lacks the topic.
+
+    Raises:
+        LogError: as :func:`read_bag`.
+    """
+    path = Path(path)
+    with Bag(path) as bag:
+        prediction, alarm = _find(bag, "prediction"), _find(bag, "extrapolation_alarm")
+        topics = bag.read([connection.topic for connection in (prediction, alarm) if connection])
+    return (
+        _unpacked(path, topics[prediction.topic], messages.unpack_predictions) if prediction else None,
+        _unpacked(path, topics[alarm.topic], messages.unpack_alarms) if alarm else None,
+    )
+
+
+def write_bag(
+    path: Path | str,
+    recording: Recording,
+    extra: Sequence[Topic] = (),
+    metadata: Mapping[str, str] | None = None,
+) -> None:
+    """Write a recording as an MCAP bag; equal input gives equal bytes.
+
+    The metadata record "quadpi" names the vehicle, the source file with its SHA-256, and the version.
+
+    Args:
+        path: .mcap file to write; it appears whole or not at all.
+        recording: its `battery_v` has no standard topic and is left out.
+        extra: further topics, such as those of :func:`output_topic`.
+        metadata: further entries of the metadata record.
+
+    Raises:
+        LogError: if the path does not end in .mcap.
+    """
+    path = Path(path)
+    if path.suffix != ".mcap":
+        raise LogError(f"{path}: a bag is written to a file that ends in .mcap")
+    topics = [output_topic("imu", recording.imu.time_ns, messages.pack_imu(recording.imu))]
+    if recording.rotor_speeds is not None:
+        stream = recording.rotor_speeds
+        topics.append(output_topic("rotor_speeds", stream.time_ns, messages.pack_rotor_speeds(stream)))
+    if recording.pose is not None:
+        topics.append(output_topic("mocap/pose", recording.pose.time_ns, messages.pack_pose(recording.pose)))
+    if recording.odometry is not None:
+        odometry = recording.odometry
+        topics.append(output_topic("odometry", odometry.time_ns, messages.pack_odometry(odometry)))
+    if recording.wind is not None:
+        topics.append(output_topic("wind", recording.wind.time_ns, messages.pack_wind(recording.wind)))
+    entries = {"vehicle": recording.vehicle, "version": __version__, **_provenance(Path(recording.source))}
+    write_mcap(path, [*topics, *extra], {**entries, **(metadata or {})})
+
+
+def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:
+    """A standard topic to write, logged at its stamps."""
+    return Topic(f"/{name}", TOPIC_TYPES[name], time_ns, payloads)
+
+
+def bag_topics(path: Path | str) -> list[TopicSummary]:
+    """Summarise every topic of any bag, whatever its types, ordered by name.
+
+    Raises:
+        LogError: for a bag that cannot be read.
+    """
+    path = Path(path)
+    with Bag(path) as bag:
+        by_name = {connection.topic: connection for connection in bag.connections}
+        topics = bag.read(by_name, head=messages.STAMP_END)
+    return [_summary(path, by_name[name], topics[name]) for name in sorted(by_name)]
+
+
+def _summary(path: Path, connection: Connection, topic: Topic) -> TopicSummary:
+    has_header = _has_header(connection)
+    stamps_ns = _unpacked(path, topic, messages.unpack_stamps) if has_header else topic.log_time_ns
+    return TopicSummary(topic.name, topic.type_name, stamps_ns, has_header)
+
+
+def _has_header(connection: Connection) -> bool:
+    if connection.msgdef.data:
+        return _STARTS_WITH_HEADER.match(connection.msgdef.data) is not None
+    _, fields = typestore().fielddefs.get(connection.msgtype, ([], []))
+    return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"
+
+
+def _find(bag: Bag, topic: str) -> Connection | None:
+    """The topic of that name in any namespace, or None if it is absent or holds no messages."""
+    candidates = {
+        connection.topic: connection
+        for connection in bag.connections
+        if connection.msgcount and f"/{connection.topic}".endswith(f"/{topic}")
+    }
+    if len(candidates) > 1:
+        raise LogError(f"{bag.path}: topic {topic}: ambiguous between {', '.join(sorted(candidates))}")
+    for connection in candidates.values():
+        types = {other.msgtype for other in bag.connections if other.topic == connection.topic}
+        if types != {TOPIC_TYPES[topic]}:
+            raise LogError(
+                f"{bag.path}: topic {connection.topic}: type {', '.join(sorted(types))}, "
+                f"expected {TOPIC_TYPES[topic]}"
+            )
+        return connection
+    return None
+
+
+def _unpacked(path: Path, topic: Topic, unpack: Callable[[Payloads], _Content]) -> _Content:
+    try:
+        return unpack(topic.payloads)
+    except LogError as error:
+        raise LogError(f"{path}: topic {topic.name}: {error}") from error
+
+
+def _provenance(source: Path) -> dict[str, str]:
+    if not source.is_file():
+        return {"source": source.name}
+    return {"source": source.name, "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest()}

@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Many serialized messages in one buffer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Bytes: TypeAlias = npt.NDArray[np.uint8]
+Indices: TypeAlias = npt.NDArray[np.int64]
+
+
+@njit(cache=True)
+def copy_spans(
+    source: Bytes, source_starts: Indices, target: Bytes, target_starts: Indices, lengths: Indices
+) -> None:
+    """Copy `lengths[i]` bytes from `source_starts[i]` of `source` to `target_starts[i]` of `target`."""
+    for i in range(len(lengths)):
+        start, goal = source_starts[i], target_starts[i]
+        for offset in range(lengths[i]):
+            target[goal + offset] = source[start + offset]
+
+
+@dataclass(frozen=True)
+class Payloads:
+    """N serialized messages: one buffer, and where in it each message starts and how long it is."""
+
+    data: Bytes
+    starts: Indices
+    lengths: Indices
+
+    @classmethod
+    def join(cls, messages: Sequence[bytes]) -> Payloads:
+        """Messages given one by one."""
+        lengths = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
+        return cls(np.frombuffer(b"".join(messages), dtype=np.uint8), _starts(lengths), lengths)
+
+    @classmethod
+    def from_rows(cls, rows: Bytes) -> Payloads:
+        """Messages of one length, one per row."""
+        lengths = np.full(len(rows), rows.shape[1])
+        return cls(np.ascontiguousarray(rows).reshape(-1), _starts(lengths), lengths)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Payloads]) -> Payloads:
+        """The messages of all parts, in order."""
+        sizes = [len(part.data) for part in parts]
+        offsets = np.cumsum(sizes) - sizes
+        return cls(
+            np.concatenate([part.data for part in parts]),
+            np.concatenate([part.starts + offset for part, offset in zip(parts, offsets, strict=True)]),
+            np.concatenate([part.lengths for part in parts]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    def __getitem__(self, index: int) -> bytes:
+        start = self.starts[index]
+        return self.data[start : start + self.lengths[index]].tobytes()
+
+    def __iter__(self) -> Iterator[bytes]:
+        return (self[index] for index in range(len(self)))
+
+    def take(self, order: npt.NDArray[Any]) -> Payloads:
+        """The messages at the indices `order`, sharing the buffer."""
+        return Payloads(self.data, self.starts[order], self.lengths[order])
+
+    def compact(self, head: int | None = None) -> Payloads:
+        """A copy whose buffer holds these messages alone, or the first `head` bytes of each."""
+        lengths = self.lengths if head is None else np.minimum(self.lengths, head)
+        starts = _starts(lengths)
+        data = np.empty(int(lengths.sum()), dtype=np.uint8)
+        copy_spans(self.data, self.starts, data, starts, lengths)
+        return Payloads(data, starts, lengths)
+
+    def rows(self, order: Indices, length: int) -> Bytes:
+        """The first `length` bytes of the messages at `order`, (n, length)."""
+        starts = self.starts[order]
+        if len(starts) * length == len(self.data) and np.array_equal(starts, np.arange(len(starts)) * length):
+            return self.data.reshape(len(starts), length)
+        return np.lib.stride_tricks.sliding_window_view(self.data, length)[starts]
+
+
+def _starts(lengths: Indices) -> Indices:
+    return np.cumsum(lengths) - lengths
