@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error-state extended Kalman filter of IMU and motion-capture pose: one implementation, offline and live.
 
-Live, feed :meth:`Ekf.predict` and :meth:`Ekf.update_pose` as samples arrive. Offline, :meth:`Ekf.run` calls the
-same compiled steps over a whole recording, and gives the same states bit for bit.
+Live, feed :meth:`Ekf.predict` and :meth:`Ekf.update_pose` as samples arrive. Offline, :meth:`Ekf.run` calls
+the same compiled steps over a whole recording, and gives the same states bit for bit.
 """
 
 from __future__ import annotations
@@ -168,7 +168,11 @@ class Ekf:
         poses = (pose.time_ns, _rows(pose.position), _rows(pose.attitude))
         track = _empty_track(len(imu))
         progress = kernels.Progress(
-            *(np.zeros(1, dtype=np.int64) for _ in range(3)), self._imu_counts, self._pose_counts
+            next_imu=np.zeros(1, dtype=np.int64),
+            next_pose=np.zeros(1, dtype=np.int64),
+            recorded=np.zeros(1, dtype=np.int64),
+            imu_counts=self._imu_counts,
+            pose_counts=self._pose_counts,
         )
         while progress.next_imu[0] < len(imu):
             if self._state is None:
@@ -179,14 +183,22 @@ class Ekf:
                 kernels.run(self._state, self._noise, samples, poses, progress, track)
                 if progress.next_imu[0] < len(imu):
                     self._feed_next(samples, poses, progress)
-        recorded = int(progress.recorded[0])
-        if recorded == 0:
+        recorded = slice(int(progress.recorded[0]))
+        if recorded.stop == 0:
             raise SignalError(
                 f"{recording.source}: the estimator never started: it needs one second with IMU samples and "
                 f"poses; imu spans {_span(imu.time_ns)}, mocap/pose {_span(pose.time_ns)}"
             )
         return EkfTrace(
-            *(column[:recorded] for column in track), imu_counts=self.imu_counts, pose_counts=self.pose_counts
+            time_ns=track.time_ns[recorded],
+            position=track.position[recorded],
+            velocity=track.velocity[recorded],
+            attitude=track.attitude[recorded],
+            gyro_bias=track.gyro_bias[recorded],
+            accelerometer_bias=track.accelerometer_bias[recorded],
+            variance=track.variance[recorded],
+            imu_counts=self.imu_counts,
+            pose_counts=self.pose_counts,
         )
 
     def _feed_next(

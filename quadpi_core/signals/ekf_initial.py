@@ -75,7 +75,7 @@ def initial_state(
     return State(
         time_ns=np.array([time_ns]),
         position=position[-1].copy(),
-        velocity=_slope(1e-9 * (pose_time_ns[recent] - time_ns), position[recent]),
+        velocity=_velocity(pose_time_ns[recent], position[recent]),
         attitude=attitude[-1].copy(),
         gyro_bias=gyro[between_poses].mean(axis=0) - attitude_rate,
         accelerometer_bias=np.zeros(3),
@@ -91,8 +91,9 @@ def _columns(samples: Iterable[tuple[int, Array, Array]]) -> tuple[Stamps, Array
     return np.array(time_ns, dtype=np.int64), np.array(first), np.array(second)
 
 
-def _slope(time: Array, values: Array) -> Array:
-    """Slope (C,) of the least-squares lines through values (N, C) at times (N,)."""
+def _velocity(time_ns: Stamps, position: Array) -> Array:
+    """Slope (3,) m/s of the least-squares line through positions (N, 3) at stamps (N,)."""
+    time = 1e-9 * (time_ns - time_ns[0]).astype(np.float64)
     centred = time - time.mean()
-    slope: Array = centred @ values / (centred @ centred)
+    slope: Array = centred @ position / (centred @ centred)
     return slope

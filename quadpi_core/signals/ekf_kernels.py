@@ -164,7 +164,7 @@ def usable_pose(position: Array, attitude: Array) -> bool:
     """Whether a pose is finite and its attitude a rotation, but for scale."""
     if not (np.all(np.isfinite(position)) and np.all(np.isfinite(attitude))):
         return False
-    return np.sum(attitude * attitude) >= _MIN_QUATERNION_NORM**2
+    return bool(np.sum(attitude * attitude) >= _MIN_QUATERNION_NORM**2)
 
 
 @njit(cache=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 
 # Below this angle [rad] the next term of the series, angle²/24, is under the rounding of a double.
@@ -79,7 +80,7 @@ def matrix(quaternion: Array) -> Array:
 
 
 @njit(cache=True)
-def body_rates(time_ns: Array, attitude: Array) -> Array:
+def body_rates(time_ns: Stamps, attitude: Array) -> Array:
     """Mean body rates (N-1, 3) rad/s between consecutive attitudes (N, 4) at stamps (N,)."""
     rates = np.empty((len(attitude) - 1, 3))
     for row in range(len(rates)):
