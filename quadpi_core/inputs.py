@@ -90,8 +90,7 @@ def induced_velocity(velocity_air: Array, hover_induced_velocity: float) -> Arra
     """
     velocity_air = np.ascontiguousarray(velocity_air, dtype=float)
     solution = np.empty(len(velocity_air))
-    for i, (u, v, w) in enumerate(velocity_air):
-        solution[i] = solve_induced_velocity(np.hypot(u, v), w, hover_induced_velocity)
+    _induced_velocity_kernel(velocity_air, hover_induced_velocity, solution)
     return solution
 
 
@@ -120,6 +119,13 @@ def solve_induced_velocity(in_plane: float, through: float, hover: float) -> flo
         if abs(x - previous) <= _CONVERGED * x:
             break
     return x * hover
+
+
+@njit(cache=True)
+def _induced_velocity_kernel(velocity_air: Any, hover: float, out: Any) -> None:
+    for i in range(velocity_air.shape[0]):
+        u, v, w = velocity_air[i, 0], velocity_air[i, 1], velocity_air[i, 2]
+        out[i] = solve_induced_velocity(np.sqrt(u * u + v * v), w, hover)
 
 
 @njit(cache=True)

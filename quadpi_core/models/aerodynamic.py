@@ -74,7 +74,9 @@ class AerodynamicModel:
         Raises:
             ModelError: for a confidence that the calibration cannot support.
         """
-        return self._compiled.evaluate(inputs, self._factors(confidence or self.confidence))
+        if confidence is None:
+            confidence = self.confidence
+        return self._compiled.evaluate(inputs, self._factors(confidence))
 
     def save(self, folder: Path) -> AerodynamicModel:
         """Write the model as a folder of JSON and safetensors; returns it with its identity."""

@@ -13,7 +13,7 @@ from quadpi_core.frames import Array
 from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, rows_kernel
 
 # Samples per block: large enough for the matrix product, small enough to stay in the cache.
-_BLOCK = 1024
+_BLOCK = 2048
 
 
 @dataclass(frozen=True)

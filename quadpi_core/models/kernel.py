@@ -14,7 +14,7 @@ from numba import njit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.polynomial import FittedPolynomial
-from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, rows_kernel
+from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, check_inputs, rows_kernel
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,7 @@ class CompiledPolynomials:
 
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
         """Evaluate input vectors (N, 19) with half widths from :meth:`factors`."""
+        check_inputs(inputs)
         out = np.empty((5, len(inputs), len(AXES)))
         program = self.program
         evaluate_kernel(

@@ -84,13 +84,19 @@ def noise_from_json(data: dict[str, Any]) -> ResidualNoise | HeldOutNoise:
     """Read what `to_json` gave.
 
     Raises:
-        ModelError: for an unknown kind.
+        ModelError: for an unknown kind, or numbers that no fit gives.
         KeyError, TypeError, ValueError: for missing or malformed numbers.
     """
     if data["kind"] == "residual":
-        return ResidualNoise(float(data["std"]), float(data["freedom"]))
+        std, freedom = float(data["std"]), float(data["freedom"])
+        if std < 0.0 or freedom <= 0.0:
+            raise ModelError(f"noise with standard deviation {std} and {freedom} degrees of freedom")
+        return ResidualNoise(std, freedom)
     if data["kind"] == "held-out":
-        return HeldOutNoise(float(data["inflation"]), np.array(data["flight_factors"], dtype=float))
+        inflation, factors = float(data["inflation"]), np.array(data["flight_factors"], dtype=float)
+        if inflation < 0.0 or factors.ndim != 2 or factors.shape[1] != len(LEVELS) or len(factors) == 0:
+            raise ModelError(f"noise with inflation {inflation} and flight factors {factors.shape}")
+        return HeldOutNoise(inflation, factors)
     raise ModelError(f"unknown kind of noise {data['kind']!r}")
 
 

@@ -125,7 +125,7 @@ class StepwisePolynomial:
     def _settings(self) -> SelectionSettings:
         return SelectionSettings(self.stop, self.max_terms, self.f_enter, self.f_remove, self.rank_tolerance)
 
-    @cached_property
+    @property
     def _regressors(self) -> tuple[Regressor, ...]:
         return tuple(dict.fromkeys(self.pool.fixed + self.pool.candidates))
 
@@ -148,7 +148,7 @@ class StepwisePolynomial:
             raise ModelError(f"{len(y)} samples are too few for a pool of {len(regressors)} regressors")
         program = RegressorProgram.compile(regressors)
         grams = flight_grams(program, X, y, flights)
-        active, self.steps_ = self._select(grams)
+        active, self.steps_ = self._select(grams, self._settings)
         gram = _sum(grams)
         coefficients, whitening = fit_coefficients(gram, active)
         chosen = tuple(regressors[k] for k in active)
@@ -205,10 +205,11 @@ class StepwisePolynomial:
             for term in self.pool.fixed
         ]
         rows[-1] |= _fit_columns(self.steps_[0])
+        regressors = self._regressors
         for step in self.steps_[1:]:
             assert step.added is not None
-            term = self._regressors[step.added]
-            removed = [str(self._regressors[k]) for k in step.removed]
+            term = regressors[step.added]
+            removed = [str(regressors[k]) for k in step.removed]
             row = {"term": str(term), "coefficient": final.get(term), "fixed": False, "removed": removed}
             rows.append(row | _fit_columns(step))
         return rows
@@ -219,12 +220,10 @@ class StepwisePolynomial:
             raise ModelError("the model is not fitted: call fit first")
         return self.fitted_
 
-    def _select(self, grams: list[Gram]) -> tuple[list[int], list[SelectionStep]]:
+    def _select(
+        self, grams: list[Gram], settings: SelectionSettings
+    ) -> tuple[list[int], list[SelectionStep]]:
         names = [str(regressor) for regressor in self._regressors]
-        settings = self._settings
-        if settings.stop == "leave-one-flight-out" and len(grams) < 2:
-            # With one flight left there is none to hold out; this happens inside the calibration on two.
-            settings = SelectionSettings(**{**asdict(settings), "stop": "pse"})
         return select(grams, len(self.pool.fixed), settings, names)
 
     def _leave_out_errors(
@@ -233,12 +232,16 @@ class StepwisePolynomial:
         """Errors and leverages of each flight under a model selected and fitted without it."""
         if len(grams) < 2:
             raise ModelError("intervals from held-out flights need two flights or more, or noise='residual'")
+        settings, regressors = self._settings, self._regressors
+        if settings.stop == "leave-one-flight-out" and len(grams) == 2:
+            # Without one of two flights there is no second one to hold out.
+            settings = replace(settings, stop="pse")
         errors, leverages = [], []
         for left_out in range(len(grams)):
             rest = grams[:left_out] + grams[left_out + 1 :]
-            active, _ = self._select(rest)
+            active, _ = self._select(rest, settings)
             coefficients, whitening = fit_coefficients(_sum(rest), active)
-            Z = RegressorProgram.compile(self._regressors[k] for k in active).evaluate(X[flights == left_out])
+            Z = RegressorProgram.compile(regressors[k] for k in active).evaluate(X[flights == left_out])
             errors.append(y[flights == left_out] - Z @ coefficients)
             leverages.append(_leverage(Z, whitening))
         return errors, leverages

@@ -28,7 +28,9 @@ from quadpi_core.models.regressors import (
 )
 from quadpi_core.paths import config_directory
 
-_FAMILY = re.compile(r"P\^(?P<degree>\d+)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?")
+_FAMILY = re.compile(
+    r"P\^(?P<degree>[1-9]\d*)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?"
+)
 
 
 @dataclass(frozen=True)
@@ -119,10 +121,13 @@ def _parse_axis(path: Path, axis: Any, entry: Any) -> CandidatePool:
         raise ModelError(f"{path}: unknown axis {axis!r}; axes: {', '.join(AXES)}")
     if not isinstance(entry, dict) or set(entry) - {"fixed", "candidates"}:
         raise ModelError(f"{path}: {axis}: expected the keys `fixed` and `candidates`")
+    lists = {key: entry.get(key) or [] for key in ("fixed", "candidates")}
+    for key, texts in lists.items():
+        if not isinstance(texts, list):
+            raise ModelError(f"{path}: {axis}: `{key}` must be a list, found {texts!r}")
     try:
         return CandidatePool.parse(
-            [str(text) for text in entry.get("fixed") or []],
-            [str(text) for text in entry.get("candidates") or []],
+            [str(text) for text in lists["fixed"]], [str(text) for text in lists["candidates"]]
         )
     except ModelError as error:
         raise ModelError(f"{path}: {axis}: {error}") from error

@@ -29,7 +29,8 @@ CONSTANT: Monomial = ()
 _FACTOR = re.compile(
     r"\|(?P<absolute>\w+)\|(?:\^(?P<absolute_power>\d+))?|(?P<plain>\w+)(?:\^(?P<power>\d+))?"
 )
-_SIGNED_MONOMIAL = re.compile(r"\s*([+-]?)\s*([^+-]+)")
+_SIGNED_MONOMIAL = re.compile(r"([+-]?)([^+-]+)")
+_SUM = re.compile(r"[+-]?[^+-]+([+-][^+-]+)*")
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,11 @@ class Regressor:
         Raises:
             ModelError: naming the text, for an unknown input or broken syntax.
         """
-        parts = []
-        for sign, monomial in _SIGNED_MONOMIAL.findall(text):
-            parts.append((-1.0 if sign == "-" else 1.0, parse_monomial(monomial)))
-        if not parts:
-            raise ModelError(f"regressor {text!r}: empty")
-        return cls(tuple(parts))
+        text = text.strip()
+        if not _SUM.fullmatch(text):
+            raise ModelError(f"regressor {text!r}: expected a sum of products such as mu_x^2 + mu_y^2")
+        signed = _SIGNED_MONOMIAL.findall(text)
+        return cls(tuple((-1.0 if sign == "-" else 1.0, parse_monomial(part)) for sign, part in signed))
 
     def __str__(self) -> str:
         texts = [("-" if c < 0 else "+") + " " + format_monomial(m) for c, m in self.parts]
@@ -68,7 +68,8 @@ def monomial_product(*factors: Monomial) -> Monomial:
     canonical = []
     for name in sorted(plain, key=INPUT_INDEX.__getitem__):
         pairs, odd = divmod(absolute[name], 2)
-        canonical.append((name, plain[name] + 2 * pairs, odd))
+        if plain[name] or absolute[name]:
+            canonical.append((name, plain[name] + 2 * pairs, odd))
     return tuple(canonical)
 
 
@@ -171,6 +172,7 @@ class RegressorProgram:
 
     def evaluate(self, inputs: Array) -> Array:
         """Regressors (N, p) of input vectors (N, 19); memory N × p, so meant for selected terms."""
+        check_inputs(inputs)
         rows = np.empty((BASE_ROWS + len(self.first), len(inputs)))
         rows_kernel(np.ascontiguousarray(inputs), self.first, self.second, self.weights, rows)
         return np.ascontiguousarray(rows[self.outputs].T)
@@ -201,6 +203,16 @@ def rows_kernel(inputs: Any, first: Any, second: Any, weights: Any, rows: Any) -
         else:
             for i in range(count):
                 out[i] = wa * a[i] + wb * b[i]
+
+
+def check_inputs(inputs: Array) -> None:
+    """Refuse what the compiled code would read past the end of.
+
+    Raises:
+        ModelError: if `inputs` are not (N, 19).
+    """
+    if inputs.ndim != 2 or inputs.shape[1] != len(INPUT_NAMES):
+        raise ModelError(f"inputs have shape {inputs.shape}, expected (N, {len(INPUT_NAMES)})")
 
 
 def unique_regressors(regressors: Sequence[Regressor]) -> list[Regressor]:

@@ -22,6 +22,7 @@ from safetensors.numpy import save as save_arrays
 
 from quadpi_core import __version__
 from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.noise import noise_from_json
@@ -81,31 +82,31 @@ def load_model(folder: Path) -> AerodynamicModel:
     text = _read(path).decode(errors="replace")
     array_bytes = _read(folder / ARRAYS_FILE)
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_constant=_refuse_constant)
         if content["format"] != FORMAT:
-            raise ModelError(f"{path}: format {content['format']!r} is not known to this version ({FORMAT})")
-        if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
             raise ModelError(
-                f"{folder / ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered"
+                f"{MODEL_FILE}: format {content['format']!r} is not known to this version ({FORMAT})"
             )
-        return _parse(folder, content, load_arrays(array_bytes), _identity(folder.name, text))
-    except ModelError:
-        raise
+        if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
+            raise ModelError(f"{ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered")
+        return _parse(folder.name, content, load_arrays(array_bytes), _identity(folder.name, text))
+    except ModelError as error:
+        raise ModelError(f"{folder}: {error}") from error
     except (ValueError, KeyError, TypeError, AttributeError, SafetensorError) as error:
         raise ModelError(f"{path}: not a quadpi model: {type(error).__name__} {error}") from error
 
 
-def _parse(
-    folder: Path, content: dict[str, Any], arrays: dict[str, Array], identity: str
-) -> AerodynamicModel:
+def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identity: str) -> AerodynamicModel:
     axes: dict[str, Any] = content["axes"]
+    if not axes or set(axes) - set(AXES):
+        raise ModelError(f"{MODEL_FILE}: axes {list(axes)}; expected some of {', '.join(AXES)}")
     return AerodynamicModel(
-        name=folder.name,
+        name=name,
         vehicle=str(content["vehicle"]),
         settings=str(content["settings"]),
         cutoff_hz=float(content["cutoff_hz"]),
         confidence=float(content["confidence"]),
-        polynomials={axis: _polynomial(folder, axis, entry, arrays) for axis, entry in axes.items()},
+        polynomials={axis: _polynomial(axis, entry, arrays) for axis, entry in axes.items()},
         envelope=Envelope.from_json(content["envelope"]),
         training_range={axis: float(entry["training_range"]) for axis, entry in axes.items()},
         flights=tuple(TrainingFlight(**flight) for flight in content["flights"]),
@@ -114,17 +115,22 @@ def _parse(
     )
 
 
-def _polynomial(folder: Path, axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
+def _polynomial(axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
     regressors = tuple(Regressor.parse(text) for text in entry["regressors"])
     coefficients, whitening = arrays[f"{axis}.coefficients"], arrays[f"{axis}.whitening"]
     size = len(regressors)
     if coefficients.shape != (size,) or whitening.shape != (size, size):
-        raise ModelError(f"{folder / ARRAYS_FILE}: {axis}: shapes do not fit the {size} regressors")
+        raise ModelError(f"{ARRAYS_FILE}: {axis}: shapes do not fit the {size} regressors")
     if not (np.all(np.isfinite(coefficients)) and np.all(np.isfinite(whitening))):
-        raise ModelError(f"{folder / ARRAYS_FILE}: {axis}: numbers that are not finite")
-    return FittedPolynomial(
-        regressors, coefficients, whitening, noise_from_json(entry["noise"]), float(entry["mean_spread"])
-    )
+        raise ModelError(f"{ARRAYS_FILE}: {axis}: numbers that are not finite")
+    mean_spread = float(entry["mean_spread"])
+    if mean_spread < 1.0:
+        raise ModelError(f"{MODEL_FILE}: {axis}: mean_spread {mean_spread} is below 1")
+    return FittedPolynomial(regressors, coefficients, whitening, noise_from_json(entry["noise"]), mean_spread)
+
+
+def _refuse_constant(text: str) -> float:
+    raise ValueError(f"holds the number {text}")
 
 
 def _read(path: Path) -> bytes:
