@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the live nodes would have published for a recorded flight, computed on whole arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quadpi_core import __version__
+from quadpi_core.errors import LogError
+from quadpi_core.flight import AXES, ImuStream, OdometryStream, Recording, Stamps, WindStream
+from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.logs import decode_recording, messages
+from quadpi_core.logs.bags import output_topic
+from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.monitor.alarm import LEVEL_ALARM, MonitorSettings
+from quadpi_core.monitor.monitor import Monitor
+from quadpi_core.monitor.output import Alarms
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.signals import ekf_kernels
+from quadpi_core.signals.ekf import Ekf, EkfTrace
+from quadpi_core.signals.fusion import nominal_rate
+from quadpi_core.signals.resample import interpolate, interpolate_attitude
+from quadpi_core.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from quadpi_core.models.aerodynamic import AerodynamicModel
+
+# As in live pairing: an IMU sample waits no longer for the rotor speed and state that complete it.
+TIMEOUT_NS = 100_000_000
+_ANY_GAP = np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True)
+class ReplaySummary:
+    """What came of a replay.
+
+    Attributes:
+        samples_in: IMU samples in the bag.
+        predictions_out: predictions written.
+        dropped: IMU samples without a prediction although the state and the rotor speeds had started:
+            given up by the pairing, or not plausible.
+        alarm_fraction: share of the monitored time at alarm level.
+        alarm_first_s: seconds from the first IMU sample to the first alarm; None without one.
+    """
+
+    samples_in: int
+    predictions_out: int
+    dropped: int
+    alarm_fraction: float
+    alarm_first_s: float | None
+
+
+def replay(
+    model: AerodynamicModel,
+    vehicle: Vehicle,
+    bag: Path | str,
+    output: Path | str,
+    *,
+    confidence: float | None = None,
+    settings: MonitorSettings | None = None,
+) -> ReplaySummary:
+    """Write the topics odometry, prediction and extrapolation_alarm for a flight; the same bytes each time.
+
+    The state comes from the causal EKF over `imu` and `mocap/pose`, or from `odometry` where the bag has no
+    poses; then no odometry is written. Rotor speeds and wind meet the IMU samples as in
+    :class:`quadpi_core.monitor.pairing.Pairing`.
+
+    Args:
+        model: of this vehicle.
+        vehicle: as in its vehicle file.
+        bag: a bag, or any log that needs no mapping.
+        output: MCAP file to write; it appears whole or not at all.
+        confidence: nominal coverage; the model's own unless given.
+        settings: of the alarm.
+
+    Raises:
+        LogError: naming bag, topic and sample of what cannot be used.
+        ModelError: if the model belongs to another vehicle.
+        SignalError: if the estimator never starts.
+    """
+    recording = decode_recording(bag, vehicle)
+    recording.check()
+    if len(recording.imu) < 2:
+        raise LogError(f"{recording.source}: topic imu: one sample is too few")
+    rate_hz = nominal_rate(recording.imu.time_ns)
+    monitor = Monitor(model, vehicle, rate_hz, confidence, settings)
+    topics = []
+    odometry = recording.odometry
+    if recording.pose is not None:
+        trace = Ekf(vehicle, rate_hz).run(recording)
+        odometry = _estimated_odometry(trace, recording.imu)
+        payloads = messages.pack_odometry(odometry, _pose_covariance(trace))
+        topics.append(output_topic("odometry", odometry.time_ns, payloads))
+    if odometry is None:
+        raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
+    samples = _pair(recording, odometry)
+    predictions, alarms = monitor.step(*samples)
+
+    axes = sum(1 << AXES.index(axis) for axis in model.axes)
+    topics.append(
+        output_topic(
+            "prediction",
+            predictions.time_ns,
+            messages.pack_predictions(
+                predictions, model=model.identity, confidence=monitor.confidence, axes=axes
+            ),
+        )
+    )
+    topics.append(output_topic("extrapolation_alarm", alarms.time_ns, messages.pack_alarms(alarms)))
+    write_mcap(
+        Path(output),
+        topics,
+        {"vehicle": vehicle.name, "model": model.identity, "source": recording.name, "version": __version__},
+    )
+    return _summarise(recording, len(samples.time_ns), len(predictions.time_ns), alarms)
+
+
+def _estimated_odometry(trace: EkfTrace, imu: ImuStream) -> OdometryStream:
+    """The estimator's output: states at the stamps of IMU samples, rates less the gyro's bias."""
+    samples = np.searchsorted(imu.time_ns, trace.time_ns)
+    return OdometryStream(
+        time_ns=trace.time_ns,
+        position=trace.position,
+        attitude=trace.attitude,
+        velocity=trace.velocity_body,
+        rates=imu.angular_velocity[samples] - trace.gyro_bias,
+    )
+
+
+def _pose_covariance(trace: EkfTrace) -> Array:
+    """Covariance (M, 6, 6) of position and of rotation about the world's axes, from the variances."""
+    rotation = rotation_matrix(trace.attitude)
+    covariance = np.zeros((len(trace), 6, 6))
+    covariance[:, [0, 1, 2], [0, 1, 2]] = trace.variance[:, ekf_kernels.POSITION]
+    attitude_variance = trace.variance[:, None, ekf_kernels.ATTITUDE]
+    covariance[:, 3:, 3:] = (rotation * attitude_variance) @ rotation.swapaxes(1, 2)
+    return covariance
+
+
+def _pair(recording: Recording, odometry: OdometryStream) -> PairedSamples:
+    """What live pairing gives: complete samples, NaN for those given up, nothing before it can start."""
+    imu, rotor_speeds = recording.imu, recording.rotor_speeds
+    if rotor_speeds is None:
+        raise LogError(f"{recording.source}: topic rotor_speeds (or erpm) is missing")
+    wait_ns = np.maximum(
+        _until_next(odometry.time_ns, imu.time_ns), _until_next(rotor_speeds.time_ns, imu.time_ns)
+    )
+    started = imu.time_ns >= max(odometry.time_ns[0], rotor_speeds.time_ns[0])
+    complete = wait_ns <= TIMEOUT_NS
+    given_up = ~complete & (imu.time_ns[-1] - imu.time_ns > TIMEOUT_NS)
+    kept = started & (complete | given_up)
+    if not np.any(started & complete):
+        raise LogError(f"{recording.source}: topics imu, rotor_speeds and the state share no time")
+
+    time_ns, incomplete = imu.time_ns[kept], given_up[kept]
+
+    def at_imu(stamps: Stamps, values: Array) -> Array:
+        sampled = interpolate(stamps, values, time_ns, _ANY_GAP).values
+        sampled[incomplete] = np.nan
+        return sampled
+
+    attitude = interpolate_attitude(odometry.time_ns, odometry.attitude, time_ns, _ANY_GAP).values
+    attitude[incomplete] = np.nan
+    return PairedSamples(
+        time_ns=time_ns,
+        velocity=at_imu(odometry.time_ns, odometry.velocity),
+        attitude=attitude,
+        rates=at_imu(odometry.time_ns, odometry.rates),
+        specific_force=imu.specific_force[kept],
+        rotor_speeds=at_imu(rotor_speeds.time_ns, rotor_speeds.speeds),
+        wind=_hold(recording.wind, time_ns),
+    )
+
+
+def _until_next(stamps: Stamps, at_ns: Stamps) -> Stamps:
+    """Time (M,) from each stamp to the sample at or after it; endless after the last."""
+    following = np.searchsorted(stamps, at_ns)
+    return np.append(stamps, _ANY_GAP)[following] - at_ns
+
+
+def _hold(wind: WindStream | None, time_ns: Stamps) -> Array:
+    """Latest wind (M, 3) at or before each stamp; still air before the first."""
+    if wind is None:
+        return np.zeros((len(time_ns), 3))
+    latest = np.searchsorted(wind.time_ns, time_ns, side="right") - 1
+    return np.where(latest[:, None] >= 0, wind.velocity[latest], 0.0)
+
+
+def _summarise(recording: Recording, monitored: int, predictions: int, alarms: Alarms) -> ReplaySummary:
+    """Count; an alarm row stands until the next one."""
+    stamps = recording.imu.time_ns
+    raised = alarms.level == LEVEL_ALARM
+    durations = np.diff(alarms.time_ns, append=max(stamps[-1], alarms.time_ns[-1]))
+    first = alarms.time_ns[np.argmax(raised)] if raised.any() else None
+    return ReplaySummary(
+        samples_in=len(stamps),
+        predictions_out=predictions,
+        dropped=monitored - predictions,
+        alarm_fraction=float(durations[raised].sum() / max(durations.sum(), 1)),
+        alarm_first_s=None if first is None else float(1e-9 * (first - stamps[0])),
+    )
