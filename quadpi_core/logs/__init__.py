@@ -87,7 +87,13 @@ def identify_format(path: Path) -> LogFormat:
 
 
 def _is_bag(path: Path) -> bool:
-    return (path.is_dir() and (path / "metadata.yaml").is_file()) or path.suffix.lower() == ".mcap"
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() or any(map(_is_bag_file, path.iterdir()))
+    return _is_bag_file(path)
+
+
+def _is_bag_file(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() in {".mcap", ".db3"}
 
 
 def _is_cfusdlog(path: Path) -> bool:
@@ -129,13 +135,13 @@ def _read_table(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Re
 
 
 FORMATS = {
-    "bag": LogFormat("MCAP or rosbag2 bag (.mcap, folder)", _is_bag, _read_bag),
-    "neurobem": LogFormat("NeuroBEM matrix (.mat)", _has_suffix(".mat"), _read_neurobem),
+    "bag": LogFormat("bag (.mcap, .db3, rosbag2 folder)", _is_bag, _read_bag),
+    "neurobem": LogFormat("NeuroBEM flight (.mat)", _has_suffix(".mat"), _read_neurobem),
     "table": LogFormat(
-        "CSV or Parquet table with a mapping (.csv, .parquet)",
+        "table with a mapping file (.csv, .parquet)",
         _has_suffix(".csv", ".parquet"),
         _read_table,
         takes_mapping=True,
     ),
-    "cfusdlog": LogFormat("Crazyflie uSD log (first byte 0xBC)", _is_cfusdlog, _read_cfusdlog),
+    "cfusdlog": LogFormat("Crazyflie uSD log", _is_cfusdlog, _read_cfusdlog),
 }

@@ -58,7 +58,7 @@ def drop_rotor_spikes(source: str, stream: RotorSpeedStream, vehicle: Vehicle) -
     """The stream without the samples in which a rotor is faster than the vehicle allows, logging how many.
 
     Electrical speeds over telemetry spike to millions of revolutions now and then. More of them than
-    SPIKE_SHARE are no spikes and stay, to be refused by :func:`quadpi_core.logs.inspect.check_plausible`.
+    SPIKE_SHARE are no spikes and stay: :func:`quadpi_core.logs.plausibility.check_plausible` refuses them.
     """
     spike = np.any(stream.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
     if not np.any(spike) or spike.mean() > SPIKE_SHARE:

@@ -1,0 +1,254 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a recording holds and what looks wrong with it; takes recordings that no check has passed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.flight import Recording, RotorSpeedStream, Stream
+from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.logs.conversion import SPIKE_SHARE
+from quadpi_core.logs.plausibility import (
+    THRUST_COEFFICIENT_USUAL,
+    finite_rows,
+    implausibilities,
+    thrust_coefficient,
+)
+from quadpi_core.vehicle import Vehicle
+
+GAP_INTERVALS = 5.0
+FROZEN_S = 0.25
+
+_JITTER_SHARE = 0.5
+_FACTOR_OF_TWO_OCTAVES = 0.15
+
+
+@dataclass(frozen=True)
+class TopicReport:
+    """Timing of one topic, from its stamps.
+
+    Attributes:
+        jitter_ms: spread of the intervals, half the range between their 5 and 95 % quantiles.
+        gaps: intervals longer than GAP_INTERVALS median ones.
+        repeated, backward: stamps equal to the one before, or before it.
+        not_finite: samples with a value that is no number.
+    """
+
+    topic: str
+    count: int
+    duration_s: float
+    rate_hz: float
+    jitter_ms: float
+    gaps: int
+    longest_gap_s: float
+    repeated: int
+    backward: int
+    not_finite: int
+
+
+@dataclass(frozen=True)
+class Range:
+    """Smallest, median and largest value of a quantity over the recording."""
+
+    quantity: str
+    unit: str
+    lowest: float
+    median: float
+    highest: float
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What a recording holds; `findings` are what looks wrong, in plain words."""
+
+    name: str
+    vehicle: str
+    source: str
+    topics: tuple[TopicReport, ...]
+    envelope: tuple[Range, ...]
+    findings: tuple[str, ...]
+
+
+def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> Inspection:
+    """Describe a recording; without a vehicle, what depends on its limits is not judged."""
+    topics = tuple(_describe(stream) for stream in recording.streams())
+    findings = (
+        *(finding for topic in topics for finding in _timing_findings(topic)),
+        *implausibilities(recording, vehicle),
+        *(finding for stream in recording.streams() for finding in _frozen_findings(stream)),
+        *_rotor_findings(recording, vehicle),
+        *_battery_findings(recording),
+        *_missing_findings(recording),
+    )
+    return Inspection(
+        name=recording.name,
+        vehicle=recording.vehicle,
+        source=recording.source,
+        topics=topics,
+        envelope=tuple(_envelope(recording)),
+        findings=findings,
+    )
+
+
+def _describe(stream: Stream) -> TopicReport:
+    steps = np.diff(stream.time_ns) * 1e-9
+    forward = steps[steps > 0.0]
+    median = float(np.median(forward)) if len(forward) else 0.0
+    gaps = forward[forward > GAP_INTERVALS * median]
+    quantiles = np.percentile(forward, [5.0, 95.0]) if len(forward) else np.zeros(2)
+    duration = float(np.ptp(stream.time_ns) * 1e-9) if len(stream) else 0.0
+    return TopicReport(
+        topic=stream.topic,
+        count=len(stream),
+        duration_s=duration,
+        rate_hz=(len(stream) - 1) / duration if duration > 0.0 else 0.0,
+        jitter_ms=float(0.5e3 * np.diff(quantiles)[0]),
+        gaps=len(gaps),
+        longest_gap_s=float(forward.max(initial=0.0)),
+        repeated=int(np.sum(steps == 0.0)),
+        backward=int(np.sum(steps < 0.0)),
+        not_finite=int(np.sum(~finite_rows(*_columns(stream).values()))) if len(stream) else 0,
+    )
+
+
+def _columns(stream: Stream) -> dict[str, Array]:
+    return {
+        column.name: getattr(stream, column.name) for column in fields(stream) if column.name != "time_ns"
+    }
+
+
+def _timing_findings(topic: TopicReport) -> Iterator[str]:
+    where = f"topic {topic.topic}:"
+    if topic.count == 0:
+        yield f"{where} holds no samples"
+    if topic.repeated:
+        yield f"{where} {topic.repeated} stamps repeat"
+    if topic.backward:
+        yield f"{where} {topic.backward} stamps run backward"
+    if topic.not_finite:
+        yield f"{where} {topic.not_finite} samples hold a value that is not finite"
+    if topic.gaps:
+        yield f"{where} gaps: {topic.gaps}, the longest {topic.longest_gap_s * 1e3:.0f} ms"
+    if topic.rate_hz > 0.0 and topic.jitter_ms * 1e-3 > _JITTER_SHARE / topic.rate_hz:
+        yield f"{where} stamps jitter by ±{topic.jitter_ms:.1f} ms: times of arrival, not of measurement?"
+
+
+def _frozen_findings(stream: Stream) -> Iterator[str]:
+    """Quantities that stay the same for longer than FROZEN_S; each rotor is a sensor of its own."""
+    if len(stream) == 0:
+        return
+    quantities = _columns(stream)
+    if isinstance(stream, RotorSpeedStream):
+        quantities = {f"rotor {i + 1}": column[:, np.newaxis] for i, column in enumerate(stream.speeds.T)}
+    for name, values in quantities.items():
+        first, last = _longest_run(values)
+        seconds = float(stream.time_ns[last] - stream.time_ns[first]) * 1e-9
+        if seconds > FROZEN_S:
+            yield f"topic {stream.topic}: sample {first}: {name} stays the same for {seconds:.2f} s: frozen?"
+
+
+def _longest_run(values: Array) -> tuple[int, int]:
+    """First and last index of the longest run of equal rows of `values` (N, C)."""
+    borders = np.flatnonzero(np.r_[True, np.any(values[1:] != values[:-1], axis=1), True])
+    longest = int(np.argmax(np.diff(borders)))
+    return int(borders[longest]), int(borders[longest + 1]) - 1
+
+
+def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+    rotors = recording.rotor_speeds
+    if rotors is None:
+        return
+    if vehicle is not None:
+        yield from _spike_findings(rotors, vehicle)
+    yield from _half_reading_findings(rotors)
+    coefficient = thrust_coefficient(recording, vehicle) if vehicle is not None else None
+    low, high = THRUST_COEFFICIENT_USUAL
+    if coefficient is not None and not low < coefficient < high:
+        yield (
+            f"topic rotor_speeds: thrust over Σω² gives C_T = {coefficient:.2g}, usual are {low} to {high}: "
+            f"speeds {'too low' if coefficient > high else 'too high'} by a constant factor, or wrong mass?"
+        )
+
+
+def _spike_findings(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
+    with np.errstate(invalid="ignore"):
+        spike = np.any(rotors.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
+    if 0.0 < spike.mean() <= SPIKE_SHARE:
+        yield (
+            f"topic rotor_speeds: {spike.sum()} spikes above the vehicle's "
+            f"{vehicle.rotor_speed_max_rad_s:.0f} rad/s, up to {np.nanmax(rotors.speeds):.3g}, the first at "
+            f"sample {int(np.argmax(spike))}; they are dropped on import"
+        )
+
+
+def _half_reading_findings(rotors: RotorSpeedStream) -> Iterator[str]:
+    """A rotor that reads half of the others, or whose reading halves and doubles between samples.
+
+    A rotor cannot change its speed by a factor of two within one interval; a sensor that misses every
+    other pulse does.
+    """
+    speeds = rotors.speeds[finite_rows(rotors.speeds)]
+    speeds = speeds[np.all(speeds > 0.0, axis=1)]
+    if len(speeds) < 2:
+        return
+    for index, column in enumerate(speeds.T):
+        where = f"topic rotor_speeds: rotor {index + 1}"
+        others = np.median(np.delete(speeds, index, axis=1), axis=1)
+        ratio = np.median(column / others)
+        jumps = _factor_of_two(column[1:] / column[:-1]).sum()
+        if _factor_of_two(ratio):
+            kind = "half" if ratio < 1.0 else "double"
+            yield f"{where} reads {ratio:.2f} times the others: {kind}-reading sensor?"
+        elif jumps:
+            yield f"{where} halves or doubles within one interval, {jumps} times: half-reading sensor?"
+
+
+def _factor_of_two(ratio: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Whether ratios are near a half or near two."""
+    return np.abs(np.abs(np.log2(ratio)) - 1.0) < _FACTOR_OF_TWO_OCTAVES
+
+
+def _battery_findings(recording: Recording) -> Iterator[str]:
+    if recording.battery_v is not None and len(recording.battery_v[1]) > 1:
+        volts = recording.battery_v[1]
+        if np.all(volts == volts[0]):
+            yield f"battery: the voltage is constant at {volts[0]:.3g} V: not measured?"
+
+
+def _missing_findings(recording: Recording) -> Iterator[str]:
+    if recording.rotor_speeds is None:
+        yield "no rotor speeds: rules out identification, prediction and replay"
+    if recording.pose is None and recording.odometry is None:
+        yield "neither pose nor odometry: rules out everything that needs velocity or attitude"
+    elif recording.pose is None:
+        yield "no motion-capture pose: the state is the logged odometry; rules out the live estimator"
+
+
+def _envelope(recording: Recording) -> Iterator[Range]:
+    imu, rotors = recording.imu, recording.rotor_speeds
+    state = recording.odometry or recording.pose
+    if recording.odometry is not None:
+        yield from _range("speed", "m/s", np.linalg.norm(recording.odometry.velocity, axis=1))
+    if state is not None:
+        yield from _range("altitude", "m", -state.position[:, 2])
+        tilt = np.degrees(np.arccos(np.clip(rotation_matrix(state.attitude)[:, 2, 2], -1.0, 1.0)))
+        yield from _range("tilt", "deg", tilt)
+    for axis, name in enumerate("pqr"):
+        yield from _range(f"rate {name}", "rad/s", imu.angular_velocity[:, axis])
+    yield from _range("specific force", "m/s²", np.linalg.norm(imu.specific_force, axis=1))
+    if rotors is not None:
+        for index, column in enumerate(rotors.speeds.T):
+            yield from _range(f"rotor {index + 1}", "rad/s", column)
+    if recording.battery_v is not None:
+        yield from _range("battery", "V", recording.battery_v[1])
+
+
+def _range(quantity: str, unit: str, values: Array) -> Iterator[Range]:
+    known = values[np.isfinite(values)]
+    if len(known):
+        yield Range(quantity, unit, float(known.min()), float(np.median(known)), float(known.max()))

@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the numbers of a recording can be what they are said to be: units, axes, rotor speeds.
+
+Every test works on recordings that are not checked: samples that are not finite are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.frames import Array, rotate_body_to_world
+from quadpi_core.vehicle import Vehicle
+
+LARGEST_RATE_RAD_S = 60.0
+OUTLIER_SHARE = 0.01
+# Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.
+THRUST_COEFFICIENT_USUAL = (0.006, 0.05)
+THRUST_COEFFICIENT_POSSIBLE = (0.001, 0.3)
+
+_SPECIFIC_FORCE_M_S2 = (4.0, 60.0)
+_SPECIFIC_FORCE_G = (0.4, 2.5)
+_ATTITUDE_STEP_S = 0.05
+_SLOWEST_RATE_RAD_S = 0.02
+_RATE_RATIO = (0.1, 10.0)
+
+
+def check_plausible(recording: Recording, vehicle: Vehicle) -> None:
+    """Refuse a recording whose units or axes cannot be right.
+
+    Raises:
+        LogError: naming file and topic, and what the numbers look like.
+    """
+    for problem in implausibilities(recording, vehicle):
+        raise LogError(f"{recording.source}: {problem}")
+
+
+def implausibilities(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+    """What cannot be right, in plain words, the topic first; without a vehicle its limits are not tested."""
+    yield from _specific_force(recording.imu)
+    yield from _rates(recording)
+    yield from _up(recording)
+    if vehicle is not None and recording.rotor_speeds is not None:
+        yield from _rotor_speeds(recording.rotor_speeds, vehicle)
+        yield from _thrust(recording, vehicle)
+
+
+def finite_rows(*signals: Array) -> npt.NDArray[np.bool_]:
+    """Rows (N,) in which every signal is finite."""
+    finite: npt.NDArray[np.bool_] = np.all(
+        [np.isfinite(v).reshape(len(v), -1).all(axis=1) for v in signals], axis=0
+    )
+    return finite
+
+
+def thrust_coefficient(recording: Recording, vehicle: Vehicle) -> float | None:
+    """C_T = thrust / (ρ π R⁴ Σω²), thrust from the accelerometer, while the rotors turn fast; None without.
+
+    Hover of a real rotor gives about 0.01 to 0.04.
+    """
+    imu, rotors = recording.imu, recording.rotor_speeds
+    if rotors is None:
+        return None
+    measured = finite_rows(rotors.speeds)
+    measured[measured] = np.all(rotors.speeds[measured] <= vehicle.rotor_speed_max_rad_s, axis=1)
+    speeds, time_ns = rotors.speeds[measured], rotors.time_ns[measured]
+    known = finite_rows(imu.specific_force)
+    if len(speeds) == 0 or not np.any(known):
+        return None
+    squares = np.sum(speeds**2, axis=1)
+    order = np.argsort(imu.time_ns[known], kind="stable")
+    force = np.interp(time_ns, imu.time_ns[known][order], -imu.specific_force[known, 2][order])
+    fast = squares >= 0.5 * np.percentile(squares, 95)
+    disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+    total = disc * np.sum(squares[fast] ** 2)
+    return float(vehicle.mass_kg * np.sum(force[fast] * squares[fast]) / total) if total > 0.0 else None
+
+
+def _specific_force(imu: ImuStream) -> Iterator[str]:
+    force = imu.specific_force[finite_rows(imu.specific_force)]
+    if len(force) == 0:
+        return
+    median = float(np.median(np.linalg.norm(force, axis=1)))
+    low, high = _SPECIFIC_FORCE_M_S2
+    if _SPECIFIC_FORCE_G[0] < median < _SPECIFIC_FORCE_G[1]:
+        yield f"topic imu: the median specific force is {median:.2f}: looks like g, m/s² expected"
+    elif not low < median < high:
+        yield f"topic imu: the median specific force is {median:.3g} m/s², expected about 9.8"
+    elif float(np.median(force[:, 2])) > low:
+        yield "topic imu: specific force points down in flight: looks like forward-left-up axes taken for FRD"
+
+
+def _rates(recording: Recording) -> Iterator[str]:
+    rates = recording.imu.angular_velocity
+    with np.errstate(invalid="ignore"):
+        beyond = np.any(np.abs(rates) > LARGEST_RATE_RAD_S, axis=1)
+    if beyond.mean() > OUTLIER_SHARE:
+        yield (
+            f"topic imu: sample {int(np.argmax(beyond))}: {beyond.mean():.0%} of the rates exceed "
+            f"{LARGEST_RATE_RAD_S:.0f} rad/s: looks like deg/s"
+        )
+        return
+    for stream in _attitude_streams(recording):
+        gyro, attitude = _rotation_rates(recording.imu, stream)
+        if attitude < _SLOWEST_RATE_RAD_S and gyro < 1.0:
+            continue
+        ratio = gyro / max(attitude, _SLOWEST_RATE_RAD_S)
+        if not _RATE_RATIO[0] < ratio < _RATE_RATIO[1]:
+            looks = "deg/s" if ratio > 1.0 else "a frozen or wrongly scaled gyro"
+            yield f"topic imu: the gyro turns {ratio:.3g} times as fast as {stream.topic}: looks like {looks}"
+
+
+def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStream]:
+    for stream in (recording.pose, recording.odometry):
+        if stream is not None and len(stream) > 1:
+            yield stream
+
+
+def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tuple[float, float]:
+    """Median turn rate [rad/s] over short steps, by the integrated gyro and by the attitude."""
+    known = finite_rows(imu.angular_velocity) & np.r_[True, np.diff(imu.time_ns) > 0]
+    seen = finite_rows(stream.attitude) & np.r_[True, np.diff(stream.time_ns) > 0]
+    if known.sum() < 2 or seen.sum() < 2:
+        return 0.0, 0.0
+    time, rates = imu.time_ns[known] * 1e-9, imu.angular_velocity[known]
+    angle = np.zeros_like(rates)
+    angle[1:] = np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time)[:, np.newaxis], axis=0)
+    clock, attitude = stream.time_ns[seen] * 1e-9, stream.attitude[seen]
+    stride = max(1, round(_ATTITUDE_STEP_S / max(float(np.median(np.diff(clock))), 1e-9)))
+    clock, attitude = clock[::stride], attitude[::stride]
+    if len(clock) < 2:
+        return 0.0, 0.0
+    step = np.diff(clock)
+    cosine = np.abs(np.sum(attitude[1:] * attitude[:-1], axis=1)).clip(max=1.0)
+    turned = np.diff(np.stack([np.interp(clock, time, column) for column in angle.T], axis=1), axis=0)
+    by_gyro = np.linalg.norm(turned, axis=1) / step
+    return float(np.median(by_gyro)), float(np.median(2.0 * np.arccos(cosine) / step))
+
+
+def _up(recording: Recording) -> Iterator[str]:
+    """Turned into the world and averaged, specific force is minus gravity: it must point up."""
+    imu = recording.imu
+    known = finite_rows(imu.specific_force)
+    if not np.any(known):
+        return
+    force = imu.specific_force[known]
+    for stream in _attitude_streams(recording):
+        seen = finite_rows(stream.attitude)
+        nearest = np.searchsorted(imu.time_ns[known], stream.time_ns[seen]).clip(0, len(force) - 1)
+        in_world = rotate_body_to_world(stream.attitude[seen], force[nearest])
+        if np.any(seen) and np.mean(in_world[:, 2]) > -0.3 * np.median(np.linalg.norm(force, axis=1)):
+            yield f"topic {stream.topic}: attitude and specific force disagree on what is up: wrong frames?"
+
+
+def _rotor_speeds(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
+    with np.errstate(invalid="ignore"):
+        fast = np.any(rotors.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
+        negative = np.any(rotors.speeds < 0.0, axis=1)
+    if fast.mean() > OUTLIER_SHARE:
+        yield (
+            f"topic rotor_speeds: sample {int(np.argmax(fast))}: {fast.mean():.0%} of the samples exceed the "
+            f"vehicle's {vehicle.rotor_speed_max_rad_s:.0f} rad/s: looks like rpm or erpm"
+        )
+    if np.any(negative):
+        yield f"topic rotor_speeds: sample {int(np.argmax(negative))}: a rotor speed is negative"
+
+
+def _thrust(recording: Recording, vehicle: Vehicle) -> Iterator[str]:
+    coefficient = thrust_coefficient(recording, vehicle)
+    low, high = THRUST_COEFFICIENT_POSSIBLE
+    if coefficient is not None and not low < coefficient < high:
+        yield (
+            f"topic rotor_speeds: thrust over Σω² gives C_T = {coefficient:.2g}, expected 0.01 to 0.04: "
+            f"wrong unit or pole pairs of the rotor speeds, or another vehicle?"
+        )

@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `quadpi info` shows of a log, a bag or a model."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from quadpi_core.errors import VehicleError
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.logs import decode_recording
+from quadpi_core.logs.inspect import Inspection, inspect_recording
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.storage import MODEL_FILE
+from quadpi_core.report.style import number, percent
+from quadpi_core.vehicle import Vehicle
+
+
+def describe(path: Path, vehicle: str | None, mapping: str | None) -> tuple[list[Table], dict[str, Any]]:
+    """Tables and the same content as JSON, for a log, a bag or a model folder.
+
+    A bag names its vehicle itself; `vehicle` overrides it. Without a vehicle nothing is compared with its
+    limits.
+
+    Raises:
+        QuadpiError: for what cannot be read.
+    """
+    if (path / MODEL_FILE).is_file():
+        model = AerodynamicModel.load(path)
+        return model_tables(model), _model_json(model)
+    known = Vehicle.load(vehicle) if vehicle else None
+    recording = decode_recording(path, known, mapping)
+    inspection = inspect_recording(recording, known or _named_vehicle(recording.vehicle))
+    return inspection_tables(inspection), {"kind": "recording", **asdict(inspection)}
+
+
+def _named_vehicle(name: str) -> Vehicle | None:
+    """The vehicle that a bag names, where its file is at hand."""
+    try:
+        return Vehicle.load(name) if name else None
+    except VehicleError:
+        return None
+
+
+def inspection_tables(inspection: Inspection) -> list[Table]:
+    """Topics, envelope and findings of a recording."""
+    return [_topic_table(inspection), _envelope_table(inspection), _finding_table(inspection)]
+
+
+def _topic_table(inspection: Inspection) -> Table:
+    vehicle = inspection.vehicle or "not given"
+    table = Table(title=f"{inspection.name} · vehicle {vehicle}", box=box.SIMPLE_HEAD)
+    table.add_column("topic", no_wrap=True)
+    for heading in ("samples", "s", "Hz", "±ms", "gaps", "max ms", "bad stamps", "NaN"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for topic in inspection.topics:
+        table.add_row(
+            topic.topic,
+            str(topic.count),
+            number(topic.duration_s),
+            number(topic.rate_hz),
+            number(topic.jitter_ms),
+            _count(topic.gaps),
+            number(topic.longest_gap_s * 1e3),
+            _count(topic.repeated + topic.backward),
+            _count(topic.not_finite),
+        )
+    table.caption = "±ms: jitter of the intervals; max ms: the longest interval"
+    return table
+
+
+def _count(value: int) -> Text:
+    return Text(str(value), style="bold red" if value else "dim")
+
+
+def _envelope_table(inspection: Inspection) -> Table:
+    table = Table(title="envelope", box=box.SIMPLE_HEAD)
+    table.add_column("quantity")
+    table.add_column("unit")
+    for heading in ("lowest", "median", "highest"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in inspection.envelope:
+        table.add_row(row.quantity, row.unit, number(row.lowest), number(row.median), number(row.highest))
+    return table
+
+
+def _finding_table(inspection: Inspection) -> Table:
+    table = Table(title="findings", box=box.SIMPLE_HEAD, show_header=False)
+    table.add_column("finding")
+    for finding in inspection.findings:
+        table.add_row(Text(f"▲ {finding}", style="yellow"))
+    if not inspection.findings:
+        table.add_row(Text("nothing suspicious", style="green"))
+    return table
+
+
+def model_tables(model: AerodynamicModel) -> list[Table]:
+    """Axes, training flights and envelope of a model."""
+    axes = Table(
+        title=f"{model.identity or model.name} · vehicle {model.vehicle} · {model.settings} settings · "
+        f"{percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
+        box=box.SIMPLE_HEAD,
+    )
+    axes.add_column("axis")
+    axes.add_column("regressors")
+    for axis in model.axes:
+        axes.add_row(axis, Text(", ".join(str(r) for r in model.polynomials[axis].regressors)))
+    flights = Table(title="identified on", box=box.SIMPLE_HEAD)
+    flights.add_column("flight")
+    flights.add_column("samples", justify="right")
+    flights.add_column("sha256")
+    for flight in model.flights:
+        flights.add_row(flight.name, str(flight.samples), flight.sha256[:12])
+    envelope = Table(title="training envelope", box=box.SIMPLE_HEAD)
+    envelope.add_column("input")
+    envelope.add_column("lowest", justify="right")
+    envelope.add_column("highest", justify="right")
+    for name, lower, upper in zip(INPUT_NAMES, model.envelope.lower, model.envelope.upper, strict=True):
+        envelope.add_row(name, number(float(lower)), number(float(upper)))
+    return [axes, flights, envelope]
+
+
+def _model_json(model: AerodynamicModel) -> dict[str, Any]:
+    return {
+        "kind": "model",
+        "name": model.name,
+        "identity": model.identity,
+        "vehicle": model.vehicle,
+        "settings": model.settings,
+        "cutoff_hz": model.cutoff_hz,
+        "confidence": model.confidence,
+        "axes": {axis: [str(r) for r in model.polynomials[axis].regressors] for axis in model.axes},
+        "flights": [asdict(flight) for flight in model.flights],
+        "envelope": {
+            name: [float(lower), float(upper)]
+            for name, lower, upper in zip(
+                INPUT_NAMES, model.envelope.lower, model.envelope.upper, strict=True
+            )
+        },
+    }
