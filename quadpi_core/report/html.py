@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""An evaluation as one self-contained page: no network, no other file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
+
+from quadpi_core.flight import AXES
+from quadpi_core.intervals.evaluate import FlightResult
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.paths import whole_output
+from quadpi_core.report import sections
+from quadpi_core.report.distributions import envelope_figure, residual_figure
+from quadpi_core.report.figures import coverage_figure, time_history_figure
+from quadpi_core.report.live import LiveReplay, alarm_figure
+from quadpi_core.report.style import group_colours
+
+# All time histories together draw so many samples, at about 11 bytes each in the page.
+_DRAWN_SAMPLES = 240_000
+_LINES_PER_AXIS = 4
+_FEWEST_BINS, _MOST_BINS = 150, 1000
+_UNGROUPED = "flights in no group"
+
+
+def write_report(
+    path: Path,
+    evaluation: Mapping[str, Any],
+    results: Sequence[FlightResult],
+    model: AerodynamicModel,
+    live: LiveReplay | None = None,
+) -> None:
+    """Write the page; it appears whole or not at all.
+
+    Args:
+        path: of the HTML file.
+        evaluation: as :func:`quadpi_core.intervals.evaluate.evaluate_flights` gives it.
+        results: the flights that were evaluated, at least one.
+        model: that was evaluated; gives training flights, envelope and selection log.
+        live: what the live nodes said of one of the flights.
+    """
+    by_name = {result.name: result for result in results}
+    groups = {
+        name: [by_name[flight] for flight in part["flights"]] for name, part in evaluation["groups"].items()
+    }
+    grouped = {flight.name for flights in groups.values() for flight in flights}
+    rest = [result for result in results if result.name not in grouped]
+    if rest:
+        groups[_UNGROUPED] = rest
+    bins = _history_bins(results)
+
+    parts = [sections.header(evaluation, model), sections.coverage(evaluation)]
+    figures = {"coverage": coverage_figure(evaluation)} if evaluation["groups"] else {}
+    if live is not None:
+        figures["alarm"] = alarm_figure(live, by_name.get(live.flight))
+        parts.append(sections.live(live))
+    figures |= _histories(groups, evaluation, bins)
+    figures["envelope"] = envelope_figure(groups, model.envelope, [flight.name for flight in model.flights])
+    figures["residuals"] = residual_figure(groups, _common_axes(results), evaluation["confidence"])
+    parts += [
+        sections.histories({group: [f.name for f in flights] for group, flights in groups.items()}, bins),
+        sections.envelope(),
+        sections.residuals(evaluation["confidence"]),
+        sections.model(model),
+        sections.definitions(evaluation),
+    ]
+    template = Template(resources.files("quadpi_core.report").joinpath("page.html").read_text("utf-8"))
+    page = template.substitute(
+        title=escape(f"quadpi: {evaluation['model']}"),
+        plotly=get_plotlyjs(),
+        body="\n".join(parts),
+        figures=_json_for_script(figures),
+    )
+    with whole_output(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _histories(
+    groups: Mapping[str, Sequence[FlightResult]], evaluation: Mapping[str, Any], bins: int
+) -> dict[str, go.Figure]:
+    """One figure per flight; a flight of several groups has the colour of the first."""
+    figures: dict[str, go.Figure] = {}
+    for (_, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
+        for flight in flights:
+            name = sections.history_name(flight.name)
+            if name not in figures:
+                metrics = evaluation["flights"][flight.name]["axes"]
+                figures[name] = time_history_figure(flight, metrics, colour, bins)
+    return figures
+
+
+def _common_axes(results: Sequence[FlightResult]) -> list[str]:
+    return [axis for axis in AXES if all(axis in result.axes for result in results)]
+
+
+def _history_bins(results: Sequence[FlightResult]) -> int:
+    """Parts to cut each flight into; fewer for many flights, so that the page stays small."""
+    lines = _LINES_PER_AXIS * sum(len(result.axes) for result in results)
+    return max(_FEWEST_BINS, min(_MOST_BINS, _DRAWN_SAMPLES // (2 * max(1, lines))))
+
+
+def _json_for_script(figures: Mapping[str, go.Figure]) -> str:
+    """Figures as JSON that cannot end the script element that holds it."""
+    entries = (f"{json.dumps(name)}:{figure.to_json()}" for name, figure in figures.items())
+    return "{" + ",".join(entries).replace("<", "\\u003c") + "}"

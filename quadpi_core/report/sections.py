@@ -1,0 +1,257 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The sections of the page as HTML; every name that comes from outside is escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from quadpi_core.flight import AXES
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.report.live import LiveReplay
+from quadpi_core.report.style import (
+    covers_too_little,
+    determination,
+    group_colours,
+    number,
+    percent,
+    percent_range,
+    unit,
+)
+from quadpi_core.report.tables import selection_cells
+
+
+def verdict(evaluation: Mapping[str, Any]) -> str:
+    """One sentence: on which groups the intervals hold, and on which they cover too little, how badly."""
+    confidence = evaluation["confidence"]
+    holding, clauses = [], []
+    for group, part in evaluation["groups"].items():
+        axes = part["axes"]
+        short = {a: m["picp"] for a, m in axes.items() if covers_too_little(m, confidence)}
+        if short:
+            worst = min(short, key=lambda axis: short[axis])
+            extent = f"{len(short)} of {len(axes)} axes; {worst} covers {percent(short[worst])}"
+            clauses.append(f"fall short on {group} ({extent})")
+        else:
+            holding.append(group)
+    if holding:
+        clauses.insert(0, f"hold on {' and '.join(holding)}")
+    if not clauses:
+        return f"{100 * confidence:g} % prediction intervals, flight by flight."
+    return f"{100 * confidence:g} % prediction intervals {', but '.join(clauses)}."
+
+
+def header(evaluation: Mapping[str, Any], model: AerodynamicModel) -> str:
+    """Verdict, and which model of which vehicle it is about."""
+    facts = {
+        "model": evaluation["model"],
+        "vehicle": evaluation["vehicle"],
+        "settings": model.settings,
+        "low-pass": f"{model.cutoff_hz:g} Hz",
+        "identified on": f"{len(model.flights)} flights",
+        "evaluated on": f"{len(evaluation['flights'])} flights",
+    }
+    entries = "".join(f"<div><dt>{key}</dt><dd>{escape(value)}</dd></div>" for key, value in facts.items())
+    return (
+        "<header><h1>quadpi · how far can this model be trusted?</h1>"
+        f'<p class="verdict">{escape(verdict(evaluation))}</p><dl class="facts">{entries}</dl></header>'
+    )
+
+
+def coverage(evaluation: Mapping[str, Any]) -> str:
+    """PICP and MPIW per axis and group, the figure, and all metrics folded away."""
+    nominal = f"{100 * evaluation['confidence']:g} %"
+    details = "".join(
+        f"<details><summary>All metrics by {kind}</summary>{_metrics_table(evaluation, kind + 's')}</details>"
+        for kind in ("group", "flight")
+    )
+    overview = _coverage_table(evaluation) + _figure("coverage") if evaluation["groups"] else ""
+    return _section(
+        "Coverage and width",
+        f"PICP: share of measurements inside the {nominal} prediction interval, with its 95 % confidence "
+        "interval for autocorrelated samples. MPIW: mean width of the interval. Marked ▼ where the "
+        f"confidence interval lies below {nominal}.",
+        f'<div class="pair">{overview}</div>{details}',
+    )
+
+
+def histories(flights: Mapping[str, Sequence[str]], bins: int) -> str:
+    """Time histories with a selector of the flight."""
+    options = "".join(
+        f'<optgroup label="{escape(group)}">'
+        + "".join(f'<option value="{escape(history_name(name))}">{escape(name)}</option>' for name in names)
+        + "</optgroup>"
+        for group, names in flights.items()
+    )
+    first = next(name for names in flights.values() for name in names)
+    return _section(
+        "Time histories",
+        "Measured wrench (grey), prediction (line) and prediction interval (band); body axes "
+        "forward-right-down, gravity not included. Drag to zoom all axes together, double-click to reset. "
+        f"Long flights are thinned for display: of each of {bins} equal parts of a flight the lowest and "
+        "highest samples are drawn, so peaks are kept. Metrics use all samples.",
+        f'<label>Flight <select id="flight">{options}</select></label>'
+        f'<div class="figure" id="history" data-figure="{escape(history_name(first))}"></div>',
+    )
+
+
+def envelope() -> str:
+    """Distributions of the inputs."""
+    return _section(
+        "Training envelope",
+        "Where each group flew: share of samples by input. The shaded range is what the training flights "
+        "covered; outside it the model extrapolates.",
+        _figure("envelope"),
+    )
+
+
+def residuals(confidence: float) -> str:
+    """Residuals against airspeed."""
+    return _section(
+        "Residuals against airspeed",
+        f"Band: the central {100 * confidence:g} % of measured − predicted at that speed. Dashed: the mean "
+        "prediction interval there. Where the band leaves the dashed lines, the interval is too narrow.",
+        _figure("residuals"),
+    )
+
+
+def live(replay: LiveReplay) -> str:
+    """Statistics of the live replay and its timeline."""
+    s = replay.statistics
+    first = s["alarm_first_s"]
+    tiles = {
+        "first alarm": "none" if first is None else f"{first:.2f} s",
+        "time in alarm": _optional(s["alarm_fraction"], percent),
+        "samples in": _optional(s["samples_in"], _count),
+        "predictions out": _optional(s["predictions_out"], _count),
+        "dropped": _optional(s["dropped"], _count),
+        "latency, median": _optional(s["latency_ms_p50"], _milliseconds),
+        "latency, 99 %": _optional(s["latency_ms_p99"], _milliseconds),
+    }
+    boxes = "".join(f'<div class="tile"><b>{escape(v)}</b><span>{k}</span></div>' for k, v in tiles.items())
+    return _section(
+        "Live replay",
+        f"Flight {escape(replay.flight)} through the live nodes: the alarm level, the evidence over its "
+        "threshold (1 is the limit that training sets), and the inputs outside the training envelope.",
+        f'<div class="tiles">{boxes}</div>{_figure("alarm")}',
+    )
+
+
+def model(held: AerodynamicModel) -> str:
+    """Terms of each axis as stepwise selection took them, folded away."""
+    tables = "".join(
+        f"<details><summary>{axis}: {sum(row['coefficient'] is not None for row in log)} terms</summary>"
+        f"{_selection_table(log)}</details>"
+        for axis, log in held.selection.items()
+    )
+    flights = ", ".join(f"{flight.name} ({flight.samples} samples)" for flight in held.flights)
+    return _section("Identified model", f"Training flights: {escape(flights)}.", tables)
+
+
+def definitions(evaluation: Mapping[str, Any]) -> str:
+    """What the metrics mean."""
+    alpha = f"{1 - evaluation['confidence']:.3g}"
+    ranges = ", ".join(
+        f"{axis} {number(extent)} {unit(axis)}" for axis, extent in evaluation["training_range"].items()
+    )
+    entries = {
+        "PICP and its interval": "Clopper–Pearson at the effective sample size that a block bootstrap within "
+        "flights gives. It holds for these flights; flights to come differ more than samples do.",
+        "NMPIW": f"MPIW over the range of the measured training data: {ranges}.",
+        "Winkler score": f"Mean of width + 2/α · distance outside, α = {alpha}; lower is better.",
+        "n_eff": "Number of independent samples that the autocorrelated prediction errors are worth.",
+    }
+    text = "".join(f"<dt>{key}</dt><dd>{value}</dd>" for key, value in entries.items())
+    return f"<footer><dl>{text}</dl><p>quadpi {escape(evaluation['quadpi_version'])}</p></footer>"
+
+
+def history_name(flight: str) -> str:
+    """Name of the figure that shows a flight."""
+    return f"history {flight}"
+
+
+def _coverage_table(evaluation: Mapping[str, Any]) -> str:
+    groups = evaluation["groups"]
+    axes = [axis for axis in AXES if any(axis in part["axes"] for part in groups.values())]
+    top = "".join(
+        f'<th colspan="3" class="group" style="--group: {colour}">{escape(group)}</th>'
+        for group, colour in group_colours(groups).items()
+    )
+    second = '<th class="start">PICP</th><th>95 % CI</th><th>MPIW</th>' * len(groups)
+    head = f"<tr><th></th><th></th>{top}</tr><tr><th>axis</th><th></th>{second}</tr>"
+    rows = []
+    for axis in axes:
+        cells = [f'<td>{axis}</td><td class="unit">{unit(axis)}</td>']
+        for part in groups.values():
+            metrics = part["axes"].get(axis)
+            if metrics is None:
+                cells.append('<td class="start">–</td><td></td><td></td>')
+                continue
+            cells.append(
+                f"{_coverage_cell(metrics, evaluation['confidence'])}"
+                f'<td class="ci">{percent_range(metrics["picp_ci"])}</td><td>{number(metrics["mpiw"])}</td>'
+            )
+        rows.append("".join(cells))
+    return _table(head, rows)
+
+
+def _metrics_table(evaluation: Mapping[str, Any], kind: str) -> str:
+    headings = ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "Winkler", "n", "n_eff")
+    head = f'<tr><th>{kind[:-1]}</th><th class="text">axis</th>{_cells("th", headings)}</tr>'
+    rows = [
+        f'<td>{escape(name)}</td><td class="text">{axis} <span class="unit">[{unit(axis)}]</span></td>'
+        + _coverage_cell(metrics, evaluation["confidence"])
+        + f'<td class="ci">{percent_range(metrics["picp_ci"])}</td>'
+        + _cells("td", (number(metrics["mpiw"]), percent(metrics["nmpiw"])))
+        + _cells("td", (number(metrics["rmse"]), determination(metrics["r2"]), number(metrics["winkler"])))
+        + _cells("td", (_count(metrics["n"]), _count(metrics["n_eff"])))
+        for name, part in evaluation[kind].items()
+        for axis, metrics in part["axes"].items()
+    ]
+    return _table(head, rows)
+
+
+def _selection_table(log: Sequence[Mapping[str, Any]]) -> str:
+    rows = []
+    for row in log:
+        term, *numbers = (escape(cell) for cell in selection_cells(row))
+        rows.append(f'<td class="term">{term}</td>{_cells("td", numbers)}')
+    head = f"<tr><th>term</th>{_cells('th', ('coefficient', 'R² reached', 'criterion'))}</tr>"
+    return _table(head, rows)
+
+
+def _coverage_cell(metrics: Mapping[str, Any], confidence: float) -> str:
+    if covers_too_little(metrics, confidence):
+        return f'<td class="start short">▼ {percent(metrics["picp"])}</td>'
+    return f'<td class="start">{percent(metrics["picp"])}</td>'
+
+
+def _section(title: str, caption: str, content: str) -> str:
+    return f'<section><h2>{title}</h2><p class="caption">{caption}</p>{content}</section>'
+
+
+def _figure(name: str) -> str:
+    return f'<div class="figure" data-figure="{name}"></div>'
+
+
+def _table(head: str, rows: Iterable[str]) -> str:
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+
+
+def _cells(tag: str, texts: Iterable[str]) -> str:
+    return "".join(f"<{tag}>{text}</{tag}>" for text in texts)
+
+
+def _optional(value: float | None, text: Any) -> str:
+    return "–" if value is None else str(text(value))
+
+
+def _count(value: float) -> str:
+    return f"{value:,.0f}".replace(",", "\u202f")
+
+
+def _milliseconds(value: float) -> str:
+    return f"{value:.2f} ms"

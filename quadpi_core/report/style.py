@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How figures and numbers look; colours from the colour-blind safe set of Okabe and Ito."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+MEASURED = "#7a7f87"
+GROUPS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LEVELS = {"ok": "#009E73", "warning": "#E69F00", "alarm": "#D55E00"}
+INK = "#1f2933"
+RULE = "#e4e7eb"
+TRAINING = "#e9edf2"
+
+INPUT_LABELS = {
+    "u": "u [m/s]",
+    "v": "v [m/s]",
+    "w": "w [m/s]",
+    "v_in": "v<sub>in</sub> [m/s]",
+    "p": "p [rad/s]",
+    "q": "q [rad/s]",
+    "r": "r [rad/s]",
+    "omega_avg": "ω<sub>avg</sub> [rad/s]",
+    "sin_phi": "sin φ",
+    "cos_phi": "cos φ",
+    "sin_theta": "sin θ",
+    "cos_theta": "cos θ",
+    "U_p": "U<sub>p</sub> [rad/s]",
+    "U_q": "U<sub>q</sub> [rad/s]",
+    "U_r": "U<sub>r</sub> [rad/s]",
+    "mu_x": "μ<sub>x</sub>",
+    "mu_y": "μ<sub>y</sub>",
+    "mu_z": "μ<sub>z</sub>",
+    "mu_v_in": "μ<sub>v,in</sub>",
+    "speed": "airspeed [m/s]",
+}
+
+
+def group_colours(groups: Iterable[str]) -> dict[str, str]:
+    """A colour per group, in order; after the last they start again."""
+    return {name: GROUPS[i % len(GROUPS)] for i, name in enumerate(groups)}
+
+
+def translucent(colour: str, opacity: float) -> str:
+    """A colour #rrggbb as rgba()."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red}, {green}, {blue}, {opacity})"
+
+
+def unit(axis: str) -> str:
+    """Unit of an axis of the wrench."""
+    return "N" if axis.startswith("F") else "Nm"
+
+
+def percent(fraction: float) -> str:
+    """A fraction as percent with one decimal; rounding never makes 100 or 0 of what is not."""
+    if 0.9995 <= fraction < 1.0:
+        return "> 99.9 %"
+    if 0.0 < fraction < 0.0005:
+        return "< 0.1 %"
+    return f"{100.0 * fraction:.1f} %"
+
+
+def percent_range(interval: list[float]) -> str:
+    """A confidence interval of a fraction in percent."""
+    low, high = interval
+    return f"{100.0 * low:.1f}–{100.0 * high:.1f} %"
+
+
+def number(value: float | None) -> str:
+    """Three significant digits; a dash for what is undefined."""
+    if value is None:
+        return "–"
+    if value != 0.0 and not 1e-3 <= abs(value) < 1e5:
+        return f"{value:.2e}"
+    return f"{value:#.3g}".rstrip(".") if abs(value) < 999.5 else f"{value:.0f}"
+
+
+def determination(r2: float | None) -> str:
+    """R² with three decimals; a dash where it is undefined."""
+    return "–" if r2 is None else f"{r2:.3f}"
+
+
+def covers_too_little(metrics: Mapping[str, Any], confidence: float) -> bool:
+    """Whether the confidence interval of the coverage lies below the nominal coverage."""
+    return bool(metrics["picp_ci"][1] < confidence)

@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from quadpi_core.report.style import covers_too_little, determination, number, percent, percent_range, unit
+
+
+def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
+    """Coverage and width per group and axis; coverage below the nominal level is marked.
+
+    Args:
+        evaluation: as :func:`quadpi_core.intervals.evaluate.evaluate_flights` gives it.
+    """
+    confidence = evaluation["confidence"]
+    table = Table(
+        title=f"{evaluation['model']}: {percent(confidence)} prediction intervals", box=box.SIMPLE_HEAD
+    )
+    table.add_column("group")
+    table.add_column("axis")
+    for heading in ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "Winkler", "n", "n_eff"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for group, part in evaluation["groups"].items():
+        for axis, metrics in part["axes"].items():
+            short = covers_too_little(metrics, confidence)
+            coverage = Text(
+                ("▼ " if short else "") + percent(metrics["picp"]), style="bold red" if short else ""
+            )
+            table.add_row(
+                Text(group),
+                f"{axis} [dim]{unit(axis)}[/dim]",
+                coverage,
+                percent_range(metrics["picp_ci"]),
+                number(metrics["mpiw"]),
+                percent(metrics["nmpiw"]),
+                number(metrics["rmse"]),
+                determination(metrics["r2"]),
+                number(metrics["winkler"]),
+                str(metrics["n"]),
+                number(metrics["n_eff"]),
+            )
+        table.add_section()
+    if any(
+        covers_too_little(metrics, confidence)
+        for part in evaluation["groups"].values()
+        for metrics in part["axes"].values()
+    ):
+        table.caption = f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
+    return table
+
+
+def selection_table(log: Sequence[Mapping[str, Any]], title: str = "") -> Table:
+    """The steps of stepwise selection: term, coefficient, R² reached with it, criterion.
+
+    Args:
+        log: rows as :meth:`quadpi_core.models.polynomial.StepwisePolynomial.selection_log` gives them.
+        title: for example the axis.
+    """
+    table = Table(title=title or None, box=box.SIMPLE_HEAD)
+    table.add_column("term")
+    for heading in ("coefficient", "R²", "criterion"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in log:
+        table.add_row(*(Text(cell) for cell in selection_cells(row)), style="dim" if row["fixed"] else "")
+    return table
+
+
+def selection_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """One row of a selection log as text; a term that the final model does not hold has no coefficient."""
+    coefficient, r2, score = row["coefficient"], row["r2"], row.get("criterion")
+    return (
+        row["term"] + (f" (removed {', '.join(row['removed'])})" if row.get("removed") else ""),
+        "–" if coefficient is None else f"{coefficient:.4e}",
+        "" if r2 is None else f"{r2:.4f}",
+        "" if score is None else number(score),
+    )

@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Three synthetic flights, a model that knows two of them, and their evaluation."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from quadpi_core.flight import AXES
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.intervals.evaluate import FlightResult, evaluate_flights
+from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.report.live import LiveReplay
+
+
+def flight_result(name, speed, seed, samples=3000):
+    rng = np.random.default_rng(seed)
+    time = np.arange(samples) / 400
+    inputs = 0.1 * rng.standard_normal((samples, len(INPUT_NAMES)))
+    inputs[:, INPUT_INDEX["u"]] = speed * np.abs(np.sin(time))
+    predicted = np.sin(time[:, None] + np.arange(6))
+    half_width = 0.5 + 0.02 * inputs[:, [INPUT_INDEX["u"]]]
+    errors = rng.normal(0, 0.25 * (1 + (speed > 10) * 2), (samples, 6))
+    return FlightResult(
+        name,
+        AXES,
+        time,
+        predicted + errors,
+        predicted,
+        predicted - half_width,
+        predicted + half_width,
+        inputs,
+    )
+
+
+@pytest.fixture
+def case():
+    results = [flight_result("slow", 3, 0), flight_result("mid", 8, 1), flight_result("fast<b>", 14, 2)]
+    training = results[:2]
+    inputs = np.vstack([result.inputs for result in training])
+    labels = np.repeat([0, 1], [len(result) for result in training])
+    ones = np.ones((len(inputs), 6))
+    step = {"term": "mu_x * omega_avg", "coefficient": 1.5, "r2": 0.9, "fixed": False, "criterion": 0.1}
+    out = {"term": "p", "coefficient": None, "r2": 0.95, "fixed": False, "criterion": 0.2}
+    bias = {"term": "1", "coefficient": -0.2, "r2": None, "fixed": True}
+    model = AerodynamicModel(
+        name="m",
+        vehicle="v",
+        settings="default",
+        cutoff_hz=15.0,
+        confidence=0.95,
+        polynomials={},
+        envelope=Envelope.fit(inputs, labels, ones, ones),
+        training_range=dict.fromkeys(AXES, 2.0),
+        flights=tuple(TrainingFlight(result.name, "0" * 64, len(result)) for result in training),
+        selection={axis: [bias, step, out] for axis in AXES},
+    )
+    evaluation = evaluate_flights(
+        results,
+        {"known": ["slow", "mid"], "new & fast": ["fast<b>"]},
+        model.training_range,
+        0.95,
+        model="m-123456789abc",
+        vehicle="v",
+    )
+    level = np.array([0, 0, 1, 2, 2, 0], dtype=np.uint8)
+    live = LiveReplay(
+        flight="fast<b>",
+        statistics={
+            "samples_in": 6000,
+            "predictions_out": 2990,
+            "dropped": 0,
+            "alarm_fraction": 0.25,
+            "alarm_first_s": 3.25,
+            "latency_ms_p50": 1.0,
+            "latency_ms_p99": 4.0,
+        },
+        time=np.arange(6.0),
+        level=level,
+        leverage=np.outer(level + 0.5, np.ones(6)),
+        width=np.zeros((6, 6)),
+        inputs_outside=[(), ("mu_x",), ("u", "mu_x"), ("u", "mu_x"), (), ()],
+    )
+    return SimpleNamespace(results=results, model=model, evaluation=evaluation, live=live)

@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+import json
+import re
+from copy import deepcopy
+from html.parser import HTMLParser
+
+import pytest
+
+from quadpi_core.report.html import write_report
+from quadpi_core.report.sections import verdict
+
+VOID = {"meta", "br", "link", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Collects tags, text outside scripts and the content of scripts; refuses tags that do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.scripts, self.text = [], [], [], ""
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script":
+            self.scripts[-1] += data
+        else:
+            self.text += data
+
+
+@pytest.fixture
+def page(case, tmp_path):
+    path = tmp_path / "report.html"
+    write_report(path, case.evaluation, case.results, case.model, case.live)
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def test_page_needs_nothing_from_outside(page):
+    for tag, attributes in page.tags:
+        assert tag not in {"link", "img", "iframe"}
+        assert not {"src", "href"} & set(attributes)
+    bundle, *own = page.scripts
+    assert "plotly" in bundle[:200]
+    assert not any("://" in text for text in (*own, page.text))
+    assert not re.search(r"url\(|@import", page.text)
+
+
+def test_every_figure_that_the_page_names_is_there(page):
+    figures = json.loads(page.scripts[1])
+    named = {attributes["data-figure"] for _, attributes in page.tags if "data-figure" in attributes}
+    flights = {attributes["value"] for tag, attributes in page.tags if tag == "option"}
+    assert flights == {"history slow", "history mid", "history fast<b>"}
+    assert named | flights == set(figures)
+    assert all(figure["data"] for figure in figures.values())
+
+
+def test_names_from_outside_are_escaped(page):
+    assert "fast<b>" in page.text
+    assert "new & fast" in page.text
+    assert "<" not in page.scripts[1]
+
+
+def test_short_coverage_is_marked_and_only_there(page):
+    short = [attributes for tag, attributes in page.tags if attributes.get("class") == "start short"]
+    # Six axes of the fast flight, in the overview, by group and by flight.
+    assert len(short) == 18
+    assert page.text.count("▼") == 18 + 1
+
+
+def test_page_stays_small_and_is_written_whole(case, tmp_path):
+    path = tmp_path / "new" / "report.html"
+    write_report(path, case.evaluation, case.results, case.model)
+    assert path.stat().st_size < 8e6
+    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+
+
+def test_a_page_that_fails_leaves_the_old_one(case, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    broken = deepcopy(case.evaluation)
+    del broken["flights"]["slow"]
+    with pytest.raises(KeyError):
+        write_report(path, broken, case.results, case.model)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_flights_without_a_group_are_shown_too(case, tmp_path):
+    path = tmp_path / "report.html"
+    evaluation = case.evaluation | {"groups": {}}
+    write_report(path, evaluation, case.results, case.model)
+    text = Page(path.read_text(encoding="utf-8")).text
+    assert "95 % prediction intervals, flight by flight." in text
+    assert "slow" in text
+
+
+def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
+    axes = case.evaluation["groups"]["new & fast"]["axes"]
+    worst = min(axes, key=lambda axis: axes[axis]["picp"])
+    assert verdict(case.evaluation) == (
+        "95 % prediction intervals hold on known, but fall short on new & fast "
+        f"(6 of 6 axes; {worst} covers {100 * axes[worst]['picp']:.1f} %)."
+    )
