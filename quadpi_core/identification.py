@@ -17,7 +17,8 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.intervals.evaluate import FlightResult
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.inspect import check_plausible, find_duplicates, recording_hash
+from quadpi_core.logs.duplicates import find_duplicates, recording_hash
+from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.kernel import CompiledPolynomials
 from quadpi_core.models.polynomial import FittedPolynomial, StepwisePolynomial

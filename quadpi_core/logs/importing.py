@@ -11,7 +11,8 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.logs.inspect import check_plausible, find_duplicates
+from quadpi_core.logs.duplicates import find_duplicates
+from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.vehicle import Vehicle
 
 

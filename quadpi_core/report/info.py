@@ -55,9 +55,9 @@ def inspection_tables(inspection: Inspection) -> list[Table]:
 
 def _topic_table(inspection: Inspection) -> Table:
     vehicle = inspection.vehicle or "not given"
-    table = Table(title=f"{inspection.name} · vehicle {vehicle}", box=box.SIMPLE_HEAD)
+    table = Table(title=f"{inspection.name} · vehicle {vehicle}", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("topic", no_wrap=True)
-    for heading in ("samples", "s", "Hz", "±ms", "gaps", "max ms", "bad stamps", "NaN"):
+    for heading in ("samples", "s", "Hz", "±ms", "gaps", "max ms", "unsorted", "NaN"):
         table.add_column(heading, justify="right", no_wrap=True)
     for topic in inspection.topics:
         table.add_row(
@@ -71,7 +71,7 @@ def _topic_table(inspection: Inspection) -> Table:
             _count(topic.repeated + topic.backward),
             _count(topic.not_finite),
         )
-    table.caption = "±ms: jitter of the intervals; max ms: the longest interval"
+    table.caption = "±ms: jitter of the intervals; max ms: the longest; unsorted: repeated or backward stamps"
     return table
 
 
