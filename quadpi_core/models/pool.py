@@ -70,8 +70,11 @@ def expand_family(text: str) -> list[Regressor]:
     match = _FAMILY.fullmatch(text.strip())
     if match is None:
         raise ModelError(f"candidates {text!r}: expected the form P^3(u, |v|, w)·{{1, omega_avg}}")
-    variables = [parse_monomial(v) for v in match["variables"].split(",")]
-    factors = [parse_monomial(f) for f in (match["factors"] or "1").split(",")]
+    try:
+        variables = [parse_monomial(v) for v in match["variables"].split(",")]
+        factors = [parse_monomial(f) for f in (match["factors"] or "1").split(",")]
+    except ModelError as error:
+        raise ModelError(f"candidates {text!r}: {error}") from error
     return [
         Regressor(((1.0, monomial_product(factor, *chosen)),))
         for factor in factors

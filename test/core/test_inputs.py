@@ -1,0 +1,246 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadpi_core.flight import Flight
+from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.inputs import (
+    INPUT_INDEX,
+    INPUT_NAMES,
+    ROTORS_AT_REST_RAD_S,
+    aerodynamic_inputs,
+    flight_inputs,
+    induced_velocity,
+)
+from quadpi_core.vehicle import Vehicle
+
+HOVER = 4.6  # m/s, the scale of the induced velocity of a small quadrotor
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def bebop() -> Vehicle:
+    return Vehicle.load("bebop2")
+
+
+def columns(inputs: Array, *names: str) -> Array:
+    return inputs[:, [INPUT_INDEX[name] for name in names]]
+
+
+def inputs_of(
+    vehicle: Vehicle,
+    velocity: Array | None = None,
+    attitude: Array | None = None,
+    rates: Array | None = None,
+    rotor_speeds: Array | None = None,
+) -> Array:
+    """Inputs with whatever is not given in level hover at 600 rad/s; N from what is given."""
+    given = [values for values in (velocity, attitude, rates, rotor_speeds) if values is not None]
+    count = len(given[0])
+    return aerodynamic_inputs(
+        np.zeros((count, 3)) if velocity is None else velocity,
+        np.tile(LEVEL, (count, 1)) if attitude is None else attitude,
+        np.zeros((count, 3)) if rates is None else rates,
+        np.full((count, 4), 600.0) if rotor_speeds is None else rotor_speeds,
+        vehicle,
+    )
+
+
+def random_state(rng: np.random.Generator, count: int) -> tuple[Array, Array, Array, Array]:
+    return (
+        rng.normal(scale=8.0, size=(count, 3)),
+        Rotation.random(count, rng=rng).as_quat(scalar_first=True),
+        rng.normal(scale=5.0, size=(count, 3)),
+        rng.uniform(0.0, 1200.0, size=(count, 4)),
+    )
+
+
+def regimes() -> dict[str, Array]:
+    rng = np.random.default_rng(1)
+    along = np.linspace(0.0, 30.0, 301)
+    zero = np.zeros_like(along)
+    near_hover = rng.normal(scale=1e-6, size=(300, 3))
+    return {
+        "hover": np.zeros((1, 3)),
+        "near hover": near_hover,
+        "climb": np.stack((zero, zero, -along), axis=1),
+        "descent": np.stack((zero, zero, along), axis=1),
+        "descent, slightly sideways": np.stack((zero + 1e-3, zero, along), axis=1),
+        "forward": np.stack((along, zero, zero), axis=1),
+        "random": rng.normal(scale=10.0, size=(3000, 3)),
+    }
+
+
+@pytest.mark.parametrize("regime", regimes())
+def test_induced_velocity_satisfies_the_momentum_equation(regime: str) -> None:
+    velocity = regimes()[regime]
+    v_in = induced_velocity(velocity, HOVER)
+    in_plane = np.hypot(velocity[:, 0], velocity[:, 1])
+    # Eq. 8 multiplied out, so that a descent at v_in = w divides by nothing; in units of v_h.
+    through = np.hypot(in_plane, v_in - velocity[:, 2])
+    assert np.all(np.abs(v_in * through / HOVER**2 - 1.0) <= 1e-10)
+
+
+@pytest.mark.parametrize("regime", regimes())
+def test_induced_velocity_is_the_largest_root(regime: str) -> None:
+    velocity = regimes()[regime]
+    for (u, v, w), v_in in zip(velocity, induced_velocity(velocity, HOVER), strict=True):
+        a, b = (u * u + v * v) / HOVER**2, w / HOVER
+        roots = np.roots([1.0, -2.0 * b, a + b * b, 0.0, -1.0])
+        real = roots[np.abs(roots.imag) < 1e-9].real
+        assert v_in / HOVER == pytest.approx(real.max(), rel=1e-7)
+
+
+def test_induced_velocity_in_hover_is_that_of_momentum_theory(bebop: Vehicle) -> None:
+    disc_area = 4 * np.pi * bebop.rotor_radius_m**2
+    expected = np.sqrt(bebop.mass_kg * bebop.gravity_m_s2 / (2 * bebop.air_density_kg_m3 * disc_area))
+    (v_in,) = inputs_of(bebop, velocity=np.zeros((1, 3)))[:, INPUT_INDEX["v_in"]]
+    assert v_in == pytest.approx(expected, rel=1e-14)
+
+
+def test_induced_velocity_falls_in_climb_and_with_airspeed_and_rises_in_descent() -> None:
+    w = np.linspace(-15.0, 0.9 * HOVER, 200)
+    axial = induced_velocity(np.stack((np.zeros(200), np.zeros(200), w), axis=1), HOVER)
+    assert np.all(np.diff(axial) > 0.0)
+    u = np.linspace(0.0, 20.0, 200)
+    forward = induced_velocity(np.stack((u, np.zeros(200), np.zeros(200)), axis=1), HOVER)
+    assert np.all(np.diff(forward) < 0.0)
+
+
+def test_whole_flight_equals_sample_by_sample(bebop: Vehicle) -> None:
+    state = random_state(np.random.default_rng(2), 50)
+    together = aerodynamic_inputs(*state, bebop)
+    one_by_one = [aerodynamic_inputs(*(part[i : i + 1] for part in state), bebop) for i in range(50)]
+    np.testing.assert_array_equal(together, np.concatenate(one_by_one))
+
+
+def test_control_moments_of_the_papers_numbering(bebop: Vehicle) -> None:
+    """Rotor 1 front left, 2 front right, 3 rear right, 4 rear left (Eq. 5 to 7)."""
+    rotor_speeds = np.random.default_rng(3).uniform(300.0, 1000.0, size=(20, 4))
+    w1, w2, w3, w4 = rotor_speeds.T
+    first_rotor = -1.0  # the Bebop's first rotor turns counterclockwise
+    expected = np.stack(
+        (
+            (w1 + w4) - (w2 + w3),
+            (w1 + w2) - (w3 + w4),
+            first_rotor * ((w1 + w3) - (w2 + w4)),
+        ),
+        axis=1,
+    )
+    inputs = inputs_of(bebop, rotor_speeds=rotor_speeds)
+    np.testing.assert_allclose(columns(inputs, "U_p", "U_q", "U_r"), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [(1, 2, 3, 0), (3, 0, 2, 1), (2, 1, 0, 3)])
+def test_inputs_do_not_depend_on_the_order_of_the_rotors(bebop: Vehicle, order: tuple[int, ...]) -> None:
+    rotors = list(order)
+    permuted = replace(
+        bebop, rotor_positions=bebop.rotor_positions[rotors], rotor_spins=bebop.rotor_spins[rotors]
+    )
+    velocity, attitude, rates, rotor_speeds = random_state(np.random.default_rng(4), 20)
+    expected = aerodynamic_inputs(velocity, attitude, rates, rotor_speeds, bebop)
+    inputs = aerodynamic_inputs(velocity, attitude, rates, rotor_speeds[:, rotors], permuted)
+    np.testing.assert_allclose(inputs, expected, rtol=1e-12, atol=1e-9)
+
+
+def test_mean_rotor_speed_and_advance_ratios(bebop: Vehicle) -> None:
+    velocity, attitude, rates, rotor_speeds = random_state(np.random.default_rng(5), 20)
+    inputs = aerodynamic_inputs(velocity, attitude, rates, rotor_speeds, bebop)
+    omega_avg = np.sqrt((rotor_speeds**2).sum(axis=1) / 4)
+    np.testing.assert_allclose(inputs[:, INPUT_INDEX["omega_avg"]], omega_avg, rtol=1e-14)
+    tip_speed = omega_avg[:, None] * bebop.rotor_radius_m
+    moving = columns(inputs, "u", "v", "w", "v_in")
+    np.testing.assert_allclose(columns(inputs, "mu_x", "mu_y", "mu_z", "mu_v_in"), moving / tip_speed)
+    np.testing.assert_array_equal(columns(inputs, "u", "v", "w"), velocity)
+    np.testing.assert_array_equal(columns(inputs, "p", "q", "r"), rates)
+
+
+def test_rotors_at_rest_have_no_advance_ratio(bebop: Vehicle) -> None:
+    speeds = np.array([0.0, 0.5 * ROTORS_AT_REST_RAD_S, 1.001 * ROTORS_AT_REST_RAD_S])
+    inputs = inputs_of(
+        bebop, velocity=np.full((3, 3), 2.0), rotor_speeds=np.repeat(speeds[:, None], 4, axis=1)
+    )
+    ratios = columns(inputs, "mu_x", "mu_y", "mu_z", "mu_v_in")
+    assert np.all(np.isfinite(inputs))
+    assert np.all(ratios[:2] == 0.0)
+    assert np.all(ratios[2] > 0.0)
+
+
+def test_attitude_terms_are_those_of_the_rotation_matrix(bebop: Vehicle) -> None:
+    attitude = Rotation.random(500, rng=np.random.default_rng(6)).as_quat(scalar_first=True)
+    terms = columns(inputs_of(bebop, attitude=attitude), "sin_phi", "cos_phi", "sin_theta", "cos_theta")
+    sin_phi, cos_phi, sin_theta, cos_theta = terms.T
+    down_in_body = rotation_matrix(attitude)[:, 2, :]
+    expected = np.stack((-sin_theta, sin_phi * cos_theta, cos_phi * cos_theta), axis=1)
+    np.testing.assert_allclose(expected, down_in_body, atol=1e-12)
+    assert np.all(cos_theta >= 0.0)
+
+
+@pytest.mark.parametrize("pitch_deg", [-90.0, -89.999, -60.0, 0.0, 75.0, 89.9999, 90.0])
+def test_attitude_terms_of_euler_angles_up_to_the_vertical(bebop: Vehicle, pitch_deg: float) -> None:
+    yaw, pitch, roll = 0.7, np.radians(pitch_deg), -0.4
+    attitude = Rotation.from_euler("ZYX", [[yaw, pitch, roll]]).as_quat(scalar_first=True)
+    terms = columns(inputs_of(bebop, attitude=attitude), "sin_theta", "cos_theta", "sin_phi", "cos_phi")[0]
+    np.testing.assert_allclose(terms[:2], [np.sin(pitch), np.cos(pitch)], atol=3e-8)
+    assert np.hypot(terms[2], terms[3]) == pytest.approx(1.0, abs=1e-12)
+    if abs(pitch_deg) < 89.99999:
+        np.testing.assert_allclose(terms[2:], [np.sin(roll), np.cos(roll)], atol=1e-8)
+
+
+def test_the_same_attitude_by_either_quaternion(bebop: Vehicle) -> None:
+    attitude = Rotation.random(20, rng=np.random.default_rng(7)).as_quat(scalar_first=True)
+    np.testing.assert_array_equal(inputs_of(bebop, attitude=attitude), inputs_of(bebop, attitude=-attitude))
+
+
+def flight_of(vehicle: Vehicle, state: tuple[Array, Array, Array, Array], wind: Array) -> Flight:
+    velocity, attitude, rates, rotor_speeds = state
+    count = len(velocity)
+    return Flight(
+        name="flight",
+        vehicle=vehicle.name,
+        source="flight.csv",
+        start_ns=0,
+        time=np.arange(count) / 500.0,
+        position=np.zeros((count, 3)),
+        attitude=attitude,
+        velocity=velocity,
+        rates=rates,
+        angular_acceleration=np.zeros((count, 3)),
+        specific_force=np.zeros((count, 3)),
+        rotor_speeds=rotor_speeds,
+        wind=wind,
+    )
+
+
+def test_wind_is_subtracted_in_body_axes(bebop: Vehicle) -> None:
+    rng = np.random.default_rng(8)
+    velocity, attitude, rates, rotor_speeds = random_state(rng, 30)
+    wind = rng.normal(scale=5.0, size=(30, 3))
+    wind_in_body = Rotation.from_quat(attitude, scalar_first=True).apply(wind, inverse=True)
+    expected = aerodynamic_inputs(velocity - wind_in_body, attitude, rates, rotor_speeds, bebop)
+    flight = flight_of(bebop, (velocity, attitude, rates, rotor_speeds), wind)
+    np.testing.assert_allclose(flight_inputs(flight, bebop), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_vehicle_that_drifts_with_the_wind_feels_none(bebop: Vehicle) -> None:
+    _, attitude, rates, rotor_speeds = random_state(np.random.default_rng(9), 10)
+    wind = np.tile([3.0, -2.0, 0.5], (10, 1))
+    drifting = Rotation.from_quat(attitude, scalar_first=True).apply(wind, inverse=True)
+    inputs = flight_inputs(flight_of(bebop, (drifting, attitude, rates, rotor_speeds), wind), bebop)
+    np.testing.assert_allclose(columns(inputs, "u", "v", "w", "mu_x", "mu_y", "mu_z"), 0.0, atol=1e-12)
+    np.testing.assert_allclose(inputs[:, INPUT_INDEX["v_in"]], bebop.hover_induced_velocity, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e-3, 1.0, 1e3, 1e6])
+def test_finite_state_gives_finite_inputs(bebop: Vehicle, scale: float) -> None:
+    rng = np.random.default_rng(10)
+    velocity, attitude, rates, rotor_speeds = random_state(rng, 2000)
+    inputs = aerodynamic_inputs(velocity * scale, attitude, rates * scale, rotor_speeds * scale, bebop)
+    assert inputs.shape == (2000, len(INPUT_NAMES))
+    assert np.all(np.isfinite(inputs))
