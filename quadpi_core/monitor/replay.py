@@ -23,7 +23,7 @@ from quadpi_core.monitor.output import Alarms
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
-from quadpi_core.signals.fusion import nominal_rate
+from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.vehicle import Vehicle
 

@@ -1,0 +1,286 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError, ModelError, SignalError
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
+from quadpi_core.frames import rotate_world_to_body
+from quadpi_core.logs import messages
+from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
+from quadpi_core.logs.mcap import Bag
+from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM
+from quadpi_core.monitor.monitor import Monitor
+from quadpi_core.monitor.pairing import Pairing
+from quadpi_core.monitor.replay import replay
+from quadpi_core.signals.ekf import Ekf
+
+RATE_HZ = 500.0
+START_NS = 1_700_000_000_000_000_000
+FX = 0
+
+
+def stamps(seconds: float, rate_hz: float, offset_s: float = 0.0) -> np.ndarray:
+    return START_NS + np.round((offset_s + np.arange(0.0, seconds, 1.0 / rate_hz)) * 1e9).astype(np.int64)
+
+
+@pytest.fixture(scope="module")
+def with_odometry(samples) -> Recording:
+    """The flight of `samples`, its state known; rotor speeds between the IMU's stamps."""
+    count = len(samples.time_ns)
+    return Recording(
+        name="swings",
+        vehicle="neurobem",
+        source="swings",
+        imu=ImuStream(samples.time_ns, samples.rates, samples.specific_force),
+        rotor_speeds=RotorSpeedStream(samples.time_ns - 700_000, samples.rotor_speeds),
+        odometry=OdometryStream(
+            samples.time_ns, np.zeros((count, 3)), samples.attitude, samples.velocity, samples.rates
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def with_pose(vehicle) -> Recording:
+    """Level swings from side to side, seen by IMU and motion capture."""
+    rng = np.random.default_rng(5)
+    imu_ns, pose_ns, rotor_ns = stamps(6.0, RATE_HZ), stamps(6.0, 120.0, 0.001), stamps(6.0, 400.0, 0.0004)
+    phase = 2.0 * (imu_ns - START_NS) * 1e-9
+    specific_force = np.zeros((len(imu_ns), 3))
+    specific_force[:, 0] = -2.0 * np.sin(phase)
+    specific_force[:, 2] = -vehicle.gravity_m_s2
+    position = np.zeros((len(pose_ns), 3))
+    position[:, 0] = 0.5 * np.sin(2.0 * (pose_ns - START_NS) * 1e-9)
+    return Recording(
+        name="level",
+        vehicle="neurobem",
+        source="level",
+        imu=ImuStream(
+            imu_ns,
+            0.02 * rng.standard_normal((len(imu_ns), 3)),
+            specific_force + 0.3 * rng.standard_normal(specific_force.shape),
+        ),
+        rotor_speeds=RotorSpeedStream(rotor_ns, 1100.0 + 20.0 * rng.standard_normal((len(rotor_ns), 4))),
+        pose=PoseStream(
+            pose_ns,
+            position + 0.002 * rng.standard_normal(position.shape),
+            np.tile([1.0, 0.0, 0.0, 0.0], (len(pose_ns), 1)),
+        ),
+    )
+
+
+@pytest.fixture
+def bag_of(tmp_path):
+    def write(recording: Recording):
+        path = tmp_path / f"{recording.name}.mcap"
+        write_bag(path, recording)
+        return path
+
+    return write
+
+
+def test_replay_gives_what_the_monitor_gives(model, vehicle, samples, with_odometry, bag_of, tmp_path):
+    summary = replay(model, vehicle, bag_of(with_odometry), tmp_path / "out.mcap")
+    predictions, alarms = read_outputs(tmp_path / "out.mcap")
+
+    rotor_ns = samples.time_ns - 700_000
+    speeds = np.stack(
+        [
+            np.interp(samples.time_ns - START_NS, rotor_ns - START_NS, column)
+            for column in samples.rotor_speeds.T
+        ],
+        axis=1,
+    )
+    paired = samples._replace(rotor_speeds=speeds)
+    expected, _ = Monitor(model, vehicle, RATE_HZ).step(*(column[:-1] for column in paired))
+    for field in fields(expected):
+        np.testing.assert_allclose(
+            getattr(predictions, field.name), getattr(expected, field.name), rtol=1e-9, atol=1e-9
+        )
+    assert summary.samples_in == len(samples.time_ns)
+    assert summary.predictions_out == len(samples.time_ns) - 1
+    assert summary.dropped == 0
+    assert summary.alarm_first_s is None
+    assert summary.alarm_fraction == 0.0
+    assert not alarms.level.any()
+
+
+def test_the_same_bytes_each_time(model, vehicle, with_pose, bag_of, tmp_path):
+    bag = bag_of(with_pose)
+    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+    replay(model, vehicle, bag, first)
+    replay(model, vehicle, bag, second)
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_leaving_the_envelope_is_in_the_bag_and_the_summary(model, vehicle, with_odometry, bag_of, tmp_path):
+    odometry = with_odometry.odometry
+    velocity = odometry.velocity.copy()
+    velocity[2500:3500, 0] += 15.0
+    bag = bag_of(replace(with_odometry, odometry=replace(odometry, velocity=velocity)))
+    summary = replay(model, vehicle, bag, tmp_path / "out.mcap")
+    _, alarms = read_outputs(tmp_path / "out.mcap")
+
+    assert summary.alarm_first_s == pytest.approx(5.13, abs=0.05)
+    assert summary.alarm_fraction == pytest.approx(0.24, abs=0.03)
+    raised = int(np.argmax(alarms.level == LEVEL_ALARM))
+    assert alarms.causes[raised] == EXTRAPOLATION
+    assert {"u", "mu_x"} <= set(alarms.inputs_outside[raised])
+    assert alarms.envelope_distance[raised] > 0.5
+
+
+def test_replay_equals_the_live_path_sample_by_sample(model, vehicle, with_pose, bag_of, tmp_path):
+    replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap")
+    replayed, _ = read_outputs(tmp_path / "out.mcap")
+
+    recording = read_bag(tmp_path / "level.mcap", vehicle)
+    imu, pose, rotors = recording.imu, recording.pose, recording.rotor_speeds
+    ekf, pairing, monitor = Ekf(vehicle, RATE_HZ), Pairing(), Monitor(model, vehicle, RATE_HZ)
+    order = sorted(
+        [(t, 0, i) for i, t in enumerate(imu.time_ns)]
+        + [(t, 1, i) for i, t in enumerate(pose.time_ns)]
+        + [(t, 2, i) for i, t in enumerate(rotors.time_ns)]
+    )
+    live = []
+    for time_ns, kind, i in order:
+        if kind == 0:
+            ekf.predict(int(time_ns), imu.angular_velocity[i], imu.specific_force[i])
+            pairing.add_imu(int(time_ns), imu.specific_force[i])
+            if ekf.initialised:
+                state = ekf.state
+                velocity = rotate_world_to_body(state.attitude, state.velocity)
+                rates = imu.angular_velocity[i] - state.gyro_bias
+                pairing.add_state(int(time_ns), velocity, state.attitude.copy(), rates)
+        elif kind == 1:
+            ekf.update_pose(int(time_ns), pose.position[i], pose.attitude[i])
+        else:
+            pairing.add_rotor_speeds(int(time_ns), rotors.speeds[i])
+        paired = pairing.take()
+        if paired is not None:
+            live.append(monitor.step(*paired)[0])
+
+    for field in fields(replayed):
+        joined = np.concatenate([getattr(predictions, field.name) for predictions in live])
+        np.testing.assert_allclose(getattr(replayed, field.name), joined, rtol=1e-9, atol=1e-9)
+    assert len(replayed.time_ns) > 2400
+
+
+def test_estimated_odometry_is_in_the_bag(model, vehicle, with_pose, bag_of, tmp_path):
+    replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap")
+    predictions, _ = read_outputs(tmp_path / "out.mcap")
+    with Bag(tmp_path / "out.mcap") as bag:
+        estimated = messages.unpack_odometry(bag.read(["/odometry"])["/odometry"].payloads)
+    time = (estimated.time_ns - START_NS) * 1e-9
+    settled = time > 3.0
+    np.testing.assert_allclose(estimated.velocity[settled, 0], np.cos(2.0 * time[settled]), atol=0.1)
+    # The first second initialises the estimator.
+    assert 0.99 < (predictions.time_ns[0] - START_NS) * 1e-9 < 1.02
+
+
+def test_pause_of_the_rotor_speeds_is_bad_data(model, vehicle, with_odometry, bag_of, tmp_path):
+    rotors = with_odometry.rotor_speeds
+    kept = np.r_[0:2000, 2150 : len(rotors)]
+    bag = bag_of(
+        replace(with_odometry, rotor_speeds=RotorSpeedStream(rotors.time_ns[kept], rotors.speeds[kept]))
+    )
+    summary = replay(model, vehicle, bag, tmp_path / "out.mcap")
+    predictions, alarms = read_outputs(tmp_path / "out.mcap")
+    # Of the 0.3 s without rotor speeds, samples in the last 0.1 s are completed by the next one.
+    assert summary.dropped == pytest.approx(100, abs=2)
+    assert np.any((alarms.level == LEVEL_ALARM) & (alarms.causes == BAD_DATA))
+    assert np.all(np.isfinite(predictions.predicted))
+
+
+def test_wind_holds_its_last_value(model, vehicle, with_odometry, bag_of, tmp_path):
+    wind = WindStream(
+        START_NS + np.array([2_000_000_000, 6_000_000_000]), np.array([[-15.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    )
+    replay(model, vehicle, bag_of(replace(with_odometry, wind=wind)), tmp_path / "out.mcap")
+    _, alarms = read_outputs(tmp_path / "out.mcap")
+    seconds = (alarms.time_ns - START_NS) * 1e-9
+    windy = np.array(["u" in names for names in alarms.inputs_outside])
+    assert seconds[windy].min() == pytest.approx(2.1, abs=0.1)
+    assert seconds[windy].max() == pytest.approx(6.2, abs=0.1)
+
+
+def test_nothing_usable_gives_alarms_alone(model, vehicle, with_odometry, bag_of, tmp_path):
+    speeds = np.full_like(with_odometry.rotor_speeds.speeds, 2.0 * vehicle.rotor_speed_max_rad_s)
+    bag = bag_of(
+        replace(with_odometry, rotor_speeds=RotorSpeedStream(with_odometry.rotor_speeds.time_ns, speeds))
+    )
+    summary = replay(model, vehicle, bag, tmp_path / "out.mcap")
+    assert summary.predictions_out == 0
+    assert summary.alarm_fraction > 0.9
+    _, alarms = read_outputs(tmp_path / "out.mcap")
+    assert alarms.causes[-1] == BAD_DATA
+
+
+def _without_rotor_speeds(recording):
+    return replace(recording, rotor_speeds=None)
+
+
+def _without_state(recording):
+    return replace(recording, odometry=None)
+
+
+def _with_nan(recording):
+    force = recording.imu.specific_force.copy()
+    force[42, 1] = np.nan
+    return replace(recording, imu=replace(recording.imu, specific_force=force))
+
+
+def _repeating(recording):
+    time_ns = recording.rotor_speeds.time_ns.copy()
+    time_ns[7] = time_ns[6]
+    return replace(recording, rotor_speeds=replace(recording.rotor_speeds, time_ns=time_ns))
+
+
+def _hours_apart(recording):
+    time_ns = recording.rotor_speeds.time_ns + 3_600_000_000_000
+    return replace(recording, rotor_speeds=replace(recording.rotor_speeds, time_ns=time_ns))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_without_rotor_speeds, r"swings\.mcap: topic rotor_speeds \(or erpm\) is missing"),
+        (_without_state, r"swings\.mcap: topics mocap/pose and odometry are missing"),
+        (_with_nan, r"swings\.mcap: topic imu: sample 42: specific_force is not finite"),
+        (_repeating, r"swings\.mcap: topic rotor_speeds: sample 7: the stamp repeats"),
+        (_hours_apart, r"swings\.mcap: topics imu, rotor_speeds and the state share no time"),
+    ],
+)
+def test_bad_bag_is_refused_and_nothing_written(
+    model, vehicle, with_odometry, bag_of, tmp_path, damage, message
+):
+    bag = bag_of(damage(with_odometry))
+    with pytest.raises(LogError, match=message):
+        replay(model, vehicle, bag, tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_too_short_for_the_estimator_is_refused(model, vehicle, with_pose, bag_of, tmp_path):
+    imu = with_pose.imu
+    short = ImuStream(*(getattr(imu, field.name)[:300] for field in fields(imu)))
+    with pytest.raises(SignalError, match="the estimator never started"):
+        replay(model, vehicle, bag_of(replace(with_pose, imu=short)), tmp_path / "out.mcap")
+
+
+def test_model_of_another_vehicle_is_refused(model, vehicle, with_pose, bag_of, tmp_path):
+    with pytest.raises(ModelError, match="belongs to vehicle bebop2"):
+        replay(replace(model, vehicle="bebop2"), vehicle, bag_of(with_pose), tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_real_fast_flight_leaves_a_slow_envelope(model, vehicle, shared_data, tmp_path):
+    """The model knows swings of 3 m/s; the flight reaches 14 m/s."""
+    flight = shared_data / "neurobem" / "bemnn20210218172600seg1.mat"
+    summary = replay(model, vehicle, flight, tmp_path / "out.mcap")
+    _, alarms = read_outputs(tmp_path / "out.mcap")
+    assert summary.dropped == 0
+    assert summary.alarm_fraction > 0.8
+    assert "u" in {name for names in alarms.inputs_outside for name in names}
