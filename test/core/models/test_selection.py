@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_triangular
+
+from benchmarks.direct_stepwise import direct_stepwise, squared_error
+from benchmarks.synthetic_inputs import smooth_inputs
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.gram import Gram
+from quadpi_core.models.pool import load_pools
+from quadpi_core.models.regressors import RegressorProgram
+from quadpi_core.models.selection import SelectionSettings, StopRule, fit_coefficients, select
+
+
+def gram_of(Z: Array, y: Array) -> Gram:
+    return Gram(Z.T @ Z, Z.T @ y, float(y @ y), len(y))
+
+
+def select_from(
+    Z: Array, y: Array, settings: SelectionSettings, flights: int = 1, n_fixed: int = 1
+) -> list[int]:
+    """Columns that `select` chooses, the samples cut into `flights` contiguous parts."""
+    grams = [
+        gram_of(*part) for part in zip(np.array_split(Z, flights), np.array_split(y, flights), strict=True)
+    ]
+    return select(grams, n_fixed, settings, [f"z{k}" for k in range(Z.shape[1])])[0]
+
+
+def with_bias(columns: Array) -> Array:
+    return np.column_stack((np.ones(len(columns)), columns))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_same_terms_as_direct_least_squares(seed: int) -> None:
+    pool = load_pools("hdbeetle")["Fx"]
+    regressors = list(dict.fromkeys(pool.fixed + pool.candidates))
+    Z = RegressorProgram.compile(regressors).evaluate(smooth_inputs(5000, seed))
+    rng = np.random.default_rng(seed)
+    planted = rng.choice(len(regressors), size=6, replace=False)
+    terms = Z[:, planted] / Z[:, planted].std(axis=0)
+    y = terms @ rng.uniform(0.5, 2.0, size=6) + rng.normal(size=len(Z))
+    expected = direct_stepwise(Z, y, n_fixed=len(pool.fixed), max_terms=8)
+    assert len(expected) > len(pool.fixed) + 3
+    chosen = select_from(Z, y, SelectionSettings(stop="pse", max_terms=8), n_fixed=len(pool.fixed))
+    assert chosen == expected
+
+
+def overtaken_term() -> tuple[Array, Array]:
+    """Column 1 correlates best with y, until columns 2 and 3 are in and leave it nothing to explain."""
+    rng = np.random.default_rng(11)
+    a, b, c = rng.normal(size=(3, 2000))
+    proxy = a + b + 0.4 * c
+    y = a + b + 0.01 * rng.normal(size=2000)
+    return with_bias(np.column_stack((proxy, a, b))), y
+
+
+def test_backward_elimination_takes_an_overtaken_term_out() -> None:
+    Z, y = overtaken_term()
+    settings = SelectionSettings(stop="pse")
+    active, steps = select([gram_of(Z, y)], 1, settings, ["bias", "proxy", "a", "b"])
+    assert [step.added for step in steps] == [None, 1, 3, 2]
+    assert [step.removed for step in steps] == [(), (), (), (1,)]
+    assert active == [0, 3, 2] == direct_stepwise(Z, y, n_fixed=1, max_terms=10)
+
+
+def test_error_and_r2_after_an_elimination_are_those_of_a_refit() -> None:
+    Z, y = overtaken_term()
+    _, steps = select([gram_of(Z, y)], 1, SelectionSettings(stop="pse"), ["bias", "proxy", "a", "b"])
+    for step in steps:
+        sse = squared_error(Z[:, list(step.active)], y)
+        assert step.sse == pytest.approx(sse, rel=1e-7)
+        assert step.r2 == pytest.approx(1.0 - sse / (len(y) * np.var(y)), abs=1e-10)
+
+
+def test_selection_stops_at_the_most_terms_allowed() -> None:
+    rng = np.random.default_rng(12)
+    Z = with_bias(rng.normal(size=(500, 12)))
+    y = Z @ np.ones(13) + 0.01 * rng.normal(size=500)
+    assert len(select_from(Z, y, SelectionSettings(stop="pse", max_terms=4))) == 5
+
+
+def test_f_to_enter_keeps_noise_out() -> None:
+    rng = np.random.default_rng(13)
+    Z, y = with_bias(rng.normal(size=(500, 20))), rng.normal(size=500)
+    assert select_from(Z, y, SelectionSettings(stop="pse", f_enter=1e4)) == [0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-7])
+def test_collinear_candidate_is_never_admitted(noise: float) -> None:
+    """A duplicate, a combination of chosen columns and a constant: nothing new in any of them."""
+    rng = np.random.default_rng(14)
+    a, b, c = rng.normal(size=(3, 1000))
+    combination = 2.0 * a - 3.0 * b + 1.0 + noise * rng.normal(size=1000)
+    Z = with_bias(np.column_stack((a, b, 5.0 * a, combination, np.full(1000, 7.0), np.zeros(1000), c)))
+    y = a + 2.0 * b + 0.1 * c + 1e-6 * combination + 0.001 * rng.normal(size=1000)
+    chosen = select_from(Z, y, SelectionSettings(stop="r2", f_enter=0.0, f_remove=0.0))
+    assert np.linalg.matrix_rank(Z[:, chosen], tol=1e-3) == len(chosen)
+    assert not {5, 6} & set(chosen)
+
+
+@pytest.mark.parametrize("stop", get_args(StopRule))
+@pytest.mark.parametrize("seed", [1, 2])
+def test_every_rule_finds_a_planted_sparse_truth(stop: StopRule, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    Z = with_bias(rng.normal(size=(4000, 60)))
+    planted = [3, 17, 29, 44]
+    y = 2.0 + Z[:, planted] @ np.array([1.0, -0.8, 0.6, 0.4]) + 0.5 * rng.normal(size=4000)
+    chosen = select_from(Z, y, SelectionSettings(stop=stop), flights=5)
+    assert chosen == [0, *planted]
+
+
+def test_held_out_score_is_that_of_explicit_refits() -> None:
+    rng = np.random.default_rng(15)
+    Z = with_bias(rng.normal(size=(600, 6)))
+    y = Z[:, [1, 4]] @ np.array([1.0, 0.5]) + 0.3 * rng.normal(size=600)
+    parts = [slice(0, 100), slice(100, 350), slice(350, 600)]
+    grams = [gram_of(Z[part], y[part]) for part in parts]
+    _, steps = select(grams, 1, SelectionSettings(stop="leave-one-flight-out"), list("0123456"))
+    assert len(steps) > 2
+    for step in steps:
+        errors = []
+        for part in parts:
+            rest = np.ones(600, dtype=bool)
+            rest[part] = False
+            columns = list(step.active)
+            coefficients = np.linalg.lstsq(Z[rest][:, columns], y[rest], rcond=None)[0]
+            errors.append(np.mean((y[part] - Z[part][:, columns] @ coefficients) ** 2))
+        assert step.score == pytest.approx(np.mean(np.log(errors)), abs=1e-9)
+
+
+def test_leave_one_flight_out_refuses_a_term_that_only_one_flight_supports() -> None:
+    rng = np.random.default_rng(16)
+    flights = [rng.normal(size=(500, 3)) for _ in range(4)]
+    targets = [f[:, 0] + 0.5 * rng.normal(size=500) for f in flights]
+    targets[2] = targets[2] + 3.0 * flights[2][:, 1]  # a fault of the third flight alone
+    Z, y = with_bias(np.concatenate(flights)), np.concatenate(targets)
+    assert select_from(Z, y, SelectionSettings(stop="pse"), flights=4)[:3] == [0, 1, 2]
+    assert 2 not in select_from(Z, y, SelectionSettings(stop="leave-one-flight-out"), flights=4)
+
+
+def test_predicted_square_error_and_bic_as_written() -> None:
+    rng = np.random.default_rng(17)
+    Z = with_bias(rng.normal(size=(300, 5)))
+    y = Z[:, 2] + rng.normal(size=300)
+    count, names = 300, list("012345")
+    _, steps = select([gram_of(Z, y)], 1, SelectionSettings(stop="pse"), names)
+    for step in steps:
+        expected = step.sse / count + np.var(y) * len(step.active) / count
+        assert step.score == pytest.approx(expected, rel=1e-12)
+    _, steps = select([gram_of(Z, y)], 1, SelectionSettings(stop="bic"), names)
+    for step in steps:
+        expected = count * np.log(step.sse / count) + len(step.active) * np.log(count)
+        assert step.score == pytest.approx(expected, rel=1e-12)
+    _, steps = select([gram_of(Z, y)], 1, SelectionSettings(stop="bic"), names, effective_count=30.0)
+    assert steps[0].score == pytest.approx(30 * np.log(steps[0].sse / count) + np.log(30), rel=1e-12)
+
+
+def test_exact_target_ends_the_selection() -> None:
+    rng = np.random.default_rng(18)
+    Z = with_bias(rng.normal(size=(200, 30)))
+    y = 1.0 + 2.0 * Z[:, 7] - Z[:, 11]
+    for stop in get_args(StopRule):
+        chosen = select_from(Z, y, SelectionSettings(stop=stop), flights=4)
+        assert set(chosen[:3]) == {0, 7, 11}
+
+
+def test_coefficients_and_whitening_are_those_of_qr() -> None:
+    rng = np.random.default_rng(19)
+    # Columns of very different scale, as 1, rad/s and (rad/s)^3 are.
+    Z = with_bias(rng.normal(size=(400, 3)) * [1e-3, 1.0, 1e8])
+    y = rng.normal(size=400)
+    coefficients, whitening = fit_coefficients(gram_of(Z, y), [0, 1, 2, 3])
+    Q, R = np.linalg.qr(Z)
+    np.testing.assert_allclose(coefficients, solve_triangular(R, Q.T @ y), rtol=1e-10)
+    hat_diagonal = np.square(Q).sum(axis=1)
+    np.testing.assert_allclose(np.square(Z @ whitening.T).sum(axis=1), hat_diagonal, rtol=1e-10)
+    assert np.all(np.triu(whitening, 1) == 0.0)
+
+
+@pytest.mark.parametrize("broken", ["zero", "duplicate", "constant"])
+def test_fixed_regressor_without_excitation_is_named(broken: str) -> None:
+    rng = np.random.default_rng(20)
+    a = rng.normal(size=300)
+    column = {"zero": np.zeros(300), "duplicate": -2.0 * a, "constant": np.full(300, 3.0)}[broken]
+    Z = with_bias(np.column_stack((a, column, rng.normal(size=300))))
+    with pytest.raises(ModelError, match=r"`sin_theta`") as caught:
+        select([gram_of(Z, a)], 3, SelectionSettings(stop="pse"), ["bias", "u", "sin_theta", "w"])
+    assert "\n" not in str(caught.value)
+
+
+def test_leave_one_flight_out_needs_two_flights() -> None:
+    rng = np.random.default_rng(21)
+    Z = with_bias(rng.normal(size=(50, 2)))
+    with pytest.raises(ModelError, match="two flights"):
+        select_from(Z, Z[:, 1], SelectionSettings(stop="leave-one-flight-out"))
+
+
+def test_unknown_rule_is_refused() -> None:
+    rng = np.random.default_rng(22)
+    Z = with_bias(rng.normal(size=(50, 2)))
+    with pytest.raises(ModelError, match="unknown stop rule 'aic'; known: pse"):
+        select_from(Z, Z[:, 1], SelectionSettings(stop="aic"))  # type: ignore[arg-type]
