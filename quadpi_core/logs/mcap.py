@@ -8,6 +8,7 @@ compiled walk over its records instead of one by one in Python (https://mcap.dev
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ MESSAGE_HEADER = np.dtype(
 _CHUNK_HEADER = np.dtype(
     [("start_time", "<u8"), ("end_time", "<u8"), ("size", "<u8"), ("crc", "<u4"), ("name_length", "<u4")]
 )
+_FOOTER = np.dtype([("summary_start", "<u8"), ("offsets_start", "<u8"), ("crc", "<u4")])
 _LENGTH_64 = np.dtype("<u8")
 
 
@@ -76,7 +78,7 @@ class Bag:
         if not path.exists():
             raise LogError(f"{path}: no such bag")
         for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
-            _check_ends(file)
+            _check_file(file)
         with self._reading():
             self._reader = Reader(path)
             self._reader.open()
@@ -166,8 +168,8 @@ class Bag:
             raise LogError(f"{self.path}: cannot be read: {reason[0]}") from error
 
 
-def _check_ends(file: Path) -> None:
-    """Refuse an MCAP file that is empty or cut off, and say how much of it is whole."""
+def _check_file(file: Path) -> None:
+    """Refuse an MCAP file that is empty, cut off (saying how much is whole) or has a damaged summary."""
     if file.suffix != ".mcap":
         return
     data = _bytes_of(file)
@@ -175,11 +177,15 @@ def _check_ends(file: Path) -> None:
         raise LogError(f"{file}: is empty")
     if data[: len(MAGIC)].tobytes() != MAGIC:
         raise LogError(f"{file}: is no MCAP file")
-    if len(data) < 2 * len(MAGIC) or data[-len(MAGIC) :].tobytes() != MAGIC:
+    if len(data) < _FOOTER.itemsize + 2 * len(MAGIC) or data[-len(MAGIC) :].tobytes() != MAGIC:
         raise LogError(
             f"{file}: cut off, it has no footer; {_whole_messages(data)} whole messages can be read, "
             "`mcap recover` rebuilds the file"
         )
+    footer = data[-_FOOTER.itemsize - len(MAGIC) : -len(MAGIC)].view(_FOOTER)[0]
+    summary = data[int(footer["summary_start"]) : -footer["crc"].itemsize - len(MAGIC)]
+    if footer["crc"] and zlib.crc32(summary.data) != footer["crc"]:
+        raise LogError(f"{file}: damaged: its summary does not match its checksum")
 
 
 def _whole_messages(data: Bytes) -> int:

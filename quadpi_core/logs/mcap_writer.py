@@ -35,19 +35,6 @@ _FOOTER_LENGTH = 20
 _CHUNK_BYTES = 1 << 20
 _COMPRESSION = "lz4"
 
-_UNLIMITED = "{sec: 9223372036, nsec: 854775807}"
-_QOS = f"""\
-- history: keep_last
-  depth: 10
-  reliability: reliable
-  durability: volatile
-  deadline: {_UNLIMITED}
-  lifespan: {_UNLIMITED}
-  liveliness: automatic
-  liveliness_lease_duration: {_UNLIMITED}
-  avoid_ros_namespace_conventions: false
-"""
-
 
 def write_mcap(path: Path, topics: Sequence[Topic], metadata: Mapping[str, str]) -> None:
     """Write a bag that appears whole or not at all.
@@ -117,7 +104,7 @@ class _Chunk:
 
 def _chunks(topics: Sequence[Topic]) -> Iterator[_Chunk]:
     """Merge the topics by log time, frame each message as a record, and cut the records into chunks."""
-    if not topics:
+    if not any(len(topic.payloads) for topic in topics):
         return
     log_time_ns = np.concatenate([topic.log_time_ns for topic in topics])
     order = np.argsort(log_time_ns, kind="stable")
@@ -148,8 +135,6 @@ def _chunks(topics: Sequence[Topic]) -> Iterator[_Chunk]:
     starts = starts[order]
     cuts = np.flatnonzero(np.diff(starts // _CHUNK_BYTES)) + 1
     for rows in np.split(np.arange(len(order)), cuts):
-        if len(rows) == 0:
-            continue
         begin, last = starts[rows[0]], rows[-1]
         yield _Chunk(
             data[begin : starts[last] + sizes[last]],
@@ -205,7 +190,7 @@ def _schema(number: int, type_name: str) -> bytes:
 
 def _channel(number: int, schema: int, topic: Topic) -> bytes:
     metadata = {
-        "offered_qos_profiles": _QOS,
+        "offered_qos_profiles": "",
         "topic_type_hash": typestore().hash_rihs01(topic.type_name),
     }
     numbers = struct.pack("<HH", number, schema)

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+import struct
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import RotorSpeedStream, WindStream
+from quadpi_core.logs import messages
+from quadpi_core.logs.definitions import typestore
+from quadpi_core.logs.mcap import MAGIC, Bag, Topic
+from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.logs.payloads import Payloads
+
+N = 3000
+
+
+@pytest.fixture
+def topics():
+    """Two topics on clocks that interleave; 3000 samples need more than one chunk."""
+    rng = np.random.default_rng(3)
+    rotor_time, wind_time = np.arange(N) * 2_000_000 + 10, np.arange(N) * 7_000_000
+    rotors = RotorSpeedStream(rotor_time, rng.uniform(0, 900, size=(N, 4)))
+    wind = WindStream(wind_time, rng.normal(size=(N, 3)))
+    big_wind_frame = messages.pack_wind(wind, frame_id="w" * 400)
+    return [
+        Topic("/rotor_speeds", messages.ROTOR_SPEEDS, rotor_time, messages.pack_rotor_speeds(rotors)),
+        Topic("/wind", messages.WIND, wind_time, big_wind_frame),
+    ]
+
+
+def assert_holds(path, topics):
+    with Bag(path) as bag:
+        found = bag.read([topic.name for topic in topics])
+    for topic in topics:
+        assert found[topic.name].type_name == topic.type_name
+        np.testing.assert_array_equal(found[topic.name].log_time_ns, topic.log_time_ns)
+        assert list(found[topic.name].payloads) == list(topic.payloads)
+
+
+def test_round_trip(tmp_path, topics):
+    path = tmp_path / "bag.mcap"
+    write_mcap(path, topics, {"vehicle": "bebop2"})
+    assert_holds(path, topics)
+    with Bag(path) as bag:
+        assert bag.metadata == {"vehicle": "bebop2"}
+
+
+def test_rosbags_reads_every_message_in_order_from_embedded_definitions(tmp_path, topics):
+    path = tmp_path / "bag.mcap"
+    write_mcap(path, topics, {})
+    times, speeds = [], []
+    with AnyReader([path]) as reader:
+        assert reader.message_count == 2 * N
+        for connection, time_ns, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            times.append(time_ns)
+            if connection.topic == "/rotor_speeds":
+                speeds.append(message.rotor_speeds)
+    assert times == sorted(times)
+    unpacked = messages.unpack_rotor_speeds(topics[0].payloads)
+    np.testing.assert_array_equal(speeds, unpacked.speeds)
+
+
+def test_equal_input_gives_equal_bytes(tmp_path, topics):
+    write_mcap(tmp_path / "a.mcap", topics, {"vehicle": "v"})
+    write_mcap(tmp_path / "b.mcap", topics, {"vehicle": "v"})
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.STORAGE])
+def test_reads_what_other_writers_write(tmp_path, topics, plugin, mode):
+    if (plugin, mode) == (StoragePlugin.SQLITE3, CompressionMode.STORAGE):
+        pytest.skip("rosbag2 has no storage compression for sqlite3")
+    path = tmp_path / "folder"
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    if mode != CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        for topic in topics:
+            connection = writer.add_connection(topic.name, topic.type_name, typestore=typestore())
+            for time_ns, payload in zip(topic.log_time_ns.tolist(), topic.payloads, strict=True):
+                writer.write(connection, time_ns, payload)
+    assert_holds(path, topics)
+    if mode != CompressionMode.MESSAGE:
+        (file,) = [file for file in path.iterdir() if file.suffix in {".mcap", ".db3"}]
+        assert_holds(file, topics)
+
+
+def test_reads_messages_outside_chunks_without_a_summary(tmp_path, topics):
+    def record(opcode, content):
+        return struct.pack("<BQ", opcode, len(content)) + content
+
+    def sized(content):
+        return struct.pack("<I", len(content)) + content
+
+    few = topics[0].payloads.take(np.arange(3))
+    body = MAGIC + record(0x01, sized(b"ros2") + sized(b"test"))
+    schema = struct.pack("<H", 5) + sized(messages.ROTOR_SPEEDS.encode()) + sized(b"ros2msg") + sized(b"")
+    body += record(0x03, schema)
+    body += record(0x04, struct.pack("<HH", 9, 5) + sized(b"/rotor_speeds") + sized(b"cdr") + sized(b""))
+    for time_ns in (30, 10, 20):
+        body += record(0x05, struct.pack("<HIQQ", 9, 0, time_ns, time_ns) + few[time_ns // 10 - 1])
+    body += record(0x0F, bytes(4)) + record(0x02, bytes(20)) + MAGIC
+    path = tmp_path / "flat.mcap"
+    path.write_bytes(body)
+    with Bag(path) as bag:
+        topic = bag.read(["/rotor_speeds"])["/rotor_speeds"]
+    assert topic.log_time_ns.tolist() == [10, 20, 30]
+    assert list(topic.payloads) == list(few)
+
+
+def test_head_reads_only_the_first_bytes(tmp_path, topics):
+    path = tmp_path / "bag.mcap"
+    write_mcap(path, topics, {})
+    with Bag(path) as bag:
+        heads = bag.read(["/wind"], head=12)["/wind"].payloads
+    assert list(heads) == [payload[:12] for payload in topics[1].payloads]
+
+
+def test_topic_without_messages(tmp_path):
+    path = tmp_path / "empty.mcap"
+    nothing = Topic("/wind", messages.WIND, np.empty(0, np.int64), Payloads.join([]))
+    write_mcap(path, [nothing], {})
+    assert_holds(path, [nothing])
+
+
+def test_negative_log_time_is_refused_and_nothing_written(tmp_path, topics):
+    path = tmp_path / "bag.mcap"
+    times = topics[1].log_time_ns - 7_000_000
+    early = Topic("/wind", messages.WIND, times, topics[1].payloads)
+    with pytest.raises(LogError, match=r"bag\.mcap: topic /wind: sample 0: the log time is negative"):
+        write_mcap(path, [early], {})
+    assert list(tmp_path.iterdir()) == []
