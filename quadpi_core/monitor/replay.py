@@ -23,8 +23,7 @@ from quadpi_core.monitor.output import Alarms
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
-from quadpi_core.signals.resample import nominal_rate
-from quadpi_core.signals.resample import interpolate, interpolate_attitude
+from quadpi_core.signals.resample import interpolate, interpolate_attitude, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -66,8 +65,9 @@ def replay(
 ) -> ReplaySummary:
     """Write the topics odometry, prediction and extrapolation_alarm for a flight; the same bytes each time.
 
-    The state comes from the causal EKF over `imu` and `mocap/pose`, or from `odometry` where the bag has no
-    poses; then no odometry is written. Rotor speeds and wind meet the IMU samples as in
+    With poses in the bag this is estimator and monitor in one process: the state comes from the causal EKF,
+    and the written odometry carries the variances of position and attitude. Else it is the monitor alone, fed
+    with the bag's odometry. Rotor speeds and wind meet the IMU samples as in
     :class:`quadpi_core.monitor.pairing.Pairing`.
 
     Args:
@@ -89,16 +89,15 @@ def replay(
         raise LogError(f"{recording.source}: topic imu: one sample is too few")
     rate_hz = nominal_rate(recording.imu.time_ns)
     monitor = Monitor(model, vehicle, rate_hz, confidence, settings)
-    topics = []
-    odometry = recording.odometry
+    imu, odometry, topics = recording.imu, recording.odometry, []
     if recording.pose is not None:
         trace = Ekf(vehicle, rate_hz).run(recording)
-        odometry = _estimated_odometry(trace, recording.imu)
+        imu, odometry = _estimator_output(trace, recording.imu)
         payloads = messages.pack_odometry(odometry, _pose_covariance(trace))
         topics.append(output_topic("odometry", odometry.time_ns, payloads))
     if odometry is None:
         raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
-    samples = _pair(recording, odometry)
+    samples = _pair(recording, imu, odometry)
     predictions, alarms = monitor.step(*samples)
 
     axes = sum(1 << AXES.index(axis) for axis in model.axes)
@@ -120,16 +119,13 @@ def replay(
     return _summarise(recording, len(samples.time_ns), len(predictions.time_ns), alarms)
 
 
-def _estimated_odometry(trace: EkfTrace, imu: ImuStream) -> OdometryStream:
-    """The estimator's output: states at the stamps of IMU samples, rates less the gyro's bias."""
+def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[ImuStream, OdometryStream]:
+    """What the estimator hands to the monitor in its process: IMU samples less their biases, and states."""
     samples = np.searchsorted(imu.time_ns, trace.time_ns)
-    return OdometryStream(
-        time_ns=trace.time_ns,
-        position=trace.position,
-        attitude=trace.attitude,
-        velocity=trace.velocity_body,
-        rates=imu.angular_velocity[samples] - trace.gyro_bias,
-    )
+    rates = imu.angular_velocity[samples] - trace.gyro_bias
+    specific_force = imu.specific_force[samples] - trace.accelerometer_bias
+    states = OdometryStream(trace.time_ns, trace.position, trace.attitude, trace.velocity_body, rates)
+    return ImuStream(trace.time_ns, rates, specific_force), states
 
 
 def _pose_covariance(trace: EkfTrace) -> Array:
@@ -142,9 +138,9 @@ def _pose_covariance(trace: EkfTrace) -> Array:
     return covariance
 
 
-def _pair(recording: Recording, odometry: OdometryStream) -> PairedSamples:
+def _pair(recording: Recording, imu: ImuStream, odometry: OdometryStream) -> PairedSamples:
     """What live pairing gives: complete samples, NaN for those given up, nothing before it can start."""
-    imu, rotor_speeds = recording.imu, recording.rotor_speeds
+    rotor_speeds = recording.rotor_speeds
     if rotor_speeds is None:
         raise LogError(f"{recording.source}: topic rotor_speeds (or erpm) is missing")
     wait_ns = np.maximum(

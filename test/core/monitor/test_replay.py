@@ -9,7 +9,6 @@ import pytest
 
 from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
-from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.logs import messages
 from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.logs.mcap import Bag
@@ -18,6 +17,7 @@ from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.monitor.replay import replay
 from quadpi_core.signals.ekf import Ekf
+from quadpi_core.signals.odometry import fused_sample
 
 RATE_HZ = 500.0
 START_NS = 1_700_000_000_000_000_000
@@ -149,12 +149,11 @@ def test_replay_equals_the_live_path_sample_by_sample(model, vehicle, with_pose,
     for time_ns, kind, i in order:
         if kind == 0:
             ekf.predict(int(time_ns), imu.angular_velocity[i], imu.specific_force[i])
-            pairing.add_imu(int(time_ns), imu.specific_force[i])
             if ekf.initialised:
-                state = ekf.state
-                velocity = rotate_world_to_body(state.attitude, state.velocity)
-                rates = imu.angular_velocity[i] - state.gyro_bias
-                pairing.add_state(int(time_ns), velocity, state.attitude.copy(), rates)
+                estimate = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+                state = estimate.odometry
+                pairing.add_imu(int(time_ns), estimate.imu.specific_force[0])
+                pairing.add_state(int(time_ns), state.velocity[0], state.attitude[0], state.rates[0])
         elif kind == 1:
             ekf.update_pose(int(time_ns), pose.position[i], pose.attitude[i])
         else:
