@@ -199,7 +199,8 @@ def demo(
     rate: Annotated[float, typer.Option(help="Speed of the live replay; 1 is real time.")] = 1.0,
 ) -> None:
     """Run the whole story: identify on real flights, evaluate, replay one through the live nodes, report."""
-    from quadpi_core.demo import run_demo
+    # The one place where the command line reaches for ROS: the demo starts the live nodes.
+    from quadpi_ros.demo import run_demo
 
     run_demo(data, output, rate, _console())
 

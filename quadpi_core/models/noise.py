@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student_t
 
@@ -20,6 +21,9 @@ from quadpi_core.frames import Array
 
 # Share of new flights whose coverage should reach the nominal one, given enough flights to tell.
 FLIGHT_SHARE = 0.9
+# Least share of a flight inside the envelope of the others for its held-out errors to count: the corner of a
+# flight that the others happen to touch is no sample of flying inside the envelope.
+FEWEST_INSIDE = 0.5
 # Confidence levels at which the held-out flights' quantiles are stored.
 LEVELS: Array = np.concatenate((np.arange(0.50, 0.99, 0.01), np.arange(0.99, 0.9991, 0.001)))
 
@@ -51,8 +55,12 @@ class HeldOutNoise:
     freedom say how wide an honest interval is. The exchangeable unit is the flight: per flight, the quantile
     of |error| / √(1 + inflation · h) is an interval factor that would have covered that flight. Of the F
     flights' factors the ⌈0.9 (F + 1)⌉-th smallest is used, or the largest while F is too small for that
-    rank (split conformal prediction by group). A flight's factor also covers its errors in the final fit,
-    whose leverage is smaller than that of the model without the flight.
+    rank (split conformal prediction by group).
+
+    Only errors inside the envelope of the other flights, where every input lies in their range, count for
+    the factor, and only of flights that lie mostly inside. Outside, the interval widens by the leverage,
+    and the alarm, not the interval, is what to go by. A flight's factor also covers its errors in the
+    final fit, whose leverage is smaller than that of the model without the flight.
 
     Attributes:
         inflation: weight κ of the leverage, by which errors on held-out flights grow away from the training
@@ -100,28 +108,54 @@ def noise_from_json(data: dict[str, Any]) -> ResidualNoise | HeldOutNoise:
     raise ModelError(f"unknown kind of noise {data['kind']!r}")
 
 
-def fit_inflation(errors: list[Array], leverages: list[Array], highest: float) -> float:
-    """κ, 1 to `highest`, that maximises the likelihood of held-out errors e ~ N(0, σ² (1 + κ h)).
+@dataclass(frozen=True)
+class FlightErrors:
+    """Errors of a model on one flight.
 
-    Args:
-        errors: per flight, (N_f,) errors under the model of the other flights.
-        leverages: per flight, (N_f,) leverage in that model.
-        highest: number of training samples: κ = N says that all of them are worth a single one.
+    Attributes:
+        error: (N,) measured − predicted.
+        leverage: (N,) in that model.
+        inside: (N,) whether every input lies in the range of the samples that the model was fitted to.
     """
 
+    error: Array
+    leverage: Array
+    inside: npt.NDArray[np.bool_]
+
+    def factors(self, inflation: float) -> Array:
+        """Factors (len(LEVELS),) whose intervals would have covered the errors inside."""
+        scores = np.abs(self.error) / np.sqrt(1.0 + inflation * self.leverage)
+        factors: Array = np.quantile(scores[self.inside], LEVELS, method="higher")
+        return factors
+
+
+def calibrate(held_out: list[FlightErrors], trained: list[FlightErrors]) -> HeldOutNoise:
+    """Noise from the errors of each flight, left out and in the final fit.
+
+    Args:
+        held_out: per flight, under the model selected and fitted without it.
+        trained: per flight, under the final model.
+    """
+    # κ = N says that all training samples are worth a single one.
+    samples = sum(len(flight.error) for flight in trained)
+    inflation = fit_inflation(held_out, highest=samples)
+    factors = [flight.factors(inflation) for flight in trained]
+    for k, flight in enumerate(held_out):
+        if np.mean(flight.inside) >= FEWEST_INSIDE:
+            factors[k] = np.maximum(factors[k], flight.factors(inflation))
+    return HeldOutNoise(inflation, np.stack(factors))
+
+
+def fit_inflation(flights: list[FlightErrors], highest: float) -> float:
+    """κ, 1 to `highest`, that maximises the likelihood of held-out errors e ~ N(0, σ² (1 + κ h))."""
+
     def cost(log_inflation: float) -> float:
-        growth = [1.0 + np.exp(log_inflation) * h for h in leverages]
-        variance = np.mean([np.mean(e**2 / g) for e, g in zip(errors, growth, strict=True)])
+        growth = [1.0 + np.exp(log_inflation) * flight.leverage for flight in flights]
+        variance = np.mean([np.mean(f.error**2 / g) for f, g in zip(flights, growth, strict=True)])
         return float(np.log(variance) + np.mean([np.mean(np.log(g)) for g in growth]))
 
     bounds = (0.0, float(np.log(max(highest, 1.0 + 1e-9))))
     return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
-
-
-def flight_factors(errors: list[Array], leverages: list[Array], inflation: float) -> Array:
-    """Per flight, the factors (F, len(LEVELS)) whose intervals would have covered its errors."""
-    scores = [np.abs(e) / np.sqrt(1.0 + inflation * h) for e, h in zip(errors, leverages, strict=True)]
-    return np.stack([np.quantile(flight, LEVELS, method="higher") for flight in scores])
 
 
 def _check_confidence(confidence: float, highest: float) -> None:

@@ -15,7 +15,7 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.gram import Gram, flight_grams
-from quadpi_core.models.noise import HeldOutNoise, ResidualNoise, fit_inflation, flight_factors
+from quadpi_core.models.noise import FlightErrors, HeldOutNoise, ResidualNoise, calibrate
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, fit_coefficients, select
@@ -158,16 +158,12 @@ class StepwisePolynomial:
             std = float(np.sqrt(gram.residual_square(active, coefficients) / freedom))
             noise, self.held_out_mse_ = ResidualNoise(std, freedom), None
         else:
-            errors, leverages = self._leave_out_errors(grams, X, y, flights)
-            self.held_out_mse_ = np.array([np.mean(e**2) for e in errors])
-            inflation = fit_inflation(errors, leverages, highest=len(y))
-            Z = RegressorProgram.compile(chosen).evaluate(X)
-            trained_error, trained_leverage = y - Z @ coefficients, _leverage(Z, whitening)
-            for flight in range(len(grams)):
-                errors.append(trained_error[flights == flight])
-                leverages.append(trained_leverage[flights == flight])
-            factors = flight_factors(errors, leverages, inflation).reshape(2, len(grams), -1)
-            noise = HeldOutNoise(inflation, factors.max(axis=0))
+            held_out = self._held_out_errors(grams, X, y, flights)
+            self.held_out_mse_ = np.array([np.mean(flight.error**2) for flight in held_out])
+            error, leverage = _errors(chosen, coefficients, whitening, X, y)
+            members = [flights == k for k in range(len(grams))]
+            trained = [FlightErrors(error[m], leverage[m], np.ones(m.sum(), dtype=bool)) for m in members]
+            noise = calibrate(held_out, trained)
         self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, noise, 1.0)
         self.fitted_ = replace(self.fitted_, mean_spread=float(np.mean(self.fitted_.spread(X))))
         self.n_features_in_ = X.shape[1]
@@ -226,25 +222,27 @@ class StepwisePolynomial:
         names = [str(regressor) for regressor in self._regressors]
         return select(grams, len(self.pool.fixed), settings, names)
 
-    def _leave_out_errors(
+    def _held_out_errors(
         self, grams: list[Gram], X: Array, y: Array, flights: npt.NDArray[np.int64]
-    ) -> tuple[list[Array], list[Array]]:
-        """Errors and leverages of each flight under a model selected and fitted without it."""
+    ) -> list[FlightErrors]:
+        """Errors on each flight of a model selected and fitted without it."""
         if len(grams) < 2:
             raise ModelError("intervals from held-out flights need two flights or more, or noise='residual'")
         settings, regressors = self._settings, self._regressors
         if settings.stop == "leave-one-flight-out" and len(grams) == 2:
             # Without one of two flights there is no second one to hold out.
             settings = replace(settings, stop="pse")
-        errors, leverages = [], []
+        held_out = []
         for left_out in range(len(grams)):
             rest = grams[:left_out] + grams[left_out + 1 :]
             active, _ = self._select(rest, settings)
-            coefficients, whitening = fit_coefficients(_sum(rest), active)
-            Z = RegressorProgram.compile(regressors[k] for k in active).evaluate(X[flights == left_out])
-            errors.append(y[flights == left_out] - Z @ coefficients)
-            leverages.append(_leverage(Z, whitening))
-        return errors, leverages
+            chosen = tuple(regressors[k] for k in active)
+            error, leverage = _errors(chosen, *fit_coefficients(_sum(rest), active), X, y)
+            mine = flights == left_out
+            low, high = X[~mine].min(axis=0), X[~mine].max(axis=0)
+            inside = np.all((X[mine] >= low) & (X[mine] <= high), axis=1)
+            held_out.append(FlightErrors(error[mine], leverage[mine], inside))
+        return held_out
 
 
 def _checked(X: Array, y: Array, groups: npt.ArrayLike | None) -> tuple[Array, Array, npt.NDArray[np.int64]]:
@@ -267,6 +265,14 @@ def _checked(X: Array, y: Array, groups: npt.ArrayLike | None) -> tuple[Array, A
     if labels.shape != y.shape:
         raise ModelError(f"groups has shape {labels.shape}, expected {y.shape}")
     return X, y, np.unique(labels, return_inverse=True)[1].astype(np.int64)
+
+
+def _errors(
+    regressors: tuple[Regressor, ...], coefficients: Array, whitening: Array, X: Array, y: Array
+) -> tuple[Array, Array]:
+    """Errors (N,) and leverages (N,)."""
+    Z = RegressorProgram.compile(regressors).evaluate(X)
+    return y - Z @ coefficients, _leverage(Z, whitening)
 
 
 def _leverage(regressors: Array, whitening: Array) -> Array:
