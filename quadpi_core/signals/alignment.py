@@ -12,12 +12,15 @@ from scipy.signal import correlate
 from quadpi_core.errors import SignalError
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.resample import interpolate
 from quadpi_core.signals.rotations import body_rates
 
 MIN_CORRELATION = 0.5
 MIN_OVERLAP_S = 2.0
 MAX_GAP_NS = 100_000_000
+# Differentiating motion-capture attitudes amplifies their noise; a quadrotor's turns lie below this.
+POSE_CUTOFF_HZ = 8.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ def time_offset(
     other: Array,
     *,
     max_offset_s: float = np.inf,
+    cutoff_hz: float | None = None,
     what: str = "alignment",
 ) -> Alignment:
     """Find the offset of `other` that makes it most like `reference`.
@@ -63,6 +67,7 @@ def time_offset(
         other_ns: (M,) stamps.
         other: (M, C) the same signal as the other source saw it.
         max_offset_s: largest offset looked at, either way.
+        cutoff_hz: of a zero-phase low-pass over both signals, where noise would drown what they share.
         what: name of the pair, for messages.
 
     Raises:
@@ -70,8 +75,8 @@ def time_offset(
             both ranges, the best offset and the match count.
     """
     step_ns = int(min(np.median(np.diff(reference_ns)), np.median(np.diff(other_ns))))
-    x, x_there = _on_grid(reference_ns, reference, step_ns)
-    y, y_there = _on_grid(other_ns, other, step_ns)
+    x, x_there = _on_grid(reference_ns, reference, step_ns, cutoff_hz)
+    y, y_there = _on_grid(other_ns, other, step_ns, cutoff_hz)
 
     lags = np.arange(-(len(y) - 1), len(x))
     start_difference_s = 1e-9 * float(reference_ns[0] - other_ns[0])
@@ -112,15 +117,18 @@ def align_pose(recording: Recording, max_offset_s: float = 1.0) -> tuple[Recordi
         middle_ns,
         body_rates(pose.time_ns, pose.attitude),
         max_offset_s=max_offset_s,
+        cutoff_hz=POSE_CUTOFF_HZ,
         what=f"{recording.source}: gyro and mocap/pose",
     )
     return replace(recording, pose=replace(pose, time_ns=pose.time_ns + alignment.offset_ns)), alignment
 
 
-def _on_grid(time_ns: Stamps, values: Array, step_ns: int) -> tuple[Array, Array]:
+def _on_grid(time_ns: Stamps, values: Array, step_ns: int, cutoff_hz: float | None) -> tuple[Array, Array]:
     """Values (K, C) on a uniform grid, mean removed and zero in gaps, and 1 where there is a value (K,)."""
     grid = np.arange(time_ns[0], time_ns[-1] + 1, step_ns, dtype=np.int64)
     resampled, valid = interpolate(time_ns, values, grid, MAX_GAP_NS)
+    if cutoff_hz is not None:
+        resampled = zero_phase(resampled, cutoff_hz, 1e9 / step_ns).value
     there = valid.astype(np.float64)
     return (resampled - resampled[valid].mean(axis=0)) * there[:, None], there
 
@@ -135,9 +143,15 @@ def _normalised(x: Array, x_there: Array, y: Array, y_there: Array) -> Array:
     product = sum(_correlate(x[:, channel], y[:, channel]) for channel in range(x.shape[1]))
     x_power = _correlate(np.sum(x * x, axis=1), y_there)
     y_power = _correlate(x_there, np.sum(y * y, axis=1))
-    floor = 1e-12 * max(float(x_power.max()), float(y_power.max()), np.finfo(float).tiny)
-    normalised: Array = product / np.sqrt(np.maximum(x_power, floor) * np.maximum(y_power, floor))
+    normalised: Array = product / (_root(x_power) * _root(y_power))
     return normalised
+
+
+def _root(power: Array) -> Array:
+    """Square root, away from zero, where the transform leaves rounding errors of either sign."""
+    floor = max(1e-12 * float(power.max()), np.finfo(float).tiny)
+    root: Array = np.sqrt(np.maximum(power, floor))
+    return root
 
 
 def _peak_shift(values: Array, peak: int) -> float:

@@ -13,7 +13,13 @@ from quadpi_core.flight import Flight, Recording, Stamps, Stream, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.resample import first_gap, interpolate, interpolate_attitude, uniform_stamps
+from quadpi_core.signals.resample import (
+    first_gap,
+    interpolate,
+    interpolate_attitude,
+    nominal_rate,
+    uniform_stamps,
+)
 from quadpi_core.vehicle import Vehicle
 
 MAX_GAP_NS = 100_000_000
@@ -28,11 +34,6 @@ class Estimate(NamedTuple):
     velocity: Array
     gyro_bias: Array
     accelerometer_bias: Array
-
-
-def nominal_rate(time_ns: Stamps) -> float:
-    """Sample rate in Hz by the median step, which dropped samples do not change."""
-    return float(1e9 / np.median(np.diff(time_ns)))
 
 
 def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:

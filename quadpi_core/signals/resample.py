@@ -13,6 +13,10 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import make_continuous
 
+_RATE_SPAN = 10
+# Stamps are whole nanoseconds: a last sample that misses its place by less than this part of a step counts.
+_ROUNDING = 1e-4
+
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
 
@@ -51,9 +55,23 @@ def interpolate_attitude(time_ns: Stamps, attitude: Array, at_ns: Stamps, max_ga
     return Resampled(values / np.linalg.norm(values, axis=1, keepdims=True), valid)
 
 
+def nominal_rate(time_ns: Stamps) -> float:
+    """Sample rate in Hz that a sensor keeps between the samples that were lost.
+
+    The median over spans of ten samples: neither lost samples nor stamps rounded to a millisecond change it.
+    """
+    span = min(_RATE_SPAN, len(time_ns) - 1)
+    return float(1e9 * span / np.median(time_ns[span:] - time_ns[:-span]))
+
+
 def uniform_stamps(time_ns: Stamps) -> Stamps:
-    """Stamps from the first to the last at most, spaced by the median step: the nominal grid of a sensor."""
-    return np.arange(time_ns[0], time_ns[-1] + 1, int(np.median(np.diff(time_ns))), dtype=np.int64)
+    """The grid of stamps at the nominal rate that lies between the first sample and the last."""
+    step_ns = 1e9 / nominal_rate(time_ns)
+    count = int((time_ns[-1] - time_ns[0]) / step_ns + _ROUNDING) + 1
+    stamps: Stamps = np.minimum(
+        time_ns[0] + np.rint(step_ns * np.arange(count)).astype(np.int64), time_ns[-1]
+    )
+    return stamps
 
 
 def first_gap(time_ns: Stamps, max_gap_ns: int) -> int | None:

@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadpi_core.signals.wrench import newton_euler
+
+MASS = 0.8
+INERTIA = np.array([[2.5e-3, 1e-4, -2e-4], [1e-4, 2.1e-3, 3e-4], [-2e-4, 3e-4, 4.3e-3]])
+
+
+@pytest.fixture
+def motion():
+    """Specific force, rates and angular acceleration of random samples."""
+    rng = np.random.default_rng(5)
+    return rng.normal(scale=(10.0, 5.0, 50.0), size=(40, 3, 3)).transpose(2, 0, 1).copy()
+
+
+def test_force_is_mass_times_specific_force(motion):
+    np.testing.assert_allclose(newton_euler(*motion, MASS, INERTIA)[:, :3], MASS * motion[0], rtol=1e-14)
+
+
+def test_gyroscopic_moment_does_no_work(motion):
+    specific_force, rates, _ = motion
+    moment = newton_euler(specific_force, rates, np.zeros_like(rates), MASS, INERTIA)[:, 3:]
+    power = np.sum(moment * rates, axis=1)
+    assert np.all(np.linalg.norm(moment, axis=1) > 1e-6)
+    np.testing.assert_allclose(power, 0.0, atol=1e-14)
+
+
+def test_spin_about_a_principal_axis_needs_no_moment():
+    _, axes = np.linalg.eigh(INERTIA)
+    rates = np.ascontiguousarray(20.0 * axes.T)
+    moment = newton_euler(np.zeros((3, 3)), rates, np.zeros((3, 3)), MASS, INERTIA)[:, 3:]
+    np.testing.assert_allclose(moment, 0.0, atol=1e-14)
+
+
+def test_moment_is_the_change_of_angular_momentum(true_flight):
+    step = 1e-5
+    true = true_flight(np.array([1.0 - step, 1.0, 1.0 + step]))
+    rotation = Rotation.from_quat(np.roll(true.attitude, -1, axis=1))
+    momentum = rotation.apply(true.rates @ INERTIA)
+    world_moment = (momentum[2] - momentum[0]) / (2.0 * step)
+    moment = newton_euler(true.specific_force, true.rates, true.angular_acceleration, MASS, INERTIA)[1, 3:]
+    np.testing.assert_allclose(rotation[1].apply(moment), world_moment, rtol=1e-6, atol=1e-10)
