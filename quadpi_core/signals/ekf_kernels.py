@@ -320,13 +320,13 @@ def run(
         pose = progress.next_pose[0]
         if pose < len(pose_time_ns) and pose_time_ns[pose] < imu_time_ns[index]:
             outcome = update_pose(state, noise, pose_time_ns[pose], position[pose], attitude[pose])
-            progress.pose_counts[outcome] += 1
+            progress.pose_counts[outcome.value] += 1
             progress.next_pose[0] += 1
             continue
         outcome = predict(state, noise, imu_time_ns[index], rates[index], specific_force[index])
         if outcome == Outcome.RESET:
             return
-        progress.imu_counts[outcome] += 1
+        progress.imu_counts[outcome.value] += 1
         progress.next_imu[0] += 1
         if outcome == Outcome.USED:
             record(state, track, progress)
