@@ -75,7 +75,7 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
     with Bag(path) as bag:
         names = {}
         for topic in _RECORDED:
-            connection = _find(bag, topic)
+            connection = find_topic(bag, topic)
             if connection is not None:
                 names[topic] = connection.topic
         if "imu" not in names:
@@ -114,7 +114,7 @@ def read_outputs(path: Path | str) -> tuple[Predictions | None, messages.Reporte
     """
     path = Path(path)
     with Bag(path) as bag:
-        prediction, alarm = _find(bag, "prediction"), _find(bag, "extrapolation_alarm")
+        prediction, alarm = find_topic(bag, "prediction"), find_topic(bag, "extrapolation_alarm")
         topics = bag.read([connection.topic for connection in (prediction, alarm) if connection])
     return (
         _unpacked(path, topics[prediction.topic], messages.unpack_predictions) if prediction else None,
@@ -190,7 +190,7 @@ def _has_header(connection: Connection) -> bool:
     return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"
 
 
-def _find(bag: Bag, topic: str) -> Connection | None:
+def find_topic(bag: Bag, topic: str) -> Connection | None:
     """The topic of that name in any namespace, or None if it is absent or holds no messages."""
     candidates = {
         connection.topic: connection
