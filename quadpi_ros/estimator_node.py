@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimator node: imu and mocap/pose in, odometry out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu
+
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream
+from quadpi_core.logs import messages
+from quadpi_core.signals.ekf import Ekf
+from quadpi_core.signals.ekf_kernels import Outcome
+from quadpi_core.signals.odometry import fused_sample
+from quadpi_core.vehicle import Vehicle
+from quadpi_ros.parameters import parameter, read_parameters
+from quadpi_ros.runtime import run, spin
+from quadpi_ros.sensor_node import SensorNode
+
+_WARM_UP_S = 1.1
+_WARM_UP_RATE_HZ = 100.0
+
+
+@dataclass(frozen=True)
+class EstimatorParameters:
+    """Parameters of the node `estimator`."""
+
+    vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
+    imu_rate_hz: float = parameter(500.0, "nominal rate of the topic imu", limits=(50.0, 5000.0))
+    world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
+    body_frame: str = parameter(messages.BODY_FRAME, "child_frame_id of odometry: forward-left-up")
+
+
+class StateListener(Protocol):
+    """Takes each estimate in the same process, where serializing it would be waste."""
+
+    def take_imu(self, imu: ImuStream) -> None:
+        """Take an IMU sample, corrected by the estimated biases."""
+
+    def take_odometry(self, odometry: OdometryStream) -> None:
+        """Take the state at the stamp of that sample."""
+
+
+class EstimatorNode(SensorNode):
+    """The EKF of `quadpi_core.signals.ekf` between its topics.
+
+    Args:
+        listener: takes each estimate directly, before it is published.
+        shared_with: parameter classes of other nodes in this process.
+    """
+
+    def __init__(self, listener: StateListener | None = None, shared_with: tuple[type, ...] = ()) -> None:
+        super().__init__("estimator")
+        parameters = read_parameters(self, EstimatorParameters, shared_with=shared_with)
+        vehicle = Vehicle.load(parameters.vehicle)
+        self._frames = (parameters.world_frame, parameters.body_frame)
+        self._gyro_noise = vehicle.noise.gyro_noise_rad_s
+        self._listener = listener
+        _warm_up(vehicle)
+        self._ekf = Ekf(vehicle, parameters.imu_rate_hz)
+        self._publish = self.announce(Odometry, "odometry")
+        self.listen(Imu, "imu", messages.unpack_imu, self._take_imu)
+        self.listen(PoseStamped, "mocap/pose", messages.unpack_pose, self._take_pose)
+
+    def _take_imu(self, imu: ImuStream) -> None:
+        outcome = self._ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
+        if outcome not in (Outcome.USED, Outcome.COLLECTED):
+            self.warn(f"topic imu: sample not used: {outcome.name.lower().replace('_', ' ')}")
+        if outcome == Outcome.UNUSABLE and self._listener:
+            self._listener.take_imu(imu)
+        if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self._ekf.initialised:
+            return
+        sample = fused_sample(self._ekf.state, self._gyro_noise)
+        if self._listener:
+            self._listener.take_imu(sample.imu)
+            self._listener.take_odometry(sample.odometry)
+        world_frame, body_frame = self._frames
+        odometry = messages.pack_odometry(
+            sample.odometry, sample.pose_covariance, sample.twist_covariance, world_frame, body_frame
+        )
+        self._publish(odometry[0])
+
+    def _take_pose(self, pose: PoseStream) -> None:
+        outcome = self._ekf.update_pose(int(pose.time_ns[0]), pose.position[0], pose.attitude[0])
+        if outcome not in (Outcome.USED, Outcome.COLLECTED):
+            self.warn(f"topic mocap/pose: pose not used: {outcome.name.lower().replace('_', ' ')}")
+
+
+def _warm_up(vehicle: Vehicle) -> None:
+    """Load every compiled kernel now: the first sample in flight must not wait for it."""
+    ekf = Ekf(vehicle, _WARM_UP_RATE_HZ)
+    hover = np.array([0.0, 0.0, -vehicle.gravity_m_s2])
+    level = np.array([1.0, 0.0, 0.0, 0.0])
+    for time_ns in np.arange(0.0, _WARM_UP_S * 1e9, 1e9 / _WARM_UP_RATE_HZ).astype(int).tolist():
+        ekf.update_pose(time_ns, np.zeros(3), level)
+        ekf.predict(time_ns, np.zeros(3), hover)
+    fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+
+
+def main() -> int:
+    """Run the node in its own process."""
+    return run(lambda: spin([EstimatorNode()]))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimator and monitor in one process, on one executor: the default on a vehicle.
+
+The estimator hands each state to the monitor directly instead of over DDS, and still publishes odometry.
+"""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+
+from quadpi_ros.estimator_node import EstimatorNode, EstimatorParameters
+from quadpi_ros.monitor_node import MonitorNode, MonitorParameters
+from quadpi_ros.runtime import run, spin
+
+
+def create_nodes() -> list[Node]:
+    """Both nodes, connected; parameters given for all nodes of the process may belong to either."""
+    shared = (EstimatorParameters, MonitorParameters)
+    monitor = MonitorNode(estimator_in_process=True, shared_with=shared)
+    return [monitor, EstimatorNode(listener=monitor, shared_with=shared)]
+
+
+def main() -> int:
+    """Run the process."""
+    return run(lambda: spin(create_nodes()))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

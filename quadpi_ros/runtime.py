@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every process of quadpi_ros shares: quality of service, and a life from start to shutdown."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from quadpi_core.errors import QuadpiError
+
+# Sensors publish best effort, which a reliable subscription would not match: silently nothing would arrive.
+SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+OUTPUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
+
+# EventsExecutor does not wake on a signal; this is how long a shutdown may go unnoticed.
+_SHUTDOWN_POLL_S = 0.2
+
+
+class ArgumentError(QuadpiError):
+    """ROS cannot use the arguments after `--ros-args`."""
+
+
+def initialise() -> None:
+    """Initialise ROS from the command line.
+
+    Raises:
+        ArgumentError: saying which argument is wrong.
+    """
+    try:
+        rclpy.init()
+    except UnknownROSArgsError as error:
+        raise ArgumentError(f"unknown ROS arguments {error}") from None
+    except RCLError as error:
+        reason = str(error).partition(", at ")[0].removeprefix("failed to initialize rcl: ")
+        raise ArgumentError(reason) from None
+
+
+def spin(nodes: Sequence[Node]) -> None:
+    """Serve the nodes on one EventsExecutor until the context shuts down, as on Ctrl-C."""
+    executor = EventsExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    never = Future()
+    while rclpy.ok():
+        executor.spin_until_future_complete(never, timeout_sec=_SHUTDOWN_POLL_S)
+
+
+def run(work: Callable[[], None]) -> int:
+    """Do the work of a process between start and shutdown of ROS, and return the exit status.
+
+    Errors that a user can mend print one line and give status 2.
+    """
+    try:
+        initialise()
+        work()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    except QuadpiError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    return 0
