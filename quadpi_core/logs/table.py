@@ -176,7 +176,8 @@ class _TableReader:
         if name not in self.table.column_names:
             raise LogError(f"{self.path}: no column {name}; it has {', '.join(self.table.column_names)}")
         column = self.table[name]
-        if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+        numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_null)
+        if not any(test(column.type) for test in numeric):
             raise LogError(f"{self.path}: column {name} holds {column.type}, not numbers")
         values: Array = column.to_numpy(zero_copy_only=False).astype(np.float64)
         return values
@@ -189,7 +190,7 @@ class _TableReader:
         if len(keep) == 0:
             raise LogError(f"{where}: no row has a value for all of {', '.join(of)}")
         inside = complete[keep[0] : keep[-1] + 1]
-        share = 1.0 - inside.mean()
+        share = np.mean(~inside)
         if share > max(self.mapping.signals[name].missing for name in of):
             index = int(keep[0] + np.argmin(inside))
             raise LogError(

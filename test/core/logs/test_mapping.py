@@ -1,0 +1,346 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Mapping files and the tables that they describe: units, frames, missing values, and the nanodrone set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from quadpi_core.errors import LogError, VehicleError
+from quadpi_core.flight import Recording
+from quadpi_core.frames import rotate_body_to_world
+from quadpi_core.logs import read_recording
+from quadpi_core.logs.mapping import UNITS, Mapping
+from quadpi_core.paths import config_directory
+from quadpi_core.vehicle import Vehicle
+
+GRAVITY = 9.80665
+SPIKES = {"multisine_20251017_run1": 2, "multisine_20251017_run4": 3}
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return Vehicle.load("nanodrone")
+
+
+def minimal_mapping() -> dict[str, Any]:
+    return {
+        "time": {"columns": ["t"], "unit": "s"},
+        "body": "frd",
+        "world": "ned",
+        "angular_velocity": {"columns": ["p", "q", "r"], "unit": "rad/s"},
+        "acceleration": {
+            "columns": ["ax", "ay", "az"],
+            "unit": "m/s2",
+            "axes": "body",
+            "gravity": "included",
+        },
+    }
+
+
+def hover_table(samples: int = 50) -> dict[str, np.ndarray]:
+    columns = {name: np.zeros(samples) for name in ("p", "q", "r", "ax", "ay")}
+    return columns | {"t": np.arange(samples) * 0.01, "az": np.full(samples, -GRAVITY)}
+
+
+def write(folder: Path, mapping: dict[str, Any], columns: dict[str, Any], suffix: str = ".csv"):
+    """Write the table and its mapping; gives both paths."""
+    table_path, mapping_path = folder / f"flight{suffix}", folder / "mapping.yaml"
+    table = pa.table(columns)
+    if suffix == ".csv":
+        pyarrow.csv.write_csv(table, table_path)
+    else:
+        pyarrow.parquet.write_table(table, table_path)
+    mapping_path.write_text(yaml.safe_dump(mapping))
+    return table_path, mapping_path
+
+
+def read(folder: Path, mapping: dict[str, Any], columns: dict[str, Any], vehicle: Vehicle | None = None):
+    table_path, mapping_path = write(folder, mapping, columns)
+    return read_recording(table_path, vehicle, mapping_path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_csv_and_parquet_hold_the_same(tmp_path: Path, suffix: str):
+    table_path, mapping_path = write(tmp_path, minimal_mapping(), hover_table(), suffix)
+    recording = read_recording(table_path, None, mapping_path)
+    assert recording.name == "flight"
+    assert recording.imu.time_ns[3] == 30_000_000
+    np.testing.assert_allclose(recording.imu.specific_force, [[0.0, 0.0, -GRAVITY]] * 50)
+    assert recording.rotor_speeds is None
+
+
+def test_angular_and_acceleration_units(tmp_path: Path):
+    mapping, columns = minimal_mapping(), hover_table()
+    mapping["time"]["unit"] = "ms"
+    mapping["angular_velocity"]["unit"] = "deg/s"
+    mapping["acceleration"]["unit"] = "g"
+    columns |= {"t": columns["t"] * 1e3, "q": np.full(50, 180.0), "az": np.full(50, -1.0)}
+    imu = read(tmp_path, mapping, columns).imu
+    assert imu.time_ns[1] == 10_000_000
+    np.testing.assert_allclose(imu.angular_velocity[0], [0.0, np.pi, 0.0])
+    np.testing.assert_allclose(imu.specific_force[0], [0.0, 0.0, -GRAVITY])
+
+
+@pytest.mark.parametrize(
+    ("unit", "value"), [("rad/s", 1000.0), ("rpm", 30_000.0 / np.pi), ("erpm", 6 * 30_000.0 / np.pi)]
+)
+def test_rotor_speed_units(tmp_path: Path, vehicle: Vehicle, unit: str, value: float):
+    mapping = minimal_mapping() | {"rotor_speeds": {"columns": ["m1", "m2", "m3", "m4"], "unit": unit}}
+    columns = hover_table() | {f"m{i}": np.full(50, value * i / 2) for i in (1, 2, 3, 4)}
+    recording = read(tmp_path, mapping, columns, vehicle)
+    np.testing.assert_allclose(recording.rotor_speeds.speeds[0], [500.0, 1000.0, 1500.0, 2000.0])
+
+
+def test_electrical_speeds_need_pole_pairs(tmp_path: Path):
+    mapping = minimal_mapping() | {"rotor_speeds": {"columns": ["m1", "m2", "m3", "m4"], "unit": "erpm"}}
+    columns = hover_table() | {f"m{i}": np.full(50, 1e5) for i in (1, 2, 3, 4)}
+    with pytest.raises(VehicleError, match="need `pole_pairs`"):
+        read(tmp_path, mapping, columns, Vehicle.load("neurobem"))
+    with pytest.raises(LogError, match="need the vehicle"):
+        read(tmp_path, mapping, columns, None)
+
+
+def tumbling(samples: int = 40) -> tuple[dict[str, np.ndarray], Rotation, np.ndarray, np.ndarray]:
+    """A table of one tumbling body; with its attitude, world velocity and world acceleration."""
+    rng = np.random.default_rng(7)
+    attitude = Rotation.random(samples, rng=7)
+    velocity, acceleration = rng.normal(size=(2, samples, 3))
+    x, y, z, w = attitude.as_quat().T
+    columns = hover_table(samples) | {"qx": x, "qy": y, "qz": z, "qw": w}
+    columns |= dict(zip(("vx", "vy", "vz"), velocity.T, strict=True))
+    columns |= dict(zip(("x", "y", "z"), rng.normal(size=(3, samples)), strict=True))
+    return columns, attitude, velocity, acceleration
+
+
+def state_mapping(**changes: Any) -> dict[str, Any]:
+    return (
+        minimal_mapping()
+        | {
+            "position": {"columns": ["x", "y", "z"], "unit": "m"},
+            "attitude": {"columns": ["qw", "qx", "qy", "qz"], "form": "wxyz"},
+            "velocity": {"columns": ["vx", "vy", "vz"], "unit": "m/s", "axes": "world"},
+        }
+        | changes
+    )
+
+
+@pytest.mark.parametrize("gravity", ["included", "removed"])
+@pytest.mark.parametrize("axes", ["body", "world"])
+@pytest.mark.parametrize("world", ["enu", "ned"])
+@pytest.mark.parametrize("body", ["flu", "frd"])
+def test_every_frame_gives_the_same_physics(tmp_path: Path, body: str, world: str, axes: str, gravity: str):
+    """Turned back into the world, specific force and velocity must be those that the table was made of."""
+    columns, attitude, velocity, acceleration = tumbling()
+    up = np.array([0.0, 0.0, 1.0 if world == "enu" else -1.0])
+    logged = acceleration + (GRAVITY * up if gravity == "included" else 0.0)
+    logged = attitude.inv().apply(logged) if axes == "body" else logged
+    columns |= dict(zip(("ax", "ay", "az"), logged.T, strict=True))
+    choices = {"axes": axes, "gravity": gravity}
+    mapping = state_mapping(body=body, world=world)
+    mapping["acceleration"] = mapping["acceleration"] | choices
+    recording = read(tmp_path, mapping, columns)
+    force = rotate_body_to_world(recording.odometry.attitude, recording.imu.specific_force)
+    expected = acceleration + GRAVITY * up
+    if world == "enu":
+        expected, velocity = (v[:, [1, 0, 2]] * [1.0, 1.0, -1.0] for v in (expected, velocity))
+    np.testing.assert_allclose(force, expected, atol=1e-9)
+    in_world = rotate_body_to_world(recording.odometry.attitude, recording.odometry.velocity)
+    np.testing.assert_allclose(in_world, velocity, atol=1e-9)
+
+
+def test_attitude_forms_agree(tmp_path: Path):
+    columns, attitude, _, _ = tumbling()
+    yaw, pitch, roll = attitude.as_euler("ZYX", degrees=True).T
+    columns |= {"roll": roll, "pitch": pitch, "yaw": yaw}
+    forms = (
+        {"columns": ["qw", "qx", "qy", "qz"], "form": "wxyz"},
+        {"columns": ["qx", "qy", "qz", "qw"], "form": "xyzw"},
+        {"columns": ["roll", "pitch", "yaw"], "form": "roll-pitch-yaw", "unit": "deg"},
+    )
+    reference, *others = (
+        read(tmp_path, state_mapping(attitude=form), columns).odometry.attitude for form in forms
+    )
+    for other in others:
+        np.testing.assert_allclose(np.abs(np.sum(reference * other, axis=1)), 1.0, atol=1e-12)
+
+
+def test_world_axes_need_an_attitude(tmp_path: Path):
+    mapping = minimal_mapping()
+    mapping["acceleration"]["axes"] = "world"
+    with pytest.raises(LogError, match="need `attitude`"):
+        read(tmp_path, mapping, hover_table())
+
+
+def rotor_table(missing: list[int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    rotors = {f"m{i}": np.full(100, 1500.0) for i in (1, 2, 3, 4)}
+    rotors["m3"][missing] = np.nan
+    mapping = minimal_mapping() | {"rotor_speeds": {"columns": list(rotors), "unit": "rad/s"}}
+    return mapping, hover_table(100) | rotors
+
+
+def test_rows_without_a_value_at_either_end_are_dropped_and_logged(tmp_path: Path, vehicle, caplog):
+    mapping, columns = rotor_table([0, 1, 99])
+    recording = read(tmp_path, mapping, columns, vehicle)
+    assert len(recording.rotor_speeds) == 97
+    assert len(recording.imu) == 100
+    assert "topic rotor_speeds: dropped 3 of 100 rows without a value" in caplog.text
+
+
+def test_rows_without_a_value_in_between_are_refused_unless_allowed(tmp_path: Path, vehicle: Vehicle):
+    mapping, columns = rotor_table([40, 41])
+    with pytest.raises(LogError, match=r"flight\.csv: topic rotor_speeds: sample 40: no value"):
+        read(tmp_path, mapping, columns, vehicle)
+    mapping["rotor_speeds"]["missing"] = 0.02
+    assert len(read(tmp_path, mapping, columns, vehicle).rotor_speeds) == 98
+    mapping["rotor_speeds"]["missing"] = 0.01
+    with pytest.raises(LogError, match=r"sample 40: no value, as in 2\.00% of the rows"):
+        read(tmp_path, mapping, columns, vehicle)
+
+
+def test_empty_column_is_refused(tmp_path: Path, vehicle: Vehicle):
+    mapping, columns = rotor_table(list(range(100)))
+    with pytest.raises(LogError, match="topic rotor_speeds: no row has a value for all of rotor_speeds"):
+        read(tmp_path, mapping, columns, vehicle)
+
+
+def test_spikes_are_dropped_and_logged(tmp_path: Path, vehicle: Vehicle, caplog):
+    mapping, columns = rotor_table([])
+    columns["m2"][30] = 1e5
+    recording = read(tmp_path, mapping, columns, vehicle)
+    assert recording.rotor_speeds.speeds.max() == 1500.0
+    assert 300_000_000 not in recording.rotor_speeds.time_ns
+    assert "dropped 1 of 100 samples above the vehicle's 3000 rad/s, the first is sample 30" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speed": 1}, "unknown key `speed`; known: time, body"),
+        ({"body": "fru"}, "`body` is 'fru'; known: flu, frd"),
+        (
+            {"time": {"columns": ["t"], "unit": "minutes"}},
+            "`time`: `unit` is 'minutes'; known: s, ms, us, ns",
+        ),
+        ({"time": {"columns": ["t"]}}, "`time`: missing key `unit`"),
+        ({"time": {"columns": ["t"], "unit": "s", "zero": 0}}, "`time`: unknown key `zero`"),
+        ({"time": "t"}, "`time`: expected keys and values, found str"),
+        ({"wind": {"columns": ["a", "b"], "unit": "m/s"}}, "`wind`: `columns` must list 3 different columns"),
+        ({"time": {"columns": ["t"], "unit": "s", "missing": 2}}, "`missing` must be a share"),
+        (
+            {"attitude": {"columns": ["a", "b", "c", "d"], "form": "zyx"}},
+            "`attitude`: missing key `unit`",
+        ),
+    ],
+)
+def test_mistakes_in_a_mapping_are_named(tmp_path: Path, change: dict[str, Any], message: str):
+    path = tmp_path / "mapping.yaml"
+    path.write_text(yaml.safe_dump(minimal_mapping() | change))
+    with pytest.raises(LogError) as caught:
+        Mapping.load(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["time", "body", "world", "angular_velocity", "acceleration"])
+def test_required_keys(tmp_path: Path, key: str):
+    mapping = minimal_mapping()
+    del mapping[key]
+    path = tmp_path / "mapping.yaml"
+    path.write_text(yaml.safe_dump(mapping))
+    with pytest.raises(LogError, match=f"missing key `{key}`"):
+        Mapping.load(path)
+
+
+def test_unknown_mapping_lists_the_known():
+    with pytest.raises(LogError, match=r"no such mapping file; known mappings: .*nanodrone"):
+        Mapping.load("nonesuch")
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"az": None}, "no column az; it has"),
+        ({"az": np.array(["up"] * 50)}, "column az holds string, not numbers"),
+        ({"t": np.zeros(50)}, "topic imu: sample 1: the stamp repeats"),
+        ({"t": np.arange(50)[::-1] * 0.01}, "topic imu: sample 1: the stamp runs backward"),
+    ],
+)
+def test_unusable_columns_are_named(tmp_path: Path, columns: dict[str, Any], message: str):
+    table = {name: values for name, values in (hover_table() | columns).items() if values is not None}
+    with pytest.raises(LogError, match=rf"flight\.csv: {message}"):
+        read(tmp_path, minimal_mapping(), table)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_damaged_tables_are_refused(tmp_path: Path, suffix: str):
+    path, mapping_path = write(tmp_path, minimal_mapping(), hover_table(), suffix)
+    path.write_bytes(path.read_bytes()[:200] + b"\xff\x00,,,,,,,,,,,,\n")
+    with pytest.raises(LogError, match="flight"):
+        read_recording(path, None, mapping_path)
+
+
+def test_table_needs_a_mapping_and_others_take_none(tmp_path: Path):
+    path, mapping_path = write(tmp_path, minimal_mapping(), hover_table())
+    with pytest.raises(LogError, match=r"needs a mapping file .* \(--mapping\)"):
+        read_recording(path, None)
+    (tmp_path / "flight.mat").write_bytes(b"anything")
+    with pytest.raises(LogError, match="takes no mapping file"):
+        read_recording(tmp_path / "flight.mat", None, mapping_path)
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in (config_directory() / "mappings").glob("*.yaml")))
+def test_every_mapping_of_the_project_loads(name: str):
+    assert set(Mapping.load(name).signals) <= set(UNITS)
+
+
+@pytest.fixture(scope="module", params=[*SPIKES, "random1_20251017_run2"])
+def nanodrone(request, shared_data: Path, vehicle: Vehicle) -> Recording:
+    """The worked example of docs/add-a-data-set.md."""
+    return read_recording(shared_data / "nanodrone" / f"{request.param}.parquet", vehicle, "nanodrone")
+
+
+@pytest.mark.parametrize(("name", "spikes"), SPIKES.items())
+def test_nanodrone_spikes_are_dropped(shared_data: Path, vehicle: Vehicle, caplog, name: str, spikes: int):
+    recording = read_recording(shared_data / "nanodrone" / f"{name}.parquet", vehicle, "nanodrone")
+    assert f"dropped {spikes} of" in caplog.text
+    assert recording.rotor_speeds.speeds.max() < vehicle.rotor_speed_max_rad_s
+
+
+def test_nanodrone_thrust_follows_rotor_speeds(nanodrone: Recording, vehicle: Vehicle):
+    rotors, imu = nanodrone.rotor_speeds, nanodrone.imu
+    squares = np.sum(rotors.speeds**2, axis=1)
+    thrust = -vehicle.mass_kg * np.interp(rotors.time_ns, imu.time_ns, imu.specific_force[:, 2])
+    flying = squares > 0.5 * np.median(squares)
+    fit = thrust[flying] @ squares[flying] / (squares[flying] @ squares[flying])
+    assert fit == pytest.approx(3.72e-8, rel=0.03)
+
+
+def test_nanodrone_thrust_is_along_the_body(nanodrone: Recording):
+    """World axes must be turned back into the body, where the lateral force is small."""
+    fast = np.linalg.norm(nanodrone.odometry.velocity, axis=1) > 1.0
+    force = nanodrone.imu.specific_force[fast]
+    in_world = rotate_body_to_world(nanodrone.odometry.attitude[fast], force)
+    assert np.abs(force[:, :2]).mean() < 0.6 * np.abs(in_world[:, :2]).mean()
+
+
+def test_nanodrone_specific_force_is_acceleration_without_gravity(nanodrone: Recording, vehicle: Vehicle):
+    odometry = nanodrone.odometry
+    velocity = rotate_body_to_world(odometry.attitude, odometry.velocity)
+    acceleration = np.gradient(velocity, odometry.time_ns * 1e-9, axis=0)
+    expected = acceleration - [0.0, 0.0, vehicle.gravity_m_s2]
+    in_world = rotate_body_to_world(odometry.attitude, nanodrone.imu.specific_force)
+    slow = np.ones(30) / 30
+    for axis in range(3):
+        measured, derived = (np.convolve(v[:, axis], slow, mode="valid") for v in (in_world, expected))
+        flying = odometry.position[15:-14, 2] < -0.3
+        assert np.corrcoef(measured[flying], derived[flying])[0, 1] > 0.9
