@@ -121,6 +121,12 @@ class StepwisePolynomial:
             setattr(self, name, value)
         return self
 
+    def __sklearn_tags__(self) -> Any:
+        """What scikit-learn wants to know; only scikit-learn asks, so it is imported here."""
+        from sklearn.utils import RegressorTags, Tags, TargetTags
+
+        return Tags("regressor", TargetTags(required=True), regressor_tags=RegressorTags())
+
     @property
     def _settings(self) -> SelectionSettings:
         return SelectionSettings(self.stop, self.max_terms, self.f_enter, self.f_remove, self.rank_tolerance)
