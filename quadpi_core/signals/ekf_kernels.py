@@ -111,7 +111,7 @@ class State(NamedTuple):
 
 
 @njit(cache=True)
-def predict(state: State, noise: Noise, time_ns: int, rates: Array, specific_force: Array) -> int:
+def predict(state: State, noise: Noise, time_ns: int, rates: Array, specific_force: Array) -> Outcome:
     """Take one IMU sample: rates (3,) rad/s and specific_force (3,) m/s², and move the state to its stamp.
 
     The IMU signal is taken as linear between its samples. Gives an :class:`Outcome`; the state is untouched
@@ -141,7 +141,7 @@ def predict(state: State, noise: Noise, time_ns: int, rates: Array, specific_for
 
 
 @njit(cache=True)
-def update_pose(state: State, noise: Noise, time_ns: int, position: Array, attitude: Array) -> int:
+def update_pose(state: State, noise: Noise, time_ns: int, position: Array, attitude: Array) -> Outcome:
     """Correct the state by a pose: position (3,) m world, attitude (4,) body to world.
 
     Between IMU samples the last one is held to reach the pose's stamp; a pose late by up to MAX_LATENESS_NS
