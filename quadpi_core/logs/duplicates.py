@@ -42,6 +42,7 @@ def find_duplicates(recordings: Iterable[Recording]) -> None:
     """
     seen: dict[str, str] = {}
     for recording in recordings:
-        first = seen.setdefault(recording_hash(recording), recording.source)
-        if first is not recording.source:
-            raise LogError(f"{recording.source}: the same flight as {first}; give each flight once")
+        digest = recording_hash(recording)
+        if digest in seen:
+            raise LogError(f"{recording.source}: the same flight as {seen[digest]}; give each flight once")
+        seen[digest] = recording.source

@@ -17,6 +17,7 @@ from quadpi_core.logs.plausibility import (
     THRUST_COEFFICIENT_USUAL,
     finite_rows,
     implausibilities,
+    share,
     thrust_coefficient,
 )
 from quadpi_core.vehicle import Vehicle
@@ -178,7 +179,7 @@ def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[s
 def _spike_findings(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
     with np.errstate(invalid="ignore"):
         spike = np.any(rotors.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
-    if 0.0 < spike.mean() <= SPIKE_SHARE:
+    if 0.0 < share(spike) <= SPIKE_SHARE:
         yield (
             f"topic rotor_speeds: {spike.sum()} spikes above the vehicle's "
             f"{vehicle.rotor_speed_max_rad_s:.0f} rad/s, up to {np.nanmax(rotors.speeds):.3g}, the first at "

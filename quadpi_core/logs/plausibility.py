@@ -53,9 +53,14 @@ def implausibilities(recording: Recording, vehicle: Vehicle | None) -> Iterator[
 def finite_rows(*signals: Array) -> npt.NDArray[np.bool_]:
     """Rows (N,) in which every signal is finite."""
     finite: npt.NDArray[np.bool_] = np.all(
-        [np.isfinite(v).reshape(len(v), -1).all(axis=1) for v in signals], axis=0
+        [np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in signals], axis=0
     )
     return finite
+
+
+def share(flags: npt.NDArray[np.bool_]) -> float:
+    """Share of samples (N,) that are set; zero where there are none."""
+    return float(np.count_nonzero(flags) / max(len(flags), 1))
 
 
 def thrust_coefficient(recording: Recording, vehicle: Vehicle) -> float | None:
@@ -99,9 +104,9 @@ def _rates(recording: Recording) -> Iterator[str]:
     rates = recording.imu.angular_velocity
     with np.errstate(invalid="ignore"):
         beyond = np.any(np.abs(rates) > LARGEST_RATE_RAD_S, axis=1)
-    if beyond.mean() > OUTLIER_SHARE:
+    if share(beyond) > OUTLIER_SHARE:
         yield (
-            f"topic imu: sample {int(np.argmax(beyond))}: {beyond.mean():.0%} of the rates exceed "
+            f"topic imu: sample {int(np.argmax(beyond))}: {share(beyond):.0%} of the rates exceed "
             f"{LARGEST_RATE_RAD_S:.0f} rad/s: looks like deg/s"
         )
         return
@@ -161,9 +166,9 @@ def _rotor_speeds(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
     with np.errstate(invalid="ignore"):
         fast = np.any(rotors.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
         negative = np.any(rotors.speeds < 0.0, axis=1)
-    if fast.mean() > OUTLIER_SHARE:
+    if share(fast) > OUTLIER_SHARE:
         yield (
-            f"topic rotor_speeds: sample {int(np.argmax(fast))}: {fast.mean():.0%} of the samples exceed the "
+            f"topic rotor_speeds: sample {int(np.argmax(fast))}: {share(fast):.0%} of the samples exceed the "
             f"vehicle's {vehicle.rotor_speed_max_rad_s:.0f} rad/s: looks like rpm or erpm"
         )
     if np.any(negative):

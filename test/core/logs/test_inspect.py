@@ -1,0 +1,310 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What inspection finds in recordings that were spoilt on purpose, and that it leaves good ones alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
+from quadpi_core.logs import decode_recording, identify_format, read_recording
+from quadpi_core.logs.duplicates import find_duplicates, recording_hash
+from quadpi_core.logs.inspect import inspect_recording
+from quadpi_core.logs.plausibility import check_plausible, thrust_coefficient
+from quadpi_core.vehicle import Vehicle
+
+RATE_HZ = 500
+SAMPLES = 2000
+HOVER_RAD_S = 1570.0
+MILLISECOND = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return Vehicle.load("crazyflie_rpm")
+
+
+@pytest.fixture
+def hover() -> Recording:
+    """Four seconds near hover, rolling gently to and fro."""
+    rng = np.random.default_rng(3)
+    time = np.arange(SAMPLES) / RATE_HZ
+    time_ns = np.arange(SAMPLES, dtype=np.int64) * (1_000_000_000 // RATE_HZ)
+    roll, zero = 0.2 * np.sin(2.0 * np.pi * time), np.zeros(SAMPLES)
+    attitude = np.stack([np.cos(roll / 2), np.sin(roll / 2), zero, zero], axis=1)
+    rates = np.stack([np.gradient(roll, time), zero, zero], axis=1) + rng.normal(0.0, 0.01, (SAMPLES, 3))
+    force = np.array([0.0, 0.0, -9.81]) + rng.normal(0.0, 0.1, (SAMPLES, 3))
+    position = np.stack([zero, np.sin(time), -1.0 - 0.1 * time], axis=1)
+    speeds = HOVER_RAD_S + rng.normal(0.0, 10.0, (SAMPLES, 4))
+    velocity = np.gradient(position, time, axis=0)
+    return Recording(
+        name="hover",
+        vehicle="crazyflie_rpm",
+        source="hover.mcap",
+        imu=ImuStream(time_ns, rates, force),
+        rotor_speeds=RotorSpeedStream(time_ns, speeds),
+        pose=PoseStream(time_ns[::5], position[::5], attitude[::5]),
+        odometry=OdometryStream(time_ns, position, attitude, velocity, rates),
+        battery_v=(time_ns, np.linspace(4.0, 3.9, SAMPLES)),
+    )
+
+
+def with_speeds(recording: Recording, change: Callable[[np.ndarray], object]) -> Recording:
+    speeds = recording.rotor_speeds.speeds.copy()
+    change(speeds)
+    return replace(recording, rotor_speeds=replace(recording.rotor_speeds, speeds=speeds))
+
+
+def with_imu(recording: Recording, **scale: float) -> Recording:
+    scaled = {name: getattr(recording.imu, name) * factor for name, factor in scale.items()}
+    return replace(recording, imu=replace(recording.imu, **scaled))
+
+
+def findings(recording: Recording, vehicle: Vehicle | None) -> str:
+    return "\n".join(inspect_recording(recording, vehicle).findings)
+
+
+def test_nothing_is_found_in_a_good_recording(hover: Recording, vehicle: Vehicle):
+    check_plausible(hover, vehicle)
+    assert inspect_recording(hover, vehicle).findings == ()
+
+
+def test_timing_of_topics(hover: Recording, vehicle: Vehicle):
+    imu, _, pose, _ = inspect_recording(hover, vehicle).topics
+    assert (imu.topic, imu.count, imu.gaps, imu.repeated, imu.backward) == ("imu", SAMPLES, 0, 0, 0)
+    assert imu.rate_hz == pytest.approx(500.0)
+    assert pose.rate_hz == pytest.approx(100.0)
+    assert imu.longest_gap_s == pytest.approx(0.002)
+
+
+def test_envelope(hover: Recording, vehicle: Vehicle):
+    rows = {row.quantity: row for row in inspect_recording(hover, vehicle).envelope}
+    assert rows["altitude"].lowest == pytest.approx(1.0)
+    assert rows["tilt"].highest == pytest.approx(np.degrees(0.2), rel=1e-3)
+    assert rows["battery"].unit == "V"
+    assert rows["rotor 4"].median == pytest.approx(HOVER_RAD_S, rel=0.01)
+
+
+def test_gap_repeated_and_backward_stamps_are_counted(hover: Recording, vehicle: Vehicle):
+    time_ns = hover.imu.time_ns.copy()
+    time_ns[1000:] += 300 * MILLISECOND
+    time_ns[50] = time_ns[49]
+    time_ns[60] = time_ns[50]
+    spoilt = replace(hover, imu=replace(hover.imu, time_ns=time_ns))
+    imu = inspect_recording(spoilt, vehicle).topics[0]
+    assert (imu.gaps, imu.repeated, imu.backward) == (2, 1, 1)
+    assert imu.longest_gap_s == pytest.approx(0.302)
+    found = findings(spoilt, vehicle)
+    assert "topic imu: gaps: 2, the longest 302 ms" in found
+    assert "topic imu: 1 stamps repeat" in found
+    assert "topic imu: 1 stamps run backward" in found
+
+
+def test_arrival_times_jitter(hover: Recording, vehicle: Vehicle):
+    jitter = np.random.default_rng(5).uniform(0.0, 9 * MILLISECOND, len(hover.pose)).astype(np.int64)
+    spoilt = replace(hover, pose=replace(hover.pose, time_ns=hover.pose.time_ns + jitter))
+    assert "topic mocap/pose: stamps jitter by" in findings(spoilt, vehicle)
+
+
+@pytest.mark.parametrize("rotor", range(4))
+def test_half_reading_rotor(hover: Recording, vehicle: Vehicle, rotor: int):
+    def halve(speeds: np.ndarray) -> None:
+        speeds[:, rotor] /= 2
+
+    found = findings(with_speeds(hover, halve), vehicle)
+    assert f"rotor {rotor + 1} reads 0.50 times the others: half-reading sensor?" in found
+    assert found.count("reading sensor") == 1
+
+
+def test_rotor_that_reads_half_at_times(hover: Recording, vehicle: Vehicle):
+    def halve_at_times(speeds: np.ndarray) -> None:
+        speeds[300:340, 2] /= 2
+        speeds[900:1000, 2] /= 2
+
+    found = findings(with_speeds(hover, halve_at_times), vehicle)
+    assert "rotor 3 halves or doubles within one interval, 4 times: half-reading sensor?" in found
+
+
+def test_all_rotors_reading_half_show_against_thrust(hover: Recording, vehicle: Vehicle):
+    spoilt = with_speeds(hover, lambda speeds: np.divide(speeds, 2, out=speeds))
+    assert "speeds too low by a constant factor" in findings(spoilt, vehicle)
+
+
+def test_frozen_rotor_and_frozen_pose(hover: Recording, vehicle: Vehicle):
+    def freeze(speeds: np.ndarray) -> None:
+        speeds[400:600, 1] = speeds[400, 1]
+
+    position, attitude = hover.pose.position.copy(), hover.pose.attitude.copy()
+    position[100:150], attitude[100:150] = position[100], attitude[100]
+    spoilt = replace(
+        with_speeds(hover, freeze), pose=replace(hover.pose, position=position, attitude=attitude)
+    )
+    found = findings(spoilt, vehicle)
+    assert "topic rotor_speeds: sample 400: rotor 2 stays the same for 0.40 s" in found
+    assert "topic mocap/pose: sample 100: position stays the same for 0.49 s" in found
+
+
+def test_spikes(hover: Recording, vehicle: Vehicle):
+    def spike(speeds: np.ndarray) -> None:
+        speeds[[70, 900], 0] = 1e5
+
+    found = findings(with_speeds(hover, spike), vehicle)
+    assert "2 spikes above the vehicle's 2700 rad/s, up to 1e+05, the first at sample 70" in found
+
+
+def test_constant_battery(hover: Recording, vehicle: Vehicle):
+    spoilt = replace(hover, battery_v=(hover.imu.time_ns, np.full(SAMPLES, 3.7)))
+    assert "battery: the voltage is constant at 3.7 V" in findings(spoilt, vehicle)
+
+
+def test_missing_topics_say_what_they_rule_out(hover: Recording, vehicle: Vehicle):
+    bare = replace(hover, rotor_speeds=None, pose=None, odometry=None)
+    assert inspect_recording(bare, vehicle).findings == (
+        "no rotor speeds: rules out identification, prediction and replay",
+        "neither pose nor odometry: rules out everything that needs velocity or attitude",
+    )
+    assert "rules out the live estimator" in findings(replace(hover, pose=None), vehicle)
+
+
+@pytest.mark.filterwarnings("error")
+def test_not_finite_and_empty_streams_do_not_stop_the_inspection(hover: Recording, vehicle: Vehicle):
+    nan = with_imu(with_speeds(hover, lambda speeds: speeds.fill(np.nan)), specific_force=np.nan)
+    assert f"topic imu: {SAMPLES} samples hold a value that is not finite" in findings(nan, vehicle)
+    empty = replace(
+        hover,
+        imu=ImuStream(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))),
+        rotor_speeds=RotorSpeedStream(np.empty(0, np.int64), np.empty((0, 4))),
+    )
+    assert "topic imu: holds no samples" in findings(empty, vehicle)
+
+
+IMPLAUSIBLE = {
+    "g": (lambda r: with_imu(r, specific_force=1 / 9.81), "topic imu: .*looks like g, m/s² expected"),
+    "deg/s, slow": (lambda r: with_imu(r, angular_velocity=180 / np.pi), "topic imu: .*looks like deg/s"),
+    "deg/s, fast": (
+        lambda r: with_imu(replace(r, pose=None, odometry=None), angular_velocity=200.0),
+        r"topic imu: sample \d+: .*exceed 60 rad/s: looks like deg/s",
+    ),
+    "milli-g": (lambda r: with_imu(r, specific_force=100.0), "topic imu: .*expected about 9.8"),
+    "flu": (
+        lambda r: replace(r, imu=replace(r.imu, specific_force=body_frd_to_flu(r.imu.specific_force))),
+        "topic imu: .*looks like forward-left-up axes taken for FRD",
+    ),
+    "rpm": (
+        lambda r: with_speeds(r, lambda speeds: np.multiply(speeds, 30 / np.pi, out=speeds)),
+        r"topic rotor_speeds: sample 0: 100% of the samples exceed .* looks like rpm or erpm",
+    ),
+    "revolutions per second": (
+        lambda r: with_speeds(r, lambda speeds: np.divide(speeds, 2 * np.pi, out=speeds)),
+        "topic rotor_speeds: .*wrong unit or pole pairs",
+    ),
+    "reversed": (
+        lambda r: with_speeds(r, lambda speeds: np.negative(speeds, out=speeds)),
+        "topic rotor_speeds: sample 0: a rotor speed is negative",
+    ),
+    "wrong frame": (
+        lambda r: replace(r, pose=replace(r.pose, attitude=r.pose.attitude[:, [1, 0, 3, 2]])),
+        "topic mocap/pose: attitude and specific force disagree on what is up",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", IMPLAUSIBLE)
+def test_implausible_numbers_are_refused_and_found(hover: Recording, vehicle: Vehicle, kind: str):
+    spoil, message = IMPLAUSIBLE[kind]
+    spoilt = spoil(hover)
+    with pytest.raises(LogError, match=rf"hover\.mcap: {message}") as caught:
+        check_plausible(spoilt, vehicle)
+    assert str(caught.value).removeprefix("hover.mcap: ") in inspect_recording(spoilt, vehicle).findings
+
+
+def test_copies_are_recognised_across_conversions(hover: Recording):
+    there_and_back = body_flu_to_frd(body_frd_to_flu(hover.imu.specific_force)) * (1.0 + 1e-13)
+    copy = replace(
+        hover,
+        source="copy.mcap",
+        name="copy",
+        imu=replace(hover.imu, time_ns=hover.imu.time_ns + 5_000_000_000, specific_force=there_and_back),
+        rotor_speeds=replace(hover.rotor_speeds, time_ns=hover.rotor_speeds.time_ns + 5_000_000_000),
+    )
+    assert recording_hash(copy) == recording_hash(hover)
+    with pytest.raises(LogError, match=r"copy\.mcap: the same flight as hover\.mcap"):
+        find_duplicates([hover, copy])
+
+
+def test_the_same_file_twice_is_a_duplicate(hover: Recording):
+    with pytest.raises(LogError, match=r"hover\.mcap: the same flight as hover\.mcap"):
+        find_duplicates([hover, replace(hover)])
+
+
+def test_different_flights_are_not_duplicates(hover: Recording):
+    other = with_imu(hover, specific_force=1.0 + 1e-5)
+    find_duplicates([hover, other, with_speeds(hover, lambda speeds: np.add(speeds, 1.0, out=speeds))])
+
+
+@pytest.mark.parametrize(
+    ("folder", "vehicle_name", "mapping", "coefficient"),
+    [
+        ("neurobem", "neurobem", None, 0.0225),
+        ("imrc_brushless", "crazyflie_rpm", None, 0.0338),
+        ("nanodrone", "nanodrone", "nanodrone", 0.0169),
+    ],
+)
+def test_real_flights_are_plausible(shared_data: Path, folder, vehicle_name, mapping, coefficient):
+    vehicle = Vehicle.load(vehicle_name)
+    recordings = []
+    for path in sorted((shared_data / folder).iterdir()):
+        recording = read_recording(path, vehicle, mapping)
+        check_plausible(recording, vehicle)
+        assert thrust_coefficient(recording, vehicle) == pytest.approx(coefficient, rel=0.03)
+        assert "half" not in findings(recording, vehicle)
+        recordings.append(recording)
+    find_duplicates(recordings)
+
+
+@pytest.mark.parametrize(("run", "spikes", "first"), [(1, 2, 2502), (4, 3, 2005)])
+def test_real_spikes_are_found(shared_data: Path, run: int, spikes: int, first: int):
+    vehicle = Vehicle.load("nanodrone")
+    path = shared_data / "nanodrone" / f"multisine_20251017_run{run}.parquet"
+    found = findings(decode_recording(path, vehicle, "nanodrone"), vehicle)
+    assert f"topic rotor_speeds: {spikes} spikes above the vehicle's 3000 rad/s" in found
+    assert f"the first at sample {first}" in found
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("absent.mat", None, "no such file or folder"),
+        ("empty.mat", b"", "the file is empty"),
+        (
+            "flight.xyz",
+            b"some bytes",
+            "not a known log format; known: bag .*, NeuroBEM .*, Crazyflie",
+        ),
+    ],
+)
+def test_unusable_paths_are_named(tmp_path: Path, name: str, content: bytes | None, message: str):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LogError, match=f"{name}: {message}"):
+        read_recording(path, None)
+
+
+def test_formats_are_told_apart(tmp_path: Path):
+    for name, content, description in (
+        ("a.mcap", b"\x89MCAP", "bag"),
+        ("b.mat", b"MATLAB", "NeuroBEM"),
+        ("c.CSV", b"t,x", "table"),
+        ("log17", b"\xbc\x02\x00", "Crazyflie"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        assert identify_format(tmp_path / name).description.startswith(description)
+    assert identify_format(tmp_path).description.startswith("bag")
