@@ -30,7 +30,7 @@ class Predictions:
 
 @dataclass(frozen=True)
 class Alarms:
-    """One row per published alarm state.
+    """One row per published alarm state; its evidence is the largest since the row before it.
 
     Attributes:
         level: (M,) 0 ok, 1 warning, 2 alarm.

@@ -220,3 +220,22 @@ def test_impossible_confidence_or_rate_is_refused_at_once(model, vehicle):
         Monitor(model, vehicle, RATE_HZ, confidence=1.2)
     with pytest.raises(SignalError, match="half the sample rate"):
         Monitor(model, vehicle, 20.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_garbage_never_comes_out(model, vehicle, samples, seed):
+    rng = np.random.default_rng(seed)
+    garbage = np.array([np.nan, np.inf, -np.inf, 1e300, -1.0, 0.0, 60.0])
+    columns = {}
+    for name in PairedSamples._fields[1:]:
+        values = getattr(samples, name)[:400].copy()
+        hit = rng.random(values.shape) < 0.02
+        values[hit] = rng.choice(garbage, np.count_nonzero(hit))
+        columns[name] = values
+    time_ns = samples.time_ns[:400].copy()
+    hit = rng.random(len(time_ns)) < 0.05
+    time_ns[hit] += rng.choice([-(10**18), -5_000_000, 0, 10**9, 10**18], np.count_nonzero(hit))
+    predictions, alarms = Monitor(model, vehicle, RATE_HZ).step(*PairedSamples(time_ns, **columns))
+    assert_finite(predictions, alarms)
+    assert 0 < len(predictions.time_ns) < 400
+    assert BAD_DATA in alarms.causes
