@@ -71,11 +71,17 @@ def test_equal_input_gives_equal_bytes(tmp_path, topics):
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.STORAGE])
+@pytest.mark.parametrize(
+    ("plugin", "mode"),
+    [
+        (StoragePlugin.MCAP, CompressionMode.NONE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+        (StoragePlugin.MCAP, CompressionMode.STORAGE),
+        (StoragePlugin.SQLITE3, CompressionMode.NONE),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+    ],
+)
 def test_reads_what_other_writers_write(tmp_path, topics, plugin, mode):
-    if (plugin, mode) == (StoragePlugin.SQLITE3, CompressionMode.STORAGE):
-        pytest.skip("rosbag2 has no storage compression for sqlite3")
     path = tmp_path / "folder"
     writer = Writer(path, version=9, storage_plugin=plugin)
     if mode != CompressionMode.NONE:

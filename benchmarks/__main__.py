@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run benchmarks, show them in one table and write out/bench.json."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import pkgutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+from rich.console import Console
+from rich.table import Table
+
+import benchmarks
+from benchmarks import Result, Skipped
+from quadpi_core.paths import whole_output
+
+OUTPUT = Path("out") / "bench.json"
+
+
+def main() -> int:
+    """Give 0 if every benchmark ran or was skipped, 1 if one failed, 2 for an unknown name."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--only", metavar="NAME", help="a figure, or a file of this folder without .py")
+    only = parser.parse_args().only
+    modules = [module for module in find_modules() if only is None or only in {*module.NAMES, stem(module)}]
+    if not modules:
+        known = ", ".join(name for module in find_modules() for name in module.NAMES)
+        print(f"no benchmark {only!r}; known: {known}", file=sys.stderr)
+        return 2
+    console = Console()
+    results: list[Result] = []
+    remarks: dict[str, str] = {}
+    failed = False
+    for module in modules:
+        with console.status(f"{stem(module)} …"):
+            try:
+                results += module.run()
+            except Skipped as reason:
+                remarks[stem(module)] = f"skipped: {reason}"
+            except Exception as error:  # one broken benchmark must not take the others' figures along
+                failed = True
+                remarks[stem(module)] = f"failed: {type(error).__name__}: {error}"
+    console.print(as_table(results, remarks))
+    with whole_output(OUTPUT) as temporary:
+        temporary.write_text(json.dumps(as_json(results), indent=2) + "\n")
+    console.print(f"written to {OUTPUT}")
+    return 1 if failed else 0
+
+
+def find_modules() -> Iterator[ModuleType]:
+    """The modules of this package that measure something."""
+    for info in pkgutil.iter_modules(benchmarks.__path__, prefix="benchmarks."):
+        if not info.name.endswith("__main__"):
+            module = importlib.import_module(info.name)
+            if hasattr(module, "NAMES"):
+                yield module
+
+
+def stem(module: ModuleType) -> str:
+    """Name of the file."""
+    return module.__name__.rpartition(".")[2]
+
+
+def as_json(results: list[Result]) -> dict[str, dict[str, object]]:
+    """Figures by name."""
+    return {
+        result.name: {
+            "value": result.value,
+            "unit": result.unit,
+            "baseline": result.baseline,
+            "goal": result.goal,
+            "holds": result.holds,
+        }
+        for result in results
+    }
+
+
+def as_table(results: list[Result], remarks: dict[str, str]) -> Table:
+    """One row per figure, and one per benchmark that gave none."""
+    table = Table("figure", "value", "goal", "holds", "baseline")
+    for result in results:
+        bound = "at most" if result.at_most else "at least"
+        table.add_row(
+            result.name,
+            f"{result.value:.3g} {result.unit}",
+            "" if result.goal is None else f"{bound} {result.goal:g}",
+            {True: "[green]yes", False: "[red]no", None: ""}[result.holds],
+            result.baseline,
+        )
+    for name, remark in remarks.items():
+        table.add_row(name, "", "", "", remark)
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(main())
