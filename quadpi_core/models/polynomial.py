@@ -17,7 +17,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.gram import Gram, flight_grams
 from quadpi_core.models.noise import FlightErrors, HeldOutNoise, ResidualNoise, calibrate
 from quadpi_core.models.pool import CandidatePool
-from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, fit_coefficients, select
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]
@@ -176,9 +176,13 @@ class StepwisePolynomial:
         return self
 
     def predict(self, X: Array) -> Array:
-        """Predictions (N,) for input vectors (N, 19)."""
+        """Predictions (N,) for input vectors (N, 19).
+
+        Raises:
+            ModelError: before `fit`, or naming the sample that is not finite.
+        """
         fitted = self._fitted
-        predicted: Array = fitted.program.evaluate(np.asarray(X, dtype=float)) @ fitted.coefficients
+        predicted: Array = fitted.program.evaluate(_finite_inputs(X)) @ fitted.coefficients
         return predicted
 
     def predict_interval(self, X: Array, confidence: float = 0.95) -> tuple[Array, Array]:
@@ -188,7 +192,7 @@ class StepwisePolynomial:
             ModelError: for a confidence that the calibration cannot support.
         """
         predicted = self.predict(X)
-        half = self._fitted.noise.factor(confidence) * self._fitted.spread(np.asarray(X, dtype=float))
+        half = self._fitted.noise.factor(confidence) * self._fitted.spread(_finite_inputs(X))
         return predicted - half, predicted + half
 
     def score(self, X: Array, y: Array) -> float:
@@ -252,17 +256,12 @@ class StepwisePolynomial:
 
 
 def _checked(X: Array, y: Array, groups: npt.ArrayLike | None) -> tuple[Array, Array, npt.NDArray[np.int64]]:
-    X = np.ascontiguousarray(X, dtype=float)
+    X = _finite_inputs(X)
     y = np.ascontiguousarray(y, dtype=float)
-    if X.ndim != 2 or X.shape[1] != len(INPUT_NAMES):
-        raise ModelError(f"X has shape {X.shape}, expected (N, {len(INPUT_NAMES)})")
     if y.shape != (len(X),):
         raise ModelError(f"y has shape {y.shape}, expected ({len(X)},) as X has {len(X)} rows")
-    for name, values in (("X", X), ("y", y[:, None])):
-        if not np.all(np.isfinite(values)):
-            sample, column = np.argwhere(~np.isfinite(values))[0]
-            what = f"input {INPUT_NAMES[column]}" if name == "X" else "target"
-            raise ModelError(f"sample {sample}: {what} is not finite")
+    if not np.all(np.isfinite(y)):
+        raise ModelError(f"sample {np.argmin(np.isfinite(y))}: target is not finite")
     if len(y) == 0 or np.ptp(y) == 0:
         raise ModelError("the target is constant: there is nothing to identify")
     if groups is None:
@@ -271,6 +270,15 @@ def _checked(X: Array, y: Array, groups: npt.ArrayLike | None) -> tuple[Array, A
     if labels.shape != y.shape:
         raise ModelError(f"groups has shape {labels.shape}, expected {y.shape}")
     return X, y, np.unique(labels, return_inverse=True)[1].astype(np.int64)
+
+
+def _finite_inputs(X: Array) -> Array:
+    X = np.ascontiguousarray(X, dtype=float)
+    check_inputs(X)
+    if not np.all(np.isfinite(X)):
+        sample, column = np.argwhere(~np.isfinite(X))[0]
+        raise ModelError(f"sample {sample}: input {INPUT_NAMES[column]} is not finite")
+    return X
 
 
 def _errors(

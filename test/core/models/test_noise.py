@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.noise import (
+    FEWEST_INSIDE,
+    LEVELS,
+    FlightErrors,
+    HeldOutNoise,
+    ResidualNoise,
+    calibrate,
+    fit_inflation,
+    noise_from_json,
+)
+
+
+def flight_errors(error: Array, leverage: Array | None = None, inside_share: float = 1.0) -> FlightErrors:
+    count = len(error)
+    return FlightErrors(
+        error,
+        np.zeros(count) if leverage is None else leverage,
+        np.arange(count) < inside_share * count,
+    )
+
+
+@pytest.mark.parametrize("inflation", [1.0, 10.0, 200.0])
+def test_inflation_of_known_growth_is_found(inflation: float) -> None:
+    rng = np.random.default_rng(1)
+    leverages = [rng.exponential(0.05, size=4000) for _ in range(5)]
+    flights = [
+        flight_errors(0.3 * np.sqrt(1.0 + inflation * h) * rng.normal(size=4000), h) for h in leverages
+    ]
+    assert fit_inflation(flights, highest=20_000) == pytest.approx(inflation, rel=0.15, abs=0.5)
+
+
+def test_inflation_stays_within_its_bounds() -> None:
+    rng = np.random.default_rng(2)
+    leverages = [rng.exponential(0.01, size=500) for _ in range(3)]
+    falling = [flight_errors(rng.normal(size=500) / (1.0 + 100.0 * h), h) for h in leverages]
+    rising = [flight_errors(rng.normal(size=500) * h, h) for h in leverages]
+    assert fit_inflation(falling, highest=1500) == pytest.approx(1.0, abs=0.01)
+    assert fit_inflation(rising, highest=50) == pytest.approx(50.0, rel=0.01)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_factors_of_a_flight_cover_it(scale: float) -> None:
+    rng = np.random.default_rng(3)
+    error, leverage = rng.normal(scale=scale, size=5000), rng.exponential(0.01, size=5000)
+    factors = flight_errors(error, leverage).factors(inflation=5.0)
+    for level, factor in zip(LEVELS, factors, strict=True):
+        assert level <= np.mean(np.abs(error) <= factor * np.sqrt(1.0 + 5.0 * leverage)) <= level + 0.001
+
+
+def test_calibration_covers_each_flight_left_out_and_in_the_final_fit() -> None:
+    rng = np.random.default_rng(4)
+    held_out = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.0, 3.0, 2.0)]
+    trained = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.5, 1.0, 1.0)]
+    noise = calibrate(held_out, trained)
+    for row, out, own in zip(noise.flight_factors, held_out, trained, strict=True):
+        expected = np.maximum(out.factors(noise.inflation), own.factors(noise.inflation))
+        np.testing.assert_array_equal(row, expected)
+
+
+def test_flight_outside_the_envelope_of_the_others_does_not_set_the_width() -> None:
+    rng = np.random.default_rng(5)
+    trained = [flight_errors(rng.normal(size=1000)) for _ in range(4)]
+    wild = 100.0 * rng.normal(size=1000)
+    within = [flight_errors(rng.normal(size=1000)) for _ in range(3)]
+    outside = [*within, flight_errors(wild, inside_share=FEWEST_INSIDE - 0.01)]
+    inside = [*within, flight_errors(wild, inside_share=FEWEST_INSIDE)]
+    assert calibrate(outside, trained).factor(0.95) < 3.0
+    assert calibrate(inside, trained).factor(0.95) > 100.0
+
+
+@pytest.mark.parametrize(("flights", "rank"), [(2, 2), (5, 5), (9, 9), (10, 10), (19, 18), (29, 27)])
+def test_factor_is_the_conformal_rank_of_the_flights(flights: int, rank: int) -> None:
+    factors = np.random.default_rng(6).permutation(np.arange(1.0, flights + 1.0))
+    noise = HeldOutNoise(1.0, np.repeat(factors[:, None], len(LEVELS), axis=1))
+    assert noise.factor(0.95) == rank
+
+
+def test_nine_tenths_of_new_flights_reach_the_nominal_coverage() -> None:
+    """The guarantee of split conformal prediction by group: exchangeable flights, here of unlike noise."""
+    rng = np.random.default_rng(7)
+    reached = []
+    for _ in range(400):
+        flights = [flight_errors(s * rng.normal(size=200)) for s in rng.lognormal(sigma=0.5, size=30)]
+        known, new = flights[:-1], flights[-1]
+        noise = HeldOutNoise(1.0, np.stack([flight.factors(1.0) for flight in known]))
+        reached.append(np.mean(np.abs(new.error) <= noise.factor(0.9)) >= 0.9)
+    assert np.mean(reached) == pytest.approx(0.9, abs=0.045)
+
+
+@pytest.mark.parametrize("noise", [ResidualNoise(0.3, 98.0), HeldOutNoise(7.5, np.ones((3, len(LEVELS))))])
+def test_json_round_trip(noise: ResidualNoise | HeldOutNoise) -> None:
+    again = noise_from_json(json.loads(json.dumps(noise.to_json())))
+    assert type(again) is type(noise)
+    assert again.inflation == noise.inflation
+    assert again.factor(0.9) == noise.factor(0.9)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"kind": "magic"},
+        {"kind": "residual", "std": -1.0, "freedom": 3},
+        {"kind": "residual", "std": 1.0, "freedom": 0},
+        {"kind": "held-out", "inflation": -1.0, "flight_factors": [[1.0] * len(LEVELS)]},
+        {"kind": "held-out", "inflation": 1.0, "flight_factors": [[1.0] * 3]},
+        {"kind": "held-out", "inflation": 1.0, "flight_factors": []},
+    ],
+)
+def test_impossible_noise_is_refused(data: dict[str, object]) -> None:
+    with pytest.raises(ModelError):
+        noise_from_json(data)
