@@ -8,52 +8,49 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich import box
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
 from quadpi_core.report.style import covers_too_little, determination, number, percent, percent_range, unit
 
 
-def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
-    """Coverage and width per group and axis; coverage below the nominal level is marked.
+def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
+    """Coverage and width per axis, a table per group; coverage below the nominal level is marked.
+
+    The columns fit a terminal of 80 characters; the JSON and the page hold every metric.
 
     Args:
         evaluation: as :func:`quadpi_core.intervals.evaluate.evaluate_flights` gives it.
     """
     confidence = evaluation["confidence"]
-    table = Table(
-        title=f"{evaluation['model']}: {percent(confidence)} prediction intervals", box=box.SIMPLE_HEAD
-    )
-    table.add_column("group")
-    table.add_column("axis")
-    for heading in ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "Winkler", "n", "n_eff"):
+    parts = evaluation["groups"]
+    tables = [_group_table(name, part["axes"], confidence) for name, part in parts.items()]
+    heading = Text(f"{evaluation['model']}: {percent(confidence)} prediction intervals", style="bold")
+    if any(covers_too_little(metrics, confidence) for p in parts.values() for metrics in p["axes"].values()):
+        note = f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
+        return Group(heading, *tables, Text(note, style="dim"))
+    return Group(heading, *tables)
+
+
+def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table:
+    table = Table(title=Text(name), title_justify="left", box=box.SIMPLE_HEAD)
+    table.add_column("axis", no_wrap=True)
+    for heading in ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "n_eff"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for group, part in evaluation["groups"].items():
-        for axis, metrics in part["axes"].items():
-            short = covers_too_little(metrics, confidence)
-            coverage = Text(
-                ("▼ " if short else "") + percent(metrics["picp"]), style="bold red" if short else ""
-            )
-            table.add_row(
-                Text(group),
-                f"{axis} [dim]{unit(axis)}[/dim]",
-                coverage,
-                percent_range(metrics["picp_ci"]),
-                number(metrics["mpiw"]),
-                percent(metrics["nmpiw"]),
-                number(metrics["rmse"]),
-                determination(metrics["r2"]),
-                number(metrics["winkler"]),
-                str(metrics["n"]),
-                number(metrics["n_eff"]),
-            )
-        table.add_section()
-    if any(
-        covers_too_little(metrics, confidence)
-        for part in evaluation["groups"].values()
-        for metrics in part["axes"].values()
-    ):
-        table.caption = f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
+    for axis, metrics in axes.items():
+        short = covers_too_little(metrics, confidence)
+        coverage = ("▼ " if short else "") + percent(metrics["picp"])
+        table.add_row(
+            f"{axis} [dim]{unit(axis)}[/dim]",
+            Text(coverage, style="bold red" if short else ""),
+            percent_range(metrics["picp_ci"]),
+            number(metrics["mpiw"]),
+            percent(metrics["nmpiw"]),
+            number(metrics["rmse"]),
+            number(metrics["r2"]),
+            number(metrics["n_eff"]),
+        )
     return table
 
 

@@ -9,18 +9,22 @@ from quadpi_core.report.style import number, percent
 from quadpi_core.report.tables import evaluation_table, selection_table
 
 
-def rendered(table):
-    console = Console(width=200, file=StringIO())
+def rendered(table, width=200):
+    console = Console(width=width, file=StringIO())
     console.print(table)
     return console.file.getvalue()
 
 
 def test_evaluation_table_marks_short_coverage(case):
-    lines = rendered(evaluation_table(case.evaluation)).splitlines()
-    assert all("▼" not in line for line in lines if "known" in line)
-    fast = [line for line in lines if "new & fast" in line]
-    assert len(fast) == 6
-    assert all("▼" in line for line in fast)
+    known, fast = rendered(evaluation_table(case.evaluation)).split("new & fast")
+    axes = [line for line in fast.splitlines() if line.strip().startswith(("F", "M"))]
+    assert "▼" not in known
+    assert len(axes) == 6
+    assert all("▼" in line for line in axes)
+
+
+def test_evaluation_table_fits_a_narrow_terminal(case):
+    assert "…" not in rendered(evaluation_table(case.evaluation), width=80)
 
 
 def test_selection_table_shows_what_the_model_holds(case):
