@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from quadpi_core.errors import SignalError
 from quadpi_core.logs.cfusdlog import read_cfusdlog
 from quadpi_core.logs.neurobem import read_neurobem
+from quadpi_core.signals import ekf_kernels as kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
 from quadpi_core.signals.ekf_kernels import ERROR_STATES, Outcome
 from quadpi_core.vehicle import Vehicle
@@ -94,6 +95,32 @@ def test_recovers_state_and_biases(noisy_vehicle, simulated):
     np.testing.assert_allclose(trace.gyro_bias[-1], simulated.gyro_bias[-1], atol=0.01)
     np.testing.assert_allclose(trace.accelerometer_bias[-1], simulated.accelerometer_bias[-1], atol=0.15)
     assert np.max(np.abs(simulated.accelerometer_bias[-1])) > 0.2
+
+
+def test_dead_reckoning_on_ideal_sensors_is_of_second_order(noisy_vehicle, true_flight):
+    errors = []
+    for rate in (100.0, 200.0):
+        time = np.arange(0.0, 2.0 + 1e-9, 1.0 / rate)
+        time_ns = np.rint(time * 1e9).astype(np.int64)
+        true = true_flight(time)
+        state = kernels.State(
+            time_ns=time_ns[:1].copy(),
+            position=true.position[0].copy(),
+            velocity=true.velocity[0].copy(),
+            attitude=true.attitude[0].copy(),
+            gyro_bias=np.zeros(3),
+            accelerometer_bias=np.zeros(3),
+            covariance=np.eye(ERROR_STATES),
+            imu_time_ns=time_ns[:1].copy(),
+            rates=true.rates[0].copy(),
+            specific_force=true.specific_force[0].copy(),
+        )
+        noise = kernels.Noise(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, noisy_vehicle.gravity_m_s2)
+        for index in range(1, len(time)):
+            kernels.predict(state, noise, time_ns[index], true.rates[index], true.specific_force[index])
+        errors.append(np.linalg.norm(state.velocity - true.velocity[-1]))
+    assert errors[0] < 2e-3
+    assert errors[1] < 0.3 * errors[0]
 
 
 def test_one_by_one_equals_the_run_bit_for_bit(noisy_vehicle, simulate_flight):
