@@ -88,6 +88,10 @@ class Playlist:
             message=np.concatenate([np.arange(length) for length in lengths])[order],
         )
 
+    def by_name(self) -> dict[str, Topic]:
+        """The topics by their standard names."""
+        return dict(zip(self.names, self.topics, strict=True))
+
     def __len__(self) -> int:
         return len(self.due_ns)
 
@@ -119,7 +123,7 @@ class Playlist:
         """Write a .npz with one array per topic: stamp and publication time, (n, 2) nanoseconds."""
         published = self.topic[: len(sent_ns)], self.message[: len(sent_ns)]
         columns = {}
-        for index, (name, topic) in enumerate(zip(self.names, self.topics, strict=True)):
+        for index, (name, topic) in enumerate(self.by_name().items()):
             mine = published[0] == index
             stamps = unpack_stamps(topic.payloads)[published[1][mine]]
             columns[name] = np.column_stack((stamps, sent_ns[mine]))

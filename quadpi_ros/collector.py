@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Collect what the live nodes publish, and say at once how the alarm changes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
+from rclpy.context import Context
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from quadpi_core.flight import OdometryStream, Stamps
+from quadpi_core.logs import messages
+from quadpi_core.logs.payloads import Payloads
+from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
+from quadpi_core.monitor.output import Predictions
+
+Unpacked = TypeVar("Unpacked")
+
+_CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
+_LEVEL_NAMES = ("ok", "warning", "ALARM")
+# The collector shares a process with its caller: nothing may be lost while that is busy.
+_DEEP_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+_POLL_S = 0.05
+
+
+@dataclass(frozen=True)
+class AlarmChange:
+    """A new level, a new cause, or one more input outside the envelope.
+
+    Attributes:
+        time_s: stamp, in seconds since the start of the flight.
+        level: 0 ok, 1 warning, 2 alarm.
+        causes: names of the causes.
+        inputs_outside: names of the inputs outside the envelope, the farthest first.
+        envelope_distance: how far the worst of them is outside, in widths of its training range.
+    """
+
+    time_s: float
+    level: int
+    causes: tuple[str, ...]
+    inputs_outside: tuple[str, ...]
+    envelope_distance: float
+
+    def __str__(self) -> str:
+        text = f"{self.time_s:8.2f} s  {_LEVEL_NAMES[self.level]:8}{', '.join(self.causes)}"
+        if self.inputs_outside:
+            text += f": {', '.join(self.inputs_outside)} outside the training envelope"
+            text += f" (by {self.envelope_distance:.2f} of its range)"
+        return text
+
+
+class AlarmFollower:
+    """Tells a change of the alarm from its steady repetition."""
+
+    def __init__(self, start_ns: int) -> None:
+        self._start_ns = start_ns
+        self._state = (LEVEL_OK, 0)
+        self._named: set[str] = set()
+
+    def follow(self, alarms: messages.ReportedAlarms) -> AlarmChange | None:
+        """The change that one alarm message brings; None if it brings none."""
+        level, causes = int(alarms.level[0]), int(alarms.causes[0])
+        inputs = alarms.inputs_outside[0] if level != LEVEL_OK else ()
+        changed = (level, causes) != self._state or not self._named.issuperset(inputs)
+        self._state = (level, causes)
+        self._named = self._named.union(inputs) if level != LEVEL_OK else set()
+        if not changed:
+            return None
+        return AlarmChange(
+            time_s=1e-9 * (int(alarms.time_ns[0]) - self._start_ns),
+            level=level,
+            causes=tuple(name for bit, name in _CAUSE_NAMES.items() if causes & bit),
+            inputs_outside=inputs,
+            envelope_distance=float(alarms.envelope_distance[0]),
+        )
+
+
+class Collector:
+    """A node in the caller's process that keeps every message of the live nodes, still serialized.
+
+    Args:
+        start_ns: stamp that the seconds of an alarm change count from.
+        on_alarm: called at every change of the alarm as it comes.
+    """
+
+    def __init__(self, start_ns: int, on_alarm: Callable[[AlarmChange], None] | None = None) -> None:
+        self._follower = AlarmFollower(start_ns)
+        self._on_alarm = on_alarm
+        self._odometry: list[bytes] = []
+        self._predictions: list[bytes] = []
+        self._alarms: list[bytes] = []
+        self._arrived_ns: list[int] = []
+        self._context = Context()
+        self._context.init()
+        self._node = Node("collector", context=self._context, start_parameter_services=False)
+        self._subscriptions = [
+            self._node.create_subscription(message_type, topic, take, _DEEP_QOS, raw=True)
+            for message_type, topic, take in (
+                (Odometry, "odometry", self._odometry.append),
+                (WrenchPrediction, "prediction", self._take_prediction),
+                (ExtrapolationAlarm, "extrapolation_alarm", self._take_alarm),
+            )
+        ]
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self._node)
+
+    def __enter__(self) -> Collector:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.remove_node(self._node)
+        self._node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+    @property
+    def connected(self) -> bool:
+        """Whether every topic has a publisher."""
+        return all(subscription.get_publisher_count() for subscription in self._subscriptions)
+
+    @property
+    def arrived_ns(self) -> Stamps:
+        """(P,) when each prediction arrived, by the monotonic clock."""
+        return np.array(self._arrived_ns, dtype=np.int64)
+
+    def silent_for(self, seconds: float) -> bool:
+        """Whether the last prediction is older than that."""
+        return not self._arrived_ns or time.monotonic_ns() - self._arrived_ns[-1] > 1e9 * seconds
+
+    def odometry(self) -> OdometryStream:
+        """Every state so far."""
+        return messages.unpack_odometry(Payloads.join(self._odometry))
+
+    def predictions(self) -> Predictions:
+        """Every prediction so far."""
+        return messages.unpack_predictions(Payloads.join(self._predictions))
+
+    def alarms(self) -> messages.ReportedAlarms:
+        """Every alarm message so far."""
+        return messages.unpack_alarms(Payloads.join(self._alarms))
+
+    def spin_until(self, condition: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
+        """Collect until the condition holds; False if the time is over first."""
+        deadline = time.monotonic() + timeout_s
+        never = Future()
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_until_future_complete(never, timeout_sec=_POLL_S)
+        return True
+
+    def _take_prediction(self, payload: bytes) -> None:
+        self._arrived_ns.append(time.monotonic_ns())
+        self._predictions.append(payload)
+
+    def _take_alarm(self, payload: bytes) -> None:
+        self._alarms.append(payload)
+        change = self._follower.follow(messages.unpack_alarms(payload))
+        if change is not None and self._on_alarm is not None:
+            self._on_alarm(change)
