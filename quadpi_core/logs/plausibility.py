@@ -26,8 +26,8 @@ THRUST_COEFFICIENT_POSSIBLE = (0.001, 0.3)
 _SPECIFIC_FORCE_M_S2 = (4.0, 60.0)
 _SPECIFIC_FORCE_G = (0.4, 2.5)
 _ATTITUDE_STEP_S = 0.05
-_SLOWEST_RATE_RAD_S = 0.02
-_RATE_RATIO = (0.1, 10.0)
+_TURNING_RAD_S = 0.3
+_LARGEST_RATIO = 10.0
 
 
 def check_plausible(recording: Recording, vehicle: Vehicle) -> None:
@@ -112,12 +112,11 @@ def _rates(recording: Recording) -> Iterator[str]:
         return
     for stream in _attitude_streams(recording):
         gyro, attitude = _rotation_rates(recording.imu, stream)
-        if attitude < _SLOWEST_RATE_RAD_S and gyro < 1.0:
-            continue
-        ratio = gyro / max(attitude, _SLOWEST_RATE_RAD_S)
-        if not _RATE_RATIO[0] < ratio < _RATE_RATIO[1]:
-            looks = "deg/s" if ratio > 1.0 else "a frozen or wrongly scaled gyro"
-            yield f"topic imu: the gyro turns {ratio:.3g} times as fast as {stream.topic}: looks like {looks}"
+        if gyro > _TURNING_RAD_S and gyro > _LARGEST_RATIO * attitude:
+            yield (
+                f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
+                f"{attitude:.3g}: looks like deg/s"
+            )
 
 
 def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStream]:
