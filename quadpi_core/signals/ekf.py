@@ -19,6 +19,7 @@ from quadpi_core.errors import SignalError
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import ekf_kernels as kernels
+from quadpi_core.signals import ekf_run
 from quadpi_core.signals.ekf_initial import COLLECT_NS, initial_state
 from quadpi_core.signals.ekf_kernels import Outcome, State
 from quadpi_core.vehicle import Vehicle
@@ -167,7 +168,7 @@ class Ekf:
         samples = (imu.time_ns, _rows(imu.angular_velocity), _rows(imu.specific_force))
         poses = (pose.time_ns, _rows(pose.position), _rows(pose.attitude))
         track = _empty_track(len(imu))
-        progress = kernels.Progress(
+        progress = ekf_run.Progress(
             next_imu=np.zeros(1, dtype=np.int64),
             next_pose=np.zeros(1, dtype=np.int64),
             recorded=np.zeros(1, dtype=np.int64),
@@ -178,9 +179,9 @@ class Ekf:
             if self._state is None:
                 self._feed_next(samples, poses, progress)
                 if self._state is not None:
-                    kernels.record(self._state, track, progress)
+                    ekf_run.record(self._state, track, progress)
             else:
-                kernels.run(self._state, self._noise, samples, poses, progress, track)
+                ekf_run.run(self._state, self._noise, samples, poses, progress, track)
                 if progress.next_imu[0] < len(imu):
                     self._feed_next(samples, poses, progress)
         recorded = slice(int(progress.recorded[0]))
@@ -205,7 +206,7 @@ class Ekf:
         self,
         imu: tuple[Stamps, Array, Array],
         poses: tuple[Stamps, Array, Array],
-        progress: kernels.Progress,
+        progress: ekf_run.Progress,
     ) -> None:
         """Take the next sample by stamp as if it arrived live."""
         index, pose = progress.next_imu[0], progress.next_pose[0]
@@ -259,8 +260,8 @@ def _rows(values: Array) -> Array:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def _empty_track(samples: int) -> kernels.Track:
-    return kernels.Track(
+def _empty_track(samples: int) -> ekf_run.Track:
+    return ekf_run.Track(
         np.empty(samples, dtype=np.int64),
         *(np.empty((samples, columns)) for columns in (3, 3, 4, 3, 3, kernels.ERROR_STATES)),
     )
