@@ -14,6 +14,7 @@ from quadpi_core.flight import Recording, RotorSpeedStream, Stream
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.conversion import SPIKE_SHARE
 from quadpi_core.logs.plausibility import (
+    THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
     finite_rows,
     implausibilities,
@@ -168,8 +169,8 @@ def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[s
         yield from _spike_findings(rotors, vehicle)
     yield from _half_reading_findings(rotors)
     coefficient = thrust_coefficient(recording, vehicle) if vehicle is not None else None
-    low, high = THRUST_COEFFICIENT_USUAL
-    if coefficient is not None and not low < coefficient < high:
+    (low, high), (least, most) = THRUST_COEFFICIENT_USUAL, THRUST_COEFFICIENT_POSSIBLE
+    if coefficient is not None and (least < coefficient <= low or high <= coefficient < most):
         yield (
             f"topic rotor_speeds: thrust over Σω² gives C_T = {coefficient:.2g}, usual are {low} to {high}: "
             f"speeds {'too low' if coefficient > high else 'too high'} by a constant factor, or wrong mass?"
