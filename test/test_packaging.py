@@ -45,8 +45,15 @@ def test_versions_agree() -> None:
     assert declared[1] == quadpi_core.__version__
 
 
-def test_every_node_program_has_its_module() -> None:
-    names = re.search(r"foreach\(NODE (.+)\)", (ROOT / "CMakeLists.txt").read_text())
+@pytest.mark.parametrize(
+    ("listing", "path"),
+    [
+        (r"foreach\(NODE (.+)\)", "quadpi_ros/{}.py"),
+        (r"install\(DIRECTORY (.+) DESTINATION", "{}"),
+    ],
+)
+def test_cmake_installs_what_exists(listing: str, path: str) -> None:
+    names = re.search(listing, (ROOT / "CMakeLists.txt").read_text())
     assert names is not None
     for name in names[1].split():
-        assert (ROOT / "quadpi_ros" / f"{name}.py").is_file(), name
+        assert (ROOT / path.format(name)).exists(), name
