@@ -48,7 +48,7 @@ def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table
             number(metrics["mpiw"]),
             percent(metrics["nmpiw"]),
             number(metrics["rmse"]),
-            number(metrics["r2"]),
+            determination(metrics["r2"]),
             number(metrics["n_eff"]),
         )
     return table
