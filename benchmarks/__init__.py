@@ -3,7 +3,7 @@
 """Benchmarks: each measures a ratio against its baseline, both in the same run.
 
 `python -m benchmarks` runs every module of this package that has `NAMES` (the figures it gives) and
-`run()` (which gives one :class:`Result` per figure, or raises :class:`Skipped`).
+`run()` (which gives one :class:`Result` per figure, or raises :class:`UnavailableError`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from quadpi_core.frames import Array
 
 
-class Skipped(Exception):
+class UnavailableError(Exception):
     """What a benchmark needs is not there; the message says what."""
 
 

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 import benchmarks
-from benchmarks import Result, Skipped
+from benchmarks import Result, UnavailableError
 from quadpi_core.paths import whole_output
 
 OUTPUT = Path("out") / "bench.json"
@@ -41,7 +41,7 @@ def main() -> int:
         with console.status(f"{stem(module)} …"):
             try:
                 results += module.run()
-            except Skipped as reason:
+            except UnavailableError as reason:
                 remarks[stem(module)] = f"skipped: {reason}"
             except Exception as error:  # one broken benchmark must not take the others' figures along
                 failed = True
