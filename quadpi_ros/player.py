@@ -133,11 +133,12 @@ class Playlist:
 
 def main() -> int:
     """Play the bag that the command line names."""
-    options = _parse(remove_ros_args(sys.argv)[1:])
+    options = parse_arguments(remove_ros_args(sys.argv)[1:])
     return run(lambda: _play(options))
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
+    """Options of the command line."""
     parser = argparse.ArgumentParser(prog="player", description="Play the sensor topics of a bag.")
     parser.add_argument("bag", type=Path, help="bag to play")
     parser.add_argument("--rate", type=float, default=1.0, help="speed; 1 is real time")

@@ -18,8 +18,8 @@ from rclpy.task import Future
 from quadpi_core.errors import QuadpiError
 
 # Sensors publish best effort, which a reliable subscription would not match: silently nothing would arrive.
-SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-OUTPUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
+SENSOR_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+OUTPUT_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
 # EventsExecutor does not wake on a signal; this is how long a shutdown may go unnoticed.
 _SHUTDOWN_POLL_S = 0.2

@@ -1,0 +1,258 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters, launch files and the errors of the programs, as a user meets them."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import pytest
+import yaml
+
+pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
+from quadpi_core.logs.messages import ReportedAlarms
+from quadpi_core.monitor import MonitorSettings
+from quadpi_ros.collector import AlarmFollower
+from quadpi_ros.estimator_node import EstimatorParameters
+from quadpi_ros.monitor_node import MonitorParameters
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+ROOT = Path(__file__).parents[2]
+NODES = {"estimator": EstimatorParameters, "monitor": MonitorParameters}
+# Set by the launch file from its arguments.
+FROM_LAUNCH = {"vehicle", "model"}
+
+
+def run_module(module: str, *arguments: str) -> tuple[int, str]:
+    process = subprocess.run(
+        [sys.executable, "-m", f"quadpi_ros.{module}", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    return process.returncode, process.stderr
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["vehicle:=neurobem", "vehikel:=x"],
+            "node estimator: unknown parameter `vehikel`; known: body_frame",
+        ),
+        ([], "node estimator: parameter `vehicle` is required"),
+        (
+            ["vehicle:=neurobem", "imu_rate_hz:=fast"],
+            "parameter `imu_rate_hz` must be a double, found 'fast'",
+        ),
+        (
+            ["vehicle:=neurobem", "imu_rate_hz:=1"],
+            "parameter `imu_rate_hz` must lie between 50 and 5000, found 1",
+        ),
+        (["vehicle:=neurobem", "imu_rate_hz:=.nan"], "parameter `imu_rate_hz` must lie between"),
+        (["vehicle:=no_such"], "no such vehicle file; known vehicles:"),
+    ],
+)
+def test_estimator_refuses_wrong_parameters(overrides: list[str], message: str) -> None:
+    arguments = [part for override in overrides for part in ("-p", override)]
+    status, errors = run_module("estimator_node", "--ros-args", *arguments)
+    assert status == 2
+    (line,) = errors.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["vehicle:=neurobem", "model:=m", "rotor_topic:=rpm"],
+            "must be one of rotor_speeds, erpm, found `rpm`",
+        ),
+        (["vehicle:=neurobem", "model:=m", "rotor_topic:=erpm"], "electrical rotor speeds need `pole_pairs`"),
+        (
+            ["vehicle:=neurobem", "model:=m", "world_frame:=map", "monitor:mode:=x"],
+            "unknown parameter `mode`",
+        ),
+    ],
+)
+def test_live_process_refuses_wrong_parameters(overrides: list[str], message: str) -> None:
+    arguments = [part for override in overrides for part in ("-p", override)]
+    status, errors = run_module("live", "--ros-args", *arguments)
+    assert status == 2
+    (line,) = errors.splitlines()
+    assert message in line
+
+
+def test_wrong_ros_argument_is_one_line() -> None:
+    status, errors = run_module("live", "--ros-args", "--nonsense")
+    assert status == 2
+    assert errors.splitlines()[-1] == "error: unknown ROS arguments ['--nonsense']"
+
+
+def test_player_names_a_bag_that_is_not_there(tmp_path: Path) -> None:
+    status, errors = run_module("player", str(tmp_path / "none.mcap"))
+    assert status == 2
+    assert errors == f"error: {tmp_path / 'none.mcap'}: no such bag\n"
+
+
+@pytest.mark.usefixtures("ros")
+def test_an_integer_is_taken_for_a_double_and_all_is_described() -> None:
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+
+    from quadpi_ros.parameters import read_parameters
+
+    node = Node(
+        "monitor",
+        automatically_declare_parameters_from_overrides=True,
+        parameter_overrides=[
+            Parameter("vehicle", value="v"),
+            Parameter("model", value="m"),
+            Parameter("imu_rate_hz", value=400),
+        ],
+    )
+    parameters = read_parameters(node, MonitorParameters)
+    assert isinstance(parameters.imu_rate_hz, float)
+    assert parameters.imu_rate_hz == 400.0
+    for item in fields(MonitorParameters):
+        descriptor = node.describe_parameter(item.name)
+        assert descriptor.description
+        assert descriptor.read_only
+    (limits,) = node.describe_parameter("imu_rate_hz").floating_point_range
+    assert (limits.from_value, limits.to_value) == (50.0, 5000.0)
+    node.destroy_node()
+
+
+def test_parameter_file_and_nodes_agree() -> None:
+    file = yaml.safe_load((ROOT / "config" / "nodes" / "monitor.yaml").read_text())
+    assert file.keys() == NODES.keys()
+    for name, parameters in NODES.items():
+        defaults = {item.name: item.default for item in fields(parameters) if item.name not in FROM_LAUNCH}
+        assert file[name]["ros__parameters"] == defaults
+
+
+def test_alarm_defaults_are_those_of_the_core() -> None:
+    settings = MonitorSettings()
+    defaults = {item.name: item.default for item in fields(MonitorParameters)}
+    for item in fields(MonitorSettings):
+        assert defaults[item.name] == getattr(settings, item.name)
+
+
+def test_alarm_follower_tells_changes_from_repetition() -> None:
+    def alarm(time_s: float, level: int, *inputs: str) -> Any:
+        return SimpleNamespace(
+            time_ns=[round(time_s * 1e9)],
+            level=[level],
+            causes=[1 if level else 0],
+            inputs_outside=[inputs],
+            envelope_distance=[0.1],
+        )
+
+    follower = AlarmFollower(start_ns=0)
+    rows: list[ReportedAlarms] = [
+        alarm(0.0, 0),
+        alarm(0.1, 1, "u"),
+        alarm(0.2, 2, "u"),
+        alarm(0.3, 2, "u"),
+        alarm(0.4, 2, "p", "u"),
+        alarm(0.5, 2, "p"),
+        alarm(0.6, 0),
+        alarm(0.7, 0, "u"),
+    ]
+    changes = [follower.follow(row) for row in rows]
+    assert [change is not None for change in changes] == [False, True, True, False, True, False, True, False]
+    assert changes[4].time_s == pytest.approx(0.4)
+    assert changes[4].inputs_outside == ("p", "u")
+
+
+class RecordingModules:
+    """Stand-ins for launch and launch_ros, which have no wheels: every class records its calls."""
+
+    NAMES = (
+        "ament_index_python",
+        "ament_index_python.packages",
+        "launch",
+        "launch.actions",
+        "launch.conditions",
+        "launch.event_handlers",
+        "launch.events",
+        "launch.launch_description_sources",
+        "launch.substitutions",
+        "launch_ros",
+        "launch_ros.actions",
+    )
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        modules = {name: MagicMock(name=name) for name in self.NAMES}
+        modules["ament_index_python.packages"].get_package_share_directory.return_value = str(ROOT)
+        modules["launch.substitutions"].LaunchConfiguration.side_effect = lambda name: f"${name}"
+        sources = modules["launch.launch_description_sources"]
+        sources.PythonLaunchDescriptionSource.side_effect = lambda path: path
+        self.declare = modules["launch.actions"].DeclareLaunchArgument
+        self.include = modules["launch.actions"].IncludeLaunchDescription
+        self.node = modules["launch_ros.actions"].Node
+        for name, module in modules.items():
+            monkeypatch.setitem(sys.modules, name, module)
+
+    def arguments(self) -> set[str]:
+        return {call.args[0] for call in self.declare.call_args_list}
+
+
+def load(name: str) -> ModuleType:
+    specification = importlib.util.spec_from_file_location(name, ROOT / "launch" / f"{name}.launch.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def programs() -> set[str]:
+    """What CMakeLists.txt installs for `ros2 run` and launch files."""
+    text = (ROOT / "CMakeLists.txt").read_text()
+    (names,) = [line for line in text.splitlines() if line.strip().startswith("foreach(NODE ")]
+    return set(names.strip().removeprefix("foreach(NODE ").rstrip(")").split())
+
+
+def test_monitor_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    fakes = RecordingModules(monkeypatch)
+    load("monitor").generate_launch_description()
+    assert fakes.arguments() == {"vehicle", "model", "parameters", "namespace", "separate"}
+    known = {
+        "live": NODES["estimator"].__annotations__ | NODES["monitor"].__annotations__,
+        "estimator_node": NODES["estimator"].__annotations__,
+        "monitor_node": NODES["monitor"].__annotations__,
+    }
+    started = {call.kwargs["executable"]: call.kwargs for call in fakes.node.call_args_list}
+    assert started.keys() == known.keys() <= programs()
+    for executable, settings in started.items():
+        file, given = settings["parameters"]
+        assert file == "$parameters"
+        assert given.keys() == FROM_LAUNCH & known[executable].keys()
+        assert settings["namespace"] == "$namespace"
+    (default,) = [
+        c.kwargs["default_value"] for c in fakes.declare.call_args_list if c.args[0] == "parameters"
+    ]
+    assert Path(default).is_file()
+
+
+def test_replay_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    fakes = RecordingModules(monkeypatch)
+    load("replay").generate_launch_description()
+    assert fakes.arguments() == {"bag", "rate", "namespace"}
+    ((included,),) = [call.args for call in fakes.include.call_args_list]
+    assert Path(included).is_file()
+    (player,) = [call.kwargs for call in fakes.node.call_args_list]
+    assert player["executable"] in programs()
+    from quadpi_ros.player import parse_arguments
+
+    given = [argument.replace("$rate", "2.0") for argument in player["arguments"]]
+    assert parse_arguments(given).rate == 2.0
