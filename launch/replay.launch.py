@@ -36,7 +36,11 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("bag", description="bag with imu, mocap/pose and rotor_speeds or erpm"),
             DeclareLaunchArgument("rate", default_value="1.0", description="speed; 1 is real time"),
             DeclareLaunchArgument("namespace", default_value="", description="namespace of nodes and topics"),
-            IncludeLaunchDescription(PythonLaunchDescriptionSource(str(monitor))),
+            # An include sees required arguments only where they are handed on.
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(str(monitor)),
+                launch_arguments=[(name, LaunchConfiguration(name)) for name in ("vehicle", "model")],
+            ),
             player,
             RegisterEventHandler(
                 OnProcessExit(target_action=player, on_exit=[EmitEvent(event=Shutdown(reason="bag played"))])
