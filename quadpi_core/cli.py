@@ -36,8 +36,6 @@ JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the re
 HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
 
-DEFAULT_CUTOFF_HZ = 30.0
-
 
 @app.command("import")
 def import_(
@@ -95,29 +93,30 @@ def identify(
         typer.Option(help="When to stop adding terms; default: the settings' rule."),
     ] = None,
     cutoff_hz: Annotated[
-        float, typer.Option(help="Cut-off of the low-pass over all signals.")
-    ] = DEFAULT_CUTOFF_HZ,
+        float | None, typer.Option(help="Cut-off of the low-pass over all signals; default: 30, paper: 100.")
+    ] = None,
     confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
+    from quadpi_core.identification import CUTOFF_HZ, predict_flight, prepare_flights
     from quadpi_core.identification import identify as identify_model
-    from quadpi_core.identification import predict_flight, prepare_flights
     from quadpi_core.models.pool import load_pools, select_axes
     from quadpi_core.report.tables import selection_table
     from quadpi_core.vehicle import Vehicle
 
     console = _console()
+    cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)
     pools = select_axes(load_pools(candidates), axes)
     with console.status("Reading flights") as status:
-        flights = prepare_flights(bags, the_vehicle, cutoff_hz)
+        flights = prepare_flights(bags, the_vehicle, cutoff)
         model = identify_model(
             flights,
             the_vehicle,
             pools,
-            cutoff_hz=cutoff_hz,
+            cutoff_hz=cutoff,
             settings=settings,
             stop=stop,
             confidence=confidence,

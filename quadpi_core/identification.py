@@ -31,6 +31,9 @@ from quadpi_core.vehicle import Vehicle
 
 Settings: TypeAlias = Literal["default", "paper"]
 
+# Low-pass over all signals: the paper's, and one that keeps what rotors and measured moments still share
+# (their coherence is gone above about 25 Hz on two data sets).
+CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
 # The rotors carry the vehicle while their Σω² exceeds this share of its median over the flight.
 _FLYING_SHARE = 0.5
 
