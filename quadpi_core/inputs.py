@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from quadpi_core.compiled import njit
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.vehicle import ROTORS, Vehicle

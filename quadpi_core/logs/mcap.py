@@ -18,12 +18,12 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from numba import njit
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_string
 
+from quadpi_core.compiled import njit
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.payloads import Bytes, Indices, Payloads

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.polynomial import FittedPolynomial

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from quadpi_core.compiled import njit
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array

@@ -13,8 +13,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from quadpi_core.compiled import njit
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
+from quadpi_core.compiled import njit
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.ekf_kernels import ERROR_STATES, Noise, Outcome, State, predict, update_pose

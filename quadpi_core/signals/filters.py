@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.signal import butter
 
+from quadpi_core.compiled import njit
 from quadpi_core.errors import SignalError
 from quadpi_core.frames import Array
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from quadpi_core.compiled import njit
 from quadpi_core.flight import ImuStream, OdometryStream
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
