@@ -4,18 +4,9 @@
 
 from __future__ import annotations
 
-import os
-import secrets
-import signal
-import subprocess
-import sys
-import tempfile
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 import yaml
@@ -29,17 +20,15 @@ from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.fusion import nominal_rate
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.player import Playlist
+from quadpi_ros.processes import Child, isolated_domain
 
 # The first start on a machine compiles the kernels.
 _START_TIMEOUT_S = 300.0
 _SILENCE_S = 0.5
-_STOP_TIMEOUT_S = 5.0
-# Above, the ports of a domain meet the ephemeral ports of Linux.
-_DOMAIN_MAX = 101
 
 
 class SessionError(QuadpiError):
-    """A process of the session failed, or nothing came out of it."""
+    """The live nodes do not run, or nothing came out of them."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +94,8 @@ def run_session(
         on_alarm: called at every change of the alarm as it comes.
 
     Raises:
-        SessionError: if a process fails, or no prediction comes.
+        SessionError: if the bag lacks a topic, or no prediction comes.
+        ChildError: if a process fails.
         LogError: if the bag cannot be read.
     """
     playlist = Playlist.read(bag)
@@ -121,26 +111,53 @@ def run_session(
         "rotor_topic": rotor_topic,
     }
     played = [name for name in playlist.names if name in ("imu", rotor_topic, "mocap/pose", "wind")]
-    with _stopping_on_sigterm(), _isolated() as folder:
-        parameter_file, sent_file = folder / "parameters.yaml", folder / "sent.npz"
+    with isolated_domain() as folder, Collector(int(stamps["imu"][0]), on_alarm) as collector:
+        parameter_file = folder / "parameters.yaml"
         parameter_file.write_text(yaml.safe_dump({"/**": {"ros__parameters": parameters}}))
-        live_arguments = ("--ros-args", "--params-file", str(parameter_file))
-        player_arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *played)
-        with Collector(int(stamps["imu"][0]), on_alarm) as collector:
-            with _Child("live", live_arguments, folder) as live:
-                if not collector.spin_until(lambda: live.finished() or collector.connected, _START_TIMEOUT_S):
-                    raise SessionError(f"the live nodes did not start within {_START_TIMEOUT_S:g} s")
-                with _Child("player", player_arguments, folder) as player:
-                    collector.spin_until(lambda: live.finished() or player.finished())
-                collector.spin_until(lambda: live.finished() or collector.silent_for(_SILENCE_S))
-                if live.finished():
-                    raise SessionError("the live nodes ended before the flight did")
-            return _result(bag, collector, sent_file, stamps[rotor_topic])
+        with Child("quadpi_ros.live", ("--ros-args", "--params-file", str(parameter_file)), folder) as live:
+            await_start(live, collector)
+            sent = play(bag, played, rate, folder, live, collector)
+        return _result(bag, collector, sent, stamps[rotor_topic])
 
 
-def _result(bag: Path, collector: Collector, sent_file: Path, rotor_stamps_ns: Stamps) -> SessionResult:
+def await_start(nodes: Child, collector: Collector) -> None:
+    """Wait until the nodes publish every topic that the collector listens to.
+
+    Raises:
+        SessionError: if they do not start.
+        ChildError: if they fail.
+    """
+    collector.spin_until(lambda: nodes.finished() or collector.connected, _START_TIMEOUT_S)
+    if not collector.connected:
+        raise SessionError(f"the live nodes did not start within {_START_TIMEOUT_S:g} s")
+
+
+def play(
+    bag: Path, topics: Sequence[str], rate: float, folder: Path, nodes: Child, collector: Collector
+) -> Stamps:
+    """Play topics of a bag through running nodes and collect until they fall silent.
+
+    Returns:
+        (N, 2) nanoseconds: stamp of each IMU sample, and when it was published by the monotonic clock.
+
+    Raises:
+        SessionError: if the nodes end before the bag does.
+        ChildError: if nodes or player fail.
+    """
+    sent_file = folder / "sent.npz"
+    arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
+    with Child("quadpi_ros.player", arguments, folder) as player:
+        collector.spin_until(lambda: nodes.finished() or player.finished())
+    collector.spin_until(lambda: nodes.finished() or collector.silent_for(_SILENCE_S))
+    if nodes.finished():
+        raise SessionError("the live nodes ended before the flight did")
     with np.load(sent_file) as sent:
-        stamps_ns, sent_ns = sent["imu"].T
+        imu_sent: Stamps = sent["imu"]
+    return imu_sent
+
+
+def _result(bag: Path, collector: Collector, imu_sent: Stamps, rotor_stamps_ns: Stamps) -> SessionResult:
+    stamps_ns, sent_ns = imu_sent.T
     predictions = collector.predictions()
     if len(predictions.time_ns) == 0:
         raise SessionError(f"{bag}: no prediction came; the estimator needs a second of imu and mocap/pose")
@@ -153,73 +170,3 @@ def _result(bag: Path, collector: Collector, sent_file: Path, rotor_stamps_ns: S
         predictions=predictions,
         alarms=collector.alarms(),
     )
-
-
-class _Child:
-    """A module of quadpi_ros in a process of its own, which ends with the block."""
-
-    def __init__(self, module: str, arguments: Sequence[str], folder: Path) -> None:
-        self._module = module
-        self._errors = folder / f"{module}.err"
-        command = [sys.executable, "-m", f"quadpi_ros.{module}", *arguments]
-        with self._errors.open("wb") as errors:
-            self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors)
-
-    def __enter__(self) -> _Child:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._process.terminate()
-        try:
-            self._process.wait(_STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
-    def finished(self) -> bool:
-        """Whether it has ended well.
-
-        Raises:
-            SessionError: with what it said, if it has failed.
-        """
-        status = self._process.poll()
-        if status:
-            lines = self._errors.read_text(errors="replace").splitlines() or [f"exit status {status}"]
-            raise SessionError(f"{self._module}: {lines[-1].removeprefix('error: ')}")
-        return status is not None
-
-
-@contextmanager
-def _isolated() -> Iterator[Path]:
-    """A scratch folder, and a ROS domain of its own on this machine for this process and its children."""
-    before = dict(os.environ)
-    with tempfile.TemporaryDirectory(prefix="quadpi_session.") as folder:
-        os.environ |= {
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_DOMAIN_ID": str(1 + secrets.randbelow(_DOMAIN_MAX)),
-            "ROS_LOG_DIR": folder,
-            # A second thread of a linear-algebra library costs more than it brings for one sample.
-            "OMP_NUM_THREADS": "1",
-        }
-        try:
-            yield Path(folder)
-        finally:
-            os.environ.clear()
-            os.environ.update(before)
-
-
-@contextmanager
-def _stopping_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM unwind the stack as Ctrl-C does, so that no child stays behind."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, _: FrameType | None) -> None:
-        raise SystemExit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

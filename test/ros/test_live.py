@@ -27,6 +27,7 @@ from quadpi_core.vehicle import Vehicle
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
 from quadpi_ros.collector import AlarmChange, Collector
+from quadpi_ros.processes import ChildError
 from quadpi_ros.session import SessionError, SessionResult, run_session
 
 VEHICLE = "neurobem"
@@ -205,7 +206,7 @@ def test_nodes_in_processes_of_their_own(folder: Path) -> None:
 def test_a_missing_model_is_one_line_and_leaves_nothing_behind(folder: Path) -> None:
     before = dict(os.environ)
     start = time.monotonic()
-    with pytest.raises(SessionError, match="no_such_model") as caught:
+    with pytest.raises(ChildError, match="no_such_model") as caught:
         run_session(folder / "hover.mcap", folder / "no_such_model", vehicle=VEHICLE)
     assert "\n" not in str(caught.value)
     assert os.environ == before

@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""CPU time of the live process against a bare rclpy node with the same topics, on the same executor.
+
+Both are fed by the same player (500 Hz IMU, 500 Hz rotor speeds, 120 Hz mocap) and heard by the same
+collector. CPU time is user and system time of all threads, from the first message to the last.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from benchmarks import Result, UnavailableError
+from benchmarks.replay_realtime_polynomial import CUTOFF_HZ, IMU_HZ, swings
+from quadpi_core.flight import Recording, Stream
+from quadpi_core.frames import Array
+from quadpi_core.identification import identify, prepare_flights
+from quadpi_core.logs.bags import write_bag
+from quadpi_core.models.pool import load_pools
+from quadpi_core.vehicle import Vehicle
+
+NAMES = ("live_cpu_vs_bare_node", "live_dropped")
+
+PLAYED_S = 20.0
+VEHICLE = "neurobem"
+TOPICS = ("imu", "rotor_speeds", "mocap/pose")
+
+AnyStream = TypeVar("AnyStream", bound=Stream)
+
+
+class Run(NamedTuple):
+    """What one process needed and gave: CPU seconds, latency of each prediction, samples lost."""
+
+    cpu_s: float
+    latency_ms: Array
+    dropped: int
+
+
+def run() -> list[Result]:
+    try:
+        import quadpi.msg  # noqa: F401
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
+    vehicle = Vehicle.load(VEHICLE)
+    recording = swings(vehicle)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        whole, played, model = folder / "whole.mcap", folder / "played.mcap", folder / "model"
+        write_bag(whole, recording)
+        write_bag(played, beginning(recording, PLAYED_S))
+        flights = prepare_flights([whole], vehicle, CUTOFF_HZ)
+        identify(flights, vehicle, load_pools("quadrotor"), cutoff_hz=CUTOFF_HZ, settings="paper").save(model)
+        arguments = ("vehicle:=" + VEHICLE, f"model:={model}", f"imu_rate_hz:={IMU_HZ}")
+        bare = measure("benchmarks.bare_node", (), played)
+        live = measure("quadpi_ros.live", arguments, played)
+    samples = PLAYED_S * IMU_HZ
+    baseline = (
+        f"bare node: {1e6 * bare.cpu_s / samples:.0f} us of CPU per IMU sample, latency p99 "
+        f"{np.percentile(bare.latency_ms, 99):.2f} ms; live: {1e6 * live.cpu_s / samples:.0f} us, "
+        f"{np.percentile(live.latency_ms, 99):.2f} ms"
+    )
+    return [
+        Result(NAMES[0], live.cpu_s / bare.cpu_s, "times the CPU", baseline),
+        Result(NAMES[1], live.dropped, "samples", f"bare node: {bare.dropped}", goal=0.0, at_most=True),
+    ]
+
+
+def beginning(recording: Recording, seconds: float) -> Recording:
+    """The recording cut after some seconds."""
+    end_ns = recording.imu.time_ns[0] + round(seconds * 1e9)
+
+    def cut(stream: AnyStream) -> AnyStream:
+        keep = stream.time_ns < end_ns
+        return replace(stream, **{item.name: getattr(stream, item.name)[keep] for item in fields(stream)})
+
+    assert recording.rotor_speeds
+    assert recording.pose
+    return replace(
+        recording,
+        imu=cut(recording.imu),
+        rotor_speeds=cut(recording.rotor_speeds),
+        pose=cut(recording.pose),
+    )
+
+
+def measure(module: str, parameters: tuple[str, ...], bag: Path) -> Run:
+    """Play the bag through a process of nodes."""
+    from quadpi_ros.collector import Collector
+    from quadpi_ros.processes import Child, isolated_domain
+    from quadpi_ros.session import await_start, play
+
+    arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))
+    with isolated_domain() as folder, Collector(start_ns=0) as collector:
+        with Child(module, arguments, folder) as nodes:
+            await_start(nodes, collector)
+            before_s = nodes.cpu_seconds()
+            imu_sent = play(bag, TOPICS, 1.0, folder, nodes, collector)
+            cpu_s = nodes.cpu_seconds() - before_s
+        predicted_ns, arrived_ns = collector.predictions().time_ns, collector.arrived_ns
+    stamps_ns, sent_ns = imu_sent.T
+    latency_ms = 1e-6 * (arrived_ns - sent_ns[np.searchsorted(stamps_ns, predicted_ns)])
+    return Run(cpu_s, latency_ms, int(np.sum(stamps_ns >= predicted_ns[0])) - len(predicted_ns))

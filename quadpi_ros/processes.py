@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Child processes that never outlive their parent's block, in a ROS domain of their own."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from quadpi_core.errors import QuadpiError
+
+_STOP_TIMEOUT_S = 5.0
+# Above, the ports of a domain meet the ephemeral ports of Linux.
+_DOMAIN_MAX = 101
+
+
+class ChildError(QuadpiError):
+    """A child process failed."""
+
+
+class Child:
+    """A Python module in a process of its own, which ends with the block.
+
+    Args:
+        module: run as `python -m`.
+        arguments: of its command line.
+        folder: for what it writes to stderr.
+    """
+
+    def __init__(self, module: str, arguments: Sequence[str], folder: Path) -> None:
+        self._name = module.rpartition(".")[2]
+        self._errors = folder / f"{module}.err"
+        with self._errors.open("wb") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments], stdout=subprocess.DEVNULL, stderr=errors
+            )
+
+    def __enter__(self) -> Child:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def finished(self) -> bool:
+        """Whether it has ended well.
+
+        Raises:
+            ChildError: with the last line that it said, if it has failed.
+        """
+        status = self._process.poll()
+        if status:
+            lines = self._errors.read_text(errors="replace").splitlines() or [f"exit status {status}"]
+            raise ChildError(f"{self._name}: {lines[-1].removeprefix('error: ')}")
+        return status is not None
+
+    def cpu_seconds(self) -> float:
+        """User and system time that it has used so far, all threads (proc(5), fields utime and stime)."""
+        after_name = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        user_ticks, system_ticks = after_name[11:13]
+        return (int(user_ticks) + int(system_ticks)) / os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def isolated_domain() -> Iterator[Path]:
+    """A scratch folder, and a ROS domain of its own on this machine for this process and its children.
+
+    SIGTERM unwinds the stack within, as Ctrl-C does, so that the blocks of the children end.
+    """
+    before = dict(os.environ)
+    with tempfile.TemporaryDirectory(prefix="quadpi.") as folder, _unwinding_on_sigterm():
+        os.environ |= {
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_DOMAIN_ID": str(1 + secrets.randbelow(_DOMAIN_MAX)),
+            "ROS_LOG_DIR": folder,
+            # A second thread of a linear-algebra library costs more than it brings for one sample.
+            "OMP_NUM_THREADS": "1",
+        }
+        try:
+            yield Path(folder)
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+
+
+@contextmanager
+def _unwinding_on_sigterm() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
