@@ -9,6 +9,12 @@ import numpy as np
 from quadpi_core.frames import Array
 
 
+def unit_columns(regressors: Array) -> Array:
+    """Regressors (N, p) scaled to unit norm; least squares would take 1 beside (rad/s)³ for rounding noise."""
+    scaled: Array = regressors / np.linalg.norm(regressors, axis=0)
+    return scaled
+
+
 def squared_error(regressors: Array, target: Array) -> float:
     """Sum of squared residuals of a least-squares fit on regressors (N, s)."""
     coefficients = np.linalg.lstsq(regressors, target, rcond=None)[0]
@@ -25,6 +31,7 @@ def direct_stepwise(
     f_remove: float = 4.0,
 ) -> list[int]:
     """Select columns of `regressors` (N, p), one least-squares fit per candidate and step, by PSE."""
+    regressors = unit_columns(regressors)
     count = len(regressors)
     variance = float(np.var(target))
 

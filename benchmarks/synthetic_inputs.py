@@ -29,6 +29,15 @@ def smooth_inputs(count: int, seed: int, vehicle_name: str = "hdbeetle") -> Arra
     return aerodynamic_inputs(velocity, attitude, rates, rotor_speeds, vehicle)
 
 
+def planted_target(regressors: Array, n_fixed: int, terms: int, seed: int) -> Array:
+    """Target (N,) of random columns beyond the fixed ones, each of weight 0.5 to 2, in unit noise."""
+    rng = np.random.default_rng(seed)
+    planted = rng.choice(np.arange(n_fixed, regressors.shape[1]), size=terms, replace=False)
+    columns = regressors[:, planted] / regressors[:, planted].std(axis=0)
+    target: Array = columns @ rng.uniform(0.5, 2.0, size=terms) + rng.normal(size=len(regressors))
+    return target
+
+
 def _smooth(rng: np.random.Generator, count: int, columns: int) -> Array:
     knots = np.arange(0, count + 2 * _KNOT_SAMPLES, _KNOT_SAMPLES)
     smooth: Array = CubicSpline(knots, rng.normal(size=(len(knots), columns)))(np.arange(count))

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_triangular
 
 from benchmarks.direct_stepwise import direct_stepwise, squared_error
-from benchmarks.synthetic_inputs import smooth_inputs
+from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.gram import Gram
@@ -41,10 +41,7 @@ def test_same_terms_as_direct_least_squares(seed: int) -> None:
     pool = load_pools("hdbeetle")["Fx"]
     regressors = list(dict.fromkeys(pool.fixed + pool.candidates))
     Z = RegressorProgram.compile(regressors).evaluate(smooth_inputs(5000, seed))
-    rng = np.random.default_rng(seed)
-    planted = rng.choice(len(regressors), size=6, replace=False)
-    terms = Z[:, planted] / Z[:, planted].std(axis=0)
-    y = terms @ rng.uniform(0.5, 2.0, size=6) + rng.normal(size=len(Z))
+    y = planted_target(Z, len(pool.fixed), terms=6, seed=seed)
     expected = direct_stepwise(Z, y, n_fixed=len(pool.fixed), max_terms=8)
     assert len(expected) > len(pool.fixed) + 3
     chosen = select_from(Z, y, SelectionSettings(stop="pse", max_terms=8), n_fixed=len(pool.fixed))
