@@ -10,7 +10,7 @@ from quadpi_core.frames import Array
 
 
 def unit_columns(regressors: Array) -> Array:
-    """Regressors (N, p) scaled to unit norm; least squares would take 1 beside (rad/s)³ for rounding noise."""
+    """Regressors (N, p) scaled to unit norm; beside (rad/s)³ least squares takes 1 for rounding noise."""
     scaled: Array = regressors / np.linalg.norm(regressors, axis=0)
     return scaled
 

@@ -160,7 +160,7 @@ class StepwisePolynomial:
         chosen = tuple(regressors[k] for k in active)
         noise: ResidualNoise | HeldOutNoise
         if self.noise == "residual":
-            freedom = len(y) - 2
+            freedom = float(len(y) - 2)
             std = float(np.sqrt(gram.residual_square(active, coefficients) / freedom))
             noise, self.held_out_mse_ = ResidualNoise(std, freedom), None
         else:

@@ -1,0 +1,296 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_inputs import smooth_inputs
+from quadpi_core.errors import ModelError, QuadpiError
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_INDEX
+from quadpi_core.models import (
+    AerodynamicModel,
+    CandidatePool,
+    Evaluation,
+    StepwisePolynomial,
+    TrainingFlight,
+    load_pools,
+)
+from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.monitor.envelope import Envelope
+
+POOLS = {
+    "Fx": load_pools("bebop2_simulation")["Fx"],
+    "Fz": CandidatePool.parse(["mu_x^2 + mu_y^2", "mu_z - mu_v_in"], ["P^2(|u|, |v|, w)·{1, omega_avg}"]),
+    "Mz": CandidatePool.parse(["U_r"], ["P^3(|p|, q, r)"]),
+}
+
+
+def identified(pools: dict[str, CandidatePool], paper_axes: tuple[str, ...] = ()) -> AerodynamicModel:
+    """A model of four synthetic flights; the axes alternate between the two kinds of noise."""
+    X = smooth_inputs(2400, seed=1, vehicle_name="bebop2")
+    groups = np.arange(2400) // 600
+    rng = np.random.default_rng(2)
+    fits, ranges = {}, {}
+    for axis, pool in pools.items():
+        y = 0.3 * X[:, INPUT_INDEX["u"]] + 20.0 * X[:, INPUT_INDEX["mu_x"]] ** 2 + rng.normal(size=2400)
+        fit = StepwisePolynomial.paper(pool) if axis in paper_axes else StepwisePolynomial(pool)
+        fits[axis] = fit.fit(X, y, groups)
+        ranges[axis] = float(np.ptp(y))
+    model = AerodynamicModel(
+        name="model",
+        vehicle="bebop2",
+        settings="default",
+        cutoff_hz=25.0,
+        confidence=0.95,
+        polynomials={axis: fit.fitted_ for axis, fit in fits.items()},
+        envelope=Envelope.fit(X, groups, np.zeros((2400, 6)), np.zeros((2400, 6))),
+        training_range=ranges,
+        flights=(TrainingFlight("first", "ab" * 32, 1200), TrainingFlight("second", "cd" * 32, 1200)),
+        selection={axis: fit.selection_log() for axis, fit in fits.items()},
+    )
+    evaluation = model.evaluate(X)
+    envelope = Envelope.fit(X, groups, evaluation.leverage, evaluation.relative_width)
+    return replace(model, envelope=envelope)
+
+
+@pytest.fixture(scope="module")
+def model() -> AerodynamicModel:
+    return identified(POOLS, paper_axes=("Fz",))
+
+
+@pytest.fixture(scope="module")
+def inputs() -> Array:
+    return 1.5 * smooth_inputs(500, seed=3, vehicle_name="bebop2")
+
+
+@pytest.fixture
+def folder(model: AerodynamicModel, tmp_path: Path) -> Path:
+    model.save(tmp_path / "model")
+    return tmp_path / "model"
+
+
+def same(one: Evaluation, other: Evaluation) -> bool:
+    return all(
+        np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Evaluation)
+    )
+
+
+@pytest.mark.parametrize("confidence", [0.8, 0.95])
+def test_compiled_evaluation_equals_that_of_each_axis(
+    model: AerodynamicModel, inputs: Array, confidence: float
+) -> None:
+    evaluation = model.evaluate(inputs, confidence)
+    for axis, pool in POOLS.items():
+        single = StepwisePolynomial(pool)
+        single.fitted_ = model.polynomials[axis]
+        k = AXES.index(axis)
+        lower, upper = single.predict_interval(inputs, confidence)
+        spread = single.fitted_.spread(inputs)
+        expected = {
+            "predicted": single.predict(inputs),
+            "lower": lower,
+            "upper": upper,
+            "leverage": single.fitted_.leverage(inputs),
+            "relative_width": spread / single.fitted_.mean_spread,
+        }
+        for name, values in expected.items():
+            np.testing.assert_allclose(
+                getattr(evaluation, name)[:, k], values, rtol=1e-12, atol=1e-12, err_msg=name
+            )
+
+
+def test_axes_not_held_are_zero(model: AerodynamicModel, inputs: Array) -> None:
+    assert model.axes == ("Fx", "Fz", "Mz")
+    evaluation = model.evaluate(inputs)
+    for field in fields(Evaluation):
+        assert np.all(getattr(evaluation, field.name)[:, [1, 3, 4]] == 0.0)
+
+
+def test_own_confidence_is_the_default(model: AerodynamicModel, inputs: Array) -> None:
+    assert same(model.evaluate(inputs), model.evaluate(inputs, 0.95))
+    assert not same(model.evaluate(inputs), model.evaluate(inputs, 0.9))
+    assert same(model.evaluate(inputs), model.evaluate(inputs, 0.95))
+    with pytest.raises(ModelError, match="confidence"):
+        model.evaluate(inputs, 0.0)
+
+
+@pytest.mark.parametrize("block", [1, 7, 64])
+def test_blocks_give_the_same_bits_as_the_whole(model: AerodynamicModel, inputs: Array, block: int) -> None:
+    whole = model.evaluate(inputs)
+    parts = [model.evaluate(inputs[start : start + block]) for start in range(0, len(inputs), block)]
+    for field in fields(Evaluation):
+        joined = np.concatenate([getattr(part, field.name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(whole, field.name))
+
+
+def test_inputs_of_another_shape_are_refused(model: AerodynamicModel, inputs: Array) -> None:
+    with pytest.raises(ModelError, match="shape"):
+        model.evaluate(inputs[:, :18])
+
+
+def test_saved_model_evaluates_to_the_same_bits(
+    model: AerodynamicModel, inputs: Array, tmp_path: Path
+) -> None:
+    saved = model.save(tmp_path / "bebop")
+    loaded = AerodynamicModel.load(tmp_path / "bebop")
+    assert same(loaded.evaluate(inputs), model.evaluate(inputs))
+    assert loaded.name == saved.name == "bebop"
+    assert loaded.identity == saved.identity
+    assert loaded.identity.startswith("bebop@")
+    assert model.identity == ""
+    for name in ("vehicle", "settings", "cutoff_hz", "confidence", "training_range", "flights", "axes"):
+        assert getattr(loaded, name) == getattr(model, name)
+    assert loaded.selection == model.selection
+    assert loaded.envelope.to_json() == model.envelope.to_json()
+
+
+def test_saving_twice_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    again = AerodynamicModel.load(folder).save(tmp_path / "other" / "model")
+    assert again.identity == AerodynamicModel.load(folder).identity
+    for name in (MODEL_FILE, ARRAYS_FILE):
+        assert (tmp_path / "other" / "model" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_saving_replaces_an_older_model_whole(model: AerodynamicModel, folder: Path) -> None:
+    replace(model, polynomials={"Mz": model.polynomials["Mz"]}).save(folder)
+    assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
+    assert AerodynamicModel.load(folder).axes == ("Mz",)
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+
+
+def test_folder_that_holds_more_than_a_model_is_not_replaced(model: AerodynamicModel, folder: Path) -> None:
+    (folder / "notes.txt").write_text("of the user")
+    with pytest.raises(QuadpiError, match=r"notes\.txt"):
+        model.save(folder)
+    assert (folder / "notes.txt").read_text() == "of the user"
+
+
+def test_failed_save_leaves_what_was_there(
+    model: AerodynamicModel, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full_disk(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full_disk)
+    for target in (folder, folder.parent / "new"):
+        with pytest.raises(QuadpiError, match="No space"):
+            model.save(target)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+
+
+def test_model_with_numbers_that_are_not_finite_is_not_saved(model: AerodynamicModel, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        replace(model, cutoff_hz=float("nan")).save(tmp_path / "model")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("position", [0, 100, -1])
+def test_altered_arrays_are_refused(folder: Path, position: int) -> None:
+    path = folder / ARRAYS_FILE
+    content = bytearray(path.read_bytes())
+    content[position] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=r"arrays\.safetensors: its hash is not the one in model\.json"):
+        AerodynamicModel.load(folder)
+
+
+def test_altered_description_shows_in_the_identity(folder: Path) -> None:
+    before = AerodynamicModel.load(folder).identity
+    path = folder / MODEL_FILE
+    path.write_text(path.read_text().replace('"cutoff_hz": 25.0', '"cutoff_hz": 26.0'))
+    after = AerodynamicModel.load(folder)
+    assert after.cutoff_hz == 26.0
+    assert after.identity != before
+
+
+@pytest.mark.parametrize(
+    ("keys", "value"),
+    [
+        (["format"], 2),
+        (["axes"], {}),
+        (["axes", "Fw"], {}),
+        (["axes", "Fx"], None),
+        (["axes", "Fx", "regressors"], ["bias", "mu_x"]),
+        (["axes", "Fx", "regressors", 1], "zeta"),
+        (["axes", "Fx", "noise"], {"kind": "magic"}),
+        (["axes", "Fx", "noise", "inflation"], -1.0),
+        (["axes", "Fx", "noise", "inflation"], float("nan")),
+        (["axes", "Fx", "noise", "flight_factors"], [[1.0, 2.0]]),
+        (["axes", "Fx", "mean_spread"], 0.0),
+        (["axes", "Fx", "training_range"], "wide"),
+        (["confidence"], "high"),
+        (["envelope"], {}),
+        (["flights"], [{"name": "x"}]),
+        (["vehicle"], ...),
+        (["arrays_sha256"], ...),
+    ],
+)
+def test_description_that_makes_no_sense_is_refused(
+    folder: Path, keys: list[str | int], value: object
+) -> None:
+    """`...` stands for a key taken out."""
+    path = folder / MODEL_FILE
+    content = json.loads(path.read_text())
+    place = content
+    for key in keys[:-1]:
+        place = place[key]
+    if value is ...:
+        del place[keys[-1]]
+    else:
+        place[keys[-1]] = value
+    path.write_text(json.dumps(content))
+    with pytest.raises(ModelError) as caught:
+        AerodynamicModel.load(folder)
+    assert "\n" not in str(caught.value)
+    assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "42", '{"weights": 1}', "\x80\x04pickle"])
+def test_foreign_description_is_refused(folder: Path, text: str) -> None:
+    (folder / MODEL_FILE).write_text(text)
+    with pytest.raises(ModelError, match=r"model\.json") as caught:
+        AerodynamicModel.load(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("missing", [MODEL_FILE, ARRAYS_FILE])
+def test_missing_file_is_named(folder: Path, missing: str) -> None:
+    (folder / missing).unlink()
+    with pytest.raises(ModelError, match=f"{missing}: cannot be read"):
+        AerodynamicModel.load(folder)
+
+
+def test_missing_folder_is_named(folder: Path) -> None:
+    shutil.rmtree(folder)
+    with pytest.raises(ModelError, match="model"):
+        AerodynamicModel.load(folder)
+
+
+def test_arrays_of_another_model_are_refused(folder: Path) -> None:
+    """Shapes are checked even where someone recomputed the hash."""
+    other = folder.parent / "other"
+    identified({"Fx": POOLS["Fz"], "Fz": POOLS["Fx"], "Mz": POOLS["Mz"]}).save(other)
+    shutil.copy(other / ARRAYS_FILE, folder / ARRAYS_FILE)
+    hashes = [json.loads((f / MODEL_FILE).read_text())["arrays_sha256"] for f in (folder, other)]
+    text = (folder / MODEL_FILE).read_text().replace(*hashes)
+    (folder / MODEL_FILE).write_text(text)
+    with pytest.raises(ModelError, match="shapes do not fit"):
+        AerodynamicModel.load(folder)
+
+
+def test_stored_files_are_data_only(folder: Path) -> None:
+    assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
+    for path in folder.iterdir():
+        assert not path.read_bytes().startswith(b"\x80")
+    json.loads((folder / MODEL_FILE).read_text())
