@@ -80,6 +80,18 @@ class Layout:
     names: tuple[str, ...]
     sequences: dict[str, tuple[str, ...]]
 
+    @cached_property
+    def _marks(self) -> tuple[tuple[slice, bytes], ...]:
+        starts = [0, *self.identifying[2 :: _LENGTH.size].tolist()]
+        spans = [slice(start, start + (_LENGTH.size if start else 2)) for start in starts]
+        return tuple((span, self.template[span].tobytes()) for span in spans)
+
+    def describes(self, message: bytes) -> bool:
+        """Whether the message has this layout."""
+        if not 0 <= len(message) - len(self.template) <= _PADDING_MAX:
+            return False
+        return all(message[span] == expected for span, expected in self._marks)
+
 
 class Codec:
     """Encodes and decodes messages of one type, as a flat list of fields."""
@@ -87,7 +99,10 @@ class Codec:
     def __init__(self, type_name: str, fields: tuple[Field, ...]) -> None:
         self.type_name = type_name
         self._fields = fields
+        self._texts = tuple(field for field in fields if not field.is_number)
         self._layout = lru_cache(maxsize=256)(self._build_layout)
+        self._template = lru_cache(maxsize=256)(self._build_template)
+        self._latest: Layout | None = None
 
     def decode(self, payloads: Payloads | bytes) -> Columns:
         """Decode N messages (or one) into an array of N rows per field.
@@ -101,7 +116,7 @@ class Codec:
             layout = self._layout_of(payloads, 0)
             return self._columns(layout, np.frombuffer(payloads, layout.dtype, count=1))
         if len(payloads) == 0:
-            layout = self._layout(_text_lengths(self._fields, {}))
+            layout, _ = self._template(())
             return self._columns(layout, np.empty(0, layout.dtype))
         parts = [(order, self._columns(layout, table)) for order, layout, table in self._parts(payloads)]
         if len(parts) == 1:
@@ -113,17 +128,12 @@ class Codec:
 
         Fields without a column are zero or empty.
         """
-        layout = self._layout(_text_lengths(self._fields, columns))
-        rows = np.empty((count, len(layout.template)), dtype=np.uint8)
-        rows[:] = layout.template
+        texts = tuple((field.name, columns[field.name]) for field in self._texts if field.name in columns)
+        layout, template = self._template(texts)
+        rows = np.repeat(template[None], count, axis=0)
         table = rows.view(layout.dtype)[:, 0]
         for name, value in columns.items():
-            if isinstance(value, str):
-                table[name] = value.encode()
-            elif isinstance(value, tuple):
-                for item_name, item in zip(layout.sequences[name], value, strict=True):
-                    table[item_name] = item.encode()
-            else:
+            if not isinstance(value, str | tuple):
                 table[name] = value
         return Payloads.from_rows(rows)
 
@@ -151,6 +161,8 @@ class Codec:
 
     def _layout_of(self, message: bytes, sample: int) -> Layout:
         """The layout of one message, found from the string lengths that it holds."""
+        if self._latest is not None and self._latest.describes(message):
+            return self._latest
         if message[:2] != _ENCAPSULATION[:2]:
             raise LogError(f"sample {sample}: not little-endian CDR (starts with {message[:4].hex(' ')})")
         lengths: list[int] = []
@@ -172,7 +184,22 @@ class Codec:
             raise LogError(
                 f"sample {sample}: {len(message)} bytes where {self.type_name} takes {len(layout.template)}"
             )
+        self._latest = layout
         return layout
+
+    def _build_template(self, texts: tuple[tuple[str, str | tuple[str, ...]], ...]) -> tuple[Layout, Bytes]:
+        """The layout for some texts, and a message of them and zeros."""
+        columns = dict(texts)
+        layout = self._layout(_text_lengths(self._texts, columns))
+        template = layout.template.copy()
+        message = template.view(layout.dtype)
+        for name, value in columns.items():
+            names, items = (
+                (layout.sequences[name], value) if isinstance(value, tuple) else ((name,), (value,))
+            )
+            for item_name, item in zip(names, items, strict=True):
+                message[item_name] = item.encode()
+        return layout, template
 
     def _build_layout(self, text_lengths: tuple[int, ...]) -> Layout:
         remaining = iter(text_lengths)
@@ -254,12 +281,10 @@ def _aligned(position: int, alignment: int) -> int:
     return -(-position // alignment) * alignment
 
 
-def _text_lengths(fields: Iterable[Field], columns: Mapping[str, Any]) -> tuple[int, ...]:
+def _text_lengths(texts: Iterable[Field], columns: Mapping[str, Any]) -> tuple[int, ...]:
     """The lengths in a message that holds these texts, in its order; a string counts its NUL."""
     lengths: list[int] = []
-    for field in fields:
-        if field.is_number:
-            continue
+    for field in texts:
         if field.format == "strings":
             items = columns.get(field.name, ())
             lengths.append(len(items))

@@ -11,6 +11,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from quadpi_core.flight import AXES
 from quadpi_core.logs.cdr import Codec, Field
 from quadpi_core.paths import message_directory
 
@@ -61,9 +62,20 @@ def codec(type_name: str) -> Codec:
     """The codec of a type; fields are named by their path, such as `pose.pose.position`.
 
     A contained message whose members are all of one primitive type (a vector, a quaternion) is one
-    array field.
+    array field, and so are six scalars named for the axes of a wrench (`lower_fx` … `lower_mz`: `lower`).
     """
-    return Codec(type_name, tuple(_flat_fields(type_name, "")))
+    return Codec(type_name, tuple(_join_wrenches(list(_flat_fields(type_name, "")))))
+
+
+def _join_wrenches(fields: list[Field]) -> Iterator[Field]:
+    index = 0
+    while index < len(fields):
+        run = fields[index : index + len(AXES)]
+        stem = run[0].name.rpartition("_")[0]
+        names = [f"{stem}_{axis.lower()}" for axis in AXES]
+        is_wrench = [field.name for field in run] == names and len({field.format for field in run}) == 1
+        yield Field(stem, run[0].format, len(AXES)) if is_wrench else run[0]
+        index += len(run) if is_wrench else 1
 
 
 def _flat_fields(type_name: str, prefix: str) -> Iterator[Field]:

@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
-    AXES,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -215,18 +214,14 @@ def pack_erpm(time_ns: Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Paylo
 def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
     """Decode quadpi/WrenchPrediction."""
     columns = codec(PREDICTION).decode(payloads)
-
-    def wrench(prefix: str) -> Array:
-        return np.stack([columns[f"{prefix}_{axis.lower()}"] for axis in AXES], axis=-1)
-
-    lower, upper = _mirrored_bounds(wrench("lower"), wrench("upper"))
+    lower, upper = _mirrored_bounds(columns["lower"], columns["upper"])
     return Predictions(
         time_ns=_stamps(columns),
-        predicted=_mirrored(wrench("predicted")),
+        predicted=_mirrored(columns["predicted"]),
         lower=lower,
         upper=upper,
-        measured=_mirrored(wrench("measured")),
-        relative_width=wrench("relative_width"),
+        measured=_mirrored(columns["measured"]),
+        relative_width=columns["relative_width"].astype(np.float64),
     )
 
 
@@ -243,22 +238,19 @@ def pack_predictions(
         frame_id: body frame.
     """
     lower, upper = _mirrored_bounds(predictions.lower, predictions.upper)
-    wrenches = {
-        "predicted": _mirrored(predictions.predicted),
-        "lower": lower,
-        "upper": upper,
-        "measured": _mirrored(predictions.measured),
-        "relative_width": predictions.relative_width,
-    }
-    columns = {
-        f"{prefix}_{axis.lower()}": wrench[:, column]
-        for prefix, wrench in wrenches.items()
-        for column, axis in enumerate(AXES)
-    }
-    header = _header(predictions.time_ns, frame_id)
     return codec(PREDICTION).encode(
         len(predictions.time_ns),
-        {**header, "model": model, "confidence": confidence, "axes": axes, **columns},
+        {
+            **_header(predictions.time_ns, frame_id),
+            "model": model,
+            "confidence": confidence,
+            "axes": axes,
+            "predicted": _mirrored(predictions.predicted),
+            "lower": lower,
+            "upper": upper,
+            "measured": _mirrored(predictions.measured),
+            "relative_width": predictions.relative_width,
+        },
     )
 
 
