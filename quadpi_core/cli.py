@@ -30,7 +30,7 @@ Bags = Annotated[list[Path], typer.Argument(help="Flights: MCAP bags, or any log
 ModelFolder = Annotated[Path, typer.Argument(help="Model folder, as written by `identify`.")]
 VehicleName = Annotated[str, typer.Option("--vehicle", help="Vehicle in config/vehicles, or a YAML file.")]
 OptionalVehicle = Annotated[
-    str | None, typer.Option("--vehicle", help="Vehicle file, if it is not the one the bag or model names.")
+    str | None, typer.Option("--vehicle", help="Vehicle; default: the one that the bag or model names.")
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the result as JSON.")]
 HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
@@ -53,7 +53,7 @@ def import_(
     console = _console()
     for bag, recording in import_logs(logs, Vehicle.load(vehicle), output, mapping):
         topics = ", ".join(stream.topic for stream in recording.streams())
-        console.print(f"{bag}: {len(recording.imu)} IMU samples; topics {topics}")
+        console.print(f"{bag}: {len(recording.imu)} IMU samples; topics {topics}", soft_wrap=True)
 
 
 @app.command()
@@ -125,7 +125,9 @@ def identify(
     for axis in model.axes:
         console.print(selection_table(model.selection[axis], axis))
     names = ", ".join(flight.name for flight in model.flights)
-    console.print(f"{method} model {model.identity} of {model.vehicle} from {names}: {output}")
+    console.print(
+        f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
+    )
     if json_file or html_file:
         results = [predict_flight(model, flight, confidence) for flight in flights]
         groups = {"identification": [flight.name for flight in flights]}
@@ -198,8 +200,11 @@ def demo(
     rate: Annotated[float, typer.Option(help="Speed of the live replay; 1 is real time.")] = 1.0,
 ) -> None:
     """Run the whole story: identify on real flights, evaluate, replay one through the live nodes, report."""
-    # The one place where the command line reaches for ROS: the demo starts the live nodes.
-    from quadpi_ros.demo import run_demo
+    try:
+        # The one place where the command line reaches for ROS: the demo starts the live nodes.
+        from quadpi_ros.demo import run_demo
+    except ModuleNotFoundError as error:
+        raise QuadpiError(f"the demo needs ROS 2 for its live nodes ({error}): run `make demo`") from error
 
     run_demo(data, output, rate, _console())
 

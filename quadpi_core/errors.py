@@ -25,3 +25,7 @@ class SignalError(QuadpiError):
 
 class ModelError(QuadpiError):
     """A model cannot be identified, loaded or applied."""
+
+
+class OutputError(QuadpiError):
+    """A result cannot be written where it was asked for."""

@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from quadpi_core.errors import OutputError
+
 
 def config_directory() -> Path:
     """The folder of vehicles, candidate pools, mappings and node parameters."""
@@ -35,19 +37,25 @@ def _share_directory() -> Path:
 def whole_output(path: Path) -> Iterator[Path]:
     """Give a temporary path in the target's folder that replaces `path` once the block succeeds.
 
-    Works for a file or a folder; on an exception the temporary one is removed and whatever stood at
-    `path` before stays as it was.
+    Works for a file or a folder, but no file replaces a folder. On an exception the temporary one is
+    removed and whatever stood at `path` before stays as it was.
+
+    Raises:
+        OutputError: if `path` cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    temporary = scratch / path.name
     try:
-        yield temporary
-        if path.is_dir() and not path.is_symlink():
-            path.rename(scratch / "replaced")
-        temporary.replace(path)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        temporary = scratch / path.name
+        try:
+            yield temporary
+            if temporary.is_dir() and path.is_dir() and not path.is_symlink():
+                path.rename(scratch / "replaced")
+            temporary.replace(path)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def data_directory() -> Path:

@@ -14,7 +14,7 @@ from typing import TypeVar
 from rosbags.interfaces import Connection
 
 from quadpi_core import __version__
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording, RotorSpeedStream, Stamps
 from quadpi_core.logs import messages
 from quadpi_core.logs.definitions import typestore
@@ -67,9 +67,9 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
         vehicle: gives the pole pairs; needed where only `erpm` holds the rotor speeds.
 
     Raises:
-        LogError: naming bag, topic and sample, for a bag that cannot be read or has no `imu`, a topic of
-            the wrong type, a name that several topics share, and `erpm` without a vehicle.
-        VehicleError: for `erpm` and a vehicle without pole pairs.
+        LogError: naming bag, topic and sample, for a bag that cannot be read, names another vehicle or has no
+            `imu`, a topic of the wrong type, a name that several topics share, and `erpm` without a vehicle
+            that has pole pairs.
     """
     path = Path(path)
     with Bag(path) as bag:
@@ -81,10 +81,10 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
         if "imu" not in names:
             found = ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
             raise LogError(f"{path}: topic imu: missing; topics of the bag: {found}")
+        vehicle_name = _vehicle_name(bag, vehicle)
         if "rotor_speeds" in names:
             names.pop("erpm", None)
         topics = bag.read(names.values())
-        vehicle_name = vehicle.name if vehicle else bag.metadata.get("vehicle", "")
 
     def unpacked(topic: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
         return _unpacked(path, topics[names[topic]], unpack) if topic in names else None
@@ -141,9 +141,6 @@ def write_bag(
     Raises:
         LogError: if the path does not end in .mcap.
     """
-    path = Path(path)
-    if path.suffix != ".mcap":
-        raise LogError(f"{path}: a bag is written to a file that ends in .mcap")
     topics = [output_topic("imu", recording.imu.time_ns, messages.pack_imu(recording.imu))]
     if recording.rotor_speeds is not None:
         stream = recording.rotor_speeds
@@ -156,7 +153,7 @@ def write_bag(
     if recording.wind is not None:
         topics.append(output_topic("wind", recording.wind.time_ns, messages.pack_wind(recording.wind)))
     entries = {"vehicle": recording.vehicle, "version": __version__, **_provenance(Path(recording.source))}
-    write_mcap(path, [*topics, *extra], {**entries, **(metadata or {})})
+    write_mcap(Path(path), [*topics, *extra], {**entries, **(metadata or {})})
 
 
 def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:
@@ -210,10 +207,19 @@ def find_topic(bag: Bag, topic: str) -> Connection | None:
     return None
 
 
+def _vehicle_name(bag: Bag, vehicle: Vehicle | None) -> str:
+    named = bag.metadata.get("vehicle", "")
+    if vehicle is None:
+        return named
+    if named not in {"", vehicle.name}:
+        raise LogError(f"{bag.path}: is a flight of vehicle {named}, not of {vehicle.name}")
+    return vehicle.name
+
+
 def _unpacked(path: Path, topic: Topic, unpack: Callable[[Payloads], _Content]) -> _Content:
     try:
         return unpack(topic.payloads)
-    except LogError as error:
+    except (LogError, VehicleError) as error:
         raise LogError(f"{path}: topic {topic.name}: {error}") from error
 
 

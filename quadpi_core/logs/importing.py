@@ -25,7 +25,7 @@ def import_logs(
 
     Raises:
         LogError: naming file, topic and sample, for a log that cannot be read or is not plausible, a flight
-            present twice, and two logs of the same name.
+            present twice, two logs of the same name, and a bag that would replace its own log.
     """
     recordings = [read_recording(log, vehicle, mapping) for log in logs]
     stems: dict[str, Path] = {}
@@ -33,9 +33,15 @@ def import_logs(
         if recording.name in stems:
             raise LogError(f"{log}: would be written to the same bag as {stems[recording.name]}")
         stems[recording.name] = log
+        if _bag(folder, recording).resolve() == log.resolve():
+            raise LogError(f"{log}: its own bag would replace it; choose another folder")
         check_plausible(recording, vehicle)
     find_duplicates(recordings)
     for recording in recordings:
-        bag = folder / f"{recording.name}.mcap"
+        bag = _bag(folder, recording)
         write_bag(bag, recording)
         yield bag, recording
+
+
+def _bag(folder: Path, recording: Recording) -> Path:
+    return folder / f"{recording.name}.mcap"

@@ -45,8 +45,11 @@ def write_mcap(path: Path, topics: Sequence[Topic], metadata: Mapping[str, str])
         metadata: entries of the metadata record "quadpi".
 
     Raises:
-        LogError: for log times before 1970, which MCAP cannot hold.
+        LogError: if the path does not end in .mcap, and for log times before 1970, which MCAP cannot hold.
+        OutputError: if the file cannot be written.
     """
+    if path.suffix != ".mcap":
+        raise LogError(f"{path}: a bag is written to a file that ends in .mcap")
     for topic in topics:
         if np.any(topic.log_time_ns < 0):
             sample = int(np.argmax(topic.log_time_ns < 0))

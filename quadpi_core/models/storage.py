@@ -21,7 +21,7 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 from quadpi_core import __version__
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, OutputError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
@@ -37,7 +37,12 @@ FORMAT = 1
 
 
 def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
-    """Write `model` to `folder`, whole or not at all; returns it with name and identity."""
+    """Write `model` to `folder`, whole or not at all; returns it with name and identity.
+
+    Raises:
+        OutputError: if the folder cannot be written, or holds what is not part of a model and would be lost.
+    """
+    _refuse_other_content(folder)
     arrays = {}
     axes: dict[str, Any] = {}
     for axis, polynomial in model.polynomials.items():
@@ -127,6 +132,13 @@ def _polynomial(axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> F
     if mean_spread < 1.0:
         raise ModelError(f"{MODEL_FILE}: {axis}: mean_spread {mean_spread} is below 1")
     return FittedPolynomial(regressors, coefficients, whitening, noise_from_json(entry["noise"]), mean_spread)
+
+
+def _refuse_other_content(folder: Path) -> None:
+    if folder.is_dir():
+        for path in sorted(folder.iterdir()):
+            if path.name not in {MODEL_FILE, ARRAYS_FILE}:
+                raise OutputError(f"{folder}: holds {path.name}, which is not part of a model: not replaced")
 
 
 def _refuse_constant(text: str) -> float:

@@ -83,6 +83,8 @@ def replay(
         ModelError: if the model belongs to another vehicle.
         SignalError: if the estimator never starts.
     """
+    if Path(output).resolve() == Path(bag).resolve():
+        raise LogError(f"{bag}: the output would replace the flight; choose another file")
     recording = decode_recording(bag, vehicle)
     recording.check()
     if len(recording.imu) < 2:

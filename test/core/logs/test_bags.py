@@ -116,7 +116,7 @@ def test_erpm_is_converted_with_the_pole_pairs(tmp_path, recording, vehicle, rng
     path = tmp_path / "electrical.mcap"
     erpm = rng.uniform(1e4, 5e4, size=(N, 4))
     electrical = output_topic("erpm", recording.imu.time_ns, messages.pack_erpm(recording.imu.time_ns, erpm))
-    write_bag(path, replace(recording, rotor_speeds=None), [electrical])
+    write_bag(path, replace(recording, vehicle="", rotor_speeds=None), [electrical])
     found = read_bag(path, vehicle)
     np.testing.assert_allclose(found.rotor_speeds.speeds, erpm * 2 * np.pi / 60 / 6)
     assert found.vehicle == "twelve_poles"
