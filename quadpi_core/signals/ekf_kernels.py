@@ -10,7 +10,7 @@ error-state Kalman filter" (2017), section 5, with blocks of three exploited thr
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,9 @@ VELOCITY = slice(3, 6)
 ATTITUDE = slice(6, 9)
 GYRO_BIAS = slice(9, 12)
 ACCELEROMETER_BIAS = slice(12, 15)
+
+# Small vectors travel as tuples inside the kernels: they cost no allocation.
+Vector: TypeAlias = tuple[float, float, float]
 
 MAX_GAP_NS = 100_000_000
 MAX_LATENESS_NS = 20_000_000
@@ -109,8 +112,8 @@ def predict(state: State, noise: Noise, time_ns: int, rates: Array, specific_for
             state,
             noise,
             time_ns,
-            state.rates + middle * (rates - state.rates),
-            state.specific_force + middle * (specific_force - state.specific_force),
+            _between(state.rates, rates, middle),
+            _between(state.specific_force, specific_force, middle),
         )
     state.imu_time_ns[0] = time_ns
     state.rates[:] = rates
@@ -146,12 +149,15 @@ def usable_pose(position: Array, attitude: Array) -> bool:
 
 
 @njit(cache=True)
-def propagate(state: State, noise: Noise, time_ns: int, rates: Array, specific_force: Array) -> None:
+def propagate(
+    state: State, noise: Noise, time_ns: int, rates: Array | Vector, specific_force: Array | Vector
+) -> None:
     """Move the state to `time_ns` under a constant measured rate and specific force."""
     dt = 1e-9 * (time_ns - state.time_ns[0])
-    turn = (rates - state.gyro_bias) * dt
-    force = specific_force - state.accelerometer_bias
-    half_turned = rotations.product(state.attitude, rotations.from_rotation_vector(0.5 * turn))
+    turn = _minus(rates, state.gyro_bias, dt)
+    half_turn = (0.5 * turn[0], 0.5 * turn[1], 0.5 * turn[2])
+    force = _minus(specific_force, state.accelerometer_bias, 1.0)
+    half_turned = rotations.product(state.attitude, rotations.from_rotation_vector(half_turn))
     rotation = rotations.matrix(half_turned)
     for axis in range(3):
         acceleration = (
@@ -169,8 +175,29 @@ def propagate(state: State, noise: Noise, time_ns: int, rates: Array, specific_f
 
 
 @njit(cache=True)
+def _between(first: Array, second: Array, share: float) -> Vector:
+    """The vector (3,) at a share of the way from the first to the second."""
+    return (
+        first[0] + share * (second[0] - first[0]),
+        first[1] + share * (second[1] - first[1]),
+        first[2] + share * (second[2] - first[2]),
+    )
+
+
+@njit(cache=True)
+def _minus(vector: Array | Vector, other: Array, scale: float) -> Vector:
+    """The difference of two vectors (3,), scaled."""
+    return scale * (vector[0] - other[0]), scale * (vector[1] - other[1]), scale * (vector[2] - other[2])
+
+
+@njit(cache=True)
 def _propagate_covariance(
-    covariance: Array, noise: Noise, dt: float, rotation: Array, turn: Array, force: Array
+    covariance: Array,
+    noise: Noise,
+    dt: float,
+    rotation: Array,
+    turn: Vector,
+    force: Vector,
 ) -> None:
     """P ← F P Fᵀ + Q with F = I but for the blocks named below; F acts on rows, then on columns."""
     velocity_by_bias = -dt * rotation
@@ -180,15 +207,14 @@ def _propagate_covariance(
         velocity_by_attitude[row, 0] = b * force[2] - c * force[1]
         velocity_by_attitude[row, 1] = c * force[0] - a * force[2]
         velocity_by_attitude[row, 2] = a * force[1] - b * force[0]
-    attitude_by_attitude = rotations.matrix(rotations.from_rotation_vector(-turn))
+    turned_back = rotations.from_rotation_vector((-turn[0], -turn[1], -turn[2]))
+    attitude_by_attitude = rotations.matrix(turned_back)
 
-    _apply_transition(covariance, dt, velocity_by_attitude, velocity_by_bias, attitude_by_attitude)
-    _apply_transition(covariance.T, dt, velocity_by_attitude, velocity_by_bias, attitude_by_attitude)
+    _transform_rows(covariance, dt, velocity_by_attitude, velocity_by_bias, attitude_by_attitude)
+    _transform_columns(covariance, dt, velocity_by_attitude, velocity_by_bias, attitude_by_attitude)
     for row in range(ERROR_STATES):
         for column in range(row):
-            mean = 0.5 * (covariance[row, column] + covariance[column, row])
-            covariance[row, column] = mean
-            covariance[column, row] = mean
+            covariance[column, row] = covariance[row, column]
     for axis in range(3):
         covariance[VELOCITY.start + axis, VELOCITY.start + axis] += noise.accelerometer * dt
         covariance[ATTITUDE.start + axis, ATTITUDE.start + axis] += noise.gyro * dt
@@ -199,22 +225,67 @@ def _propagate_covariance(
 
 
 @njit(cache=True)
-def _apply_transition(
-    rows: Array, dt: float, velocity_by_attitude: Array, velocity_by_bias: Array, attitude_by_attitude: Array
+def _transform_rows(
+    covariance: Array,
+    dt: float,
+    velocity_by_attitude: Array,
+    velocity_by_bias: Array,
+    attitude_by_attitude: Array,
 ) -> None:
-    """F times `rows` (15, 15) in place: position, velocity, attitude in the order in which they feed."""
-    position, velocity, attitude = rows[POSITION], rows[VELOCITY], rows[ATTITUDE]
-    gyro_bias, accelerometer_bias = rows[GYRO_BIAS], rows[ACCELEROMETER_BIAS]
+    """P ← F P in place: position, velocity, attitude in the order in which they feed."""
+    position, velocity, attitude = covariance[POSITION], covariance[VELOCITY], covariance[ATTITUDE]
+    gyro_bias, accelerometer_bias = covariance[GYRO_BIAS], covariance[ACCELEROMETER_BIAS]
+    for axis in range(3):
+        for column in range(ERROR_STATES):
+            position[axis, column] += dt * velocity[axis, column]
+    for axis in range(3):
+        a0, a1, a2 = (
+            velocity_by_attitude[axis, 0],
+            velocity_by_attitude[axis, 1],
+            velocity_by_attitude[axis, 2],
+        )
+        b0, b1, b2 = velocity_by_bias[axis, 0], velocity_by_bias[axis, 1], velocity_by_bias[axis, 2]
+        for column in range(ERROR_STATES):
+            velocity[axis, column] += (
+                a0 * attitude[0, column]
+                + a1 * attitude[1, column]
+                + a2 * attitude[2, column]
+                + b0 * accelerometer_bias[0, column]
+                + b1 * accelerometer_bias[1, column]
+                + b2 * accelerometer_bias[2, column]
+            )
     for column in range(ERROR_STATES):
         a0, a1, a2 = attitude[0, column], attitude[1, column], attitude[2, column]
-        b0, b1, b2 = (
-            accelerometer_bias[0, column],
-            accelerometer_bias[1, column],
-            accelerometer_bias[2, column],
-        )
         for axis in range(3):
-            position[axis, column] += dt * velocity[axis, column]
-            velocity[axis, column] += (
+            attitude[axis, column] = (
+                attitude_by_attitude[axis, 0] * a0
+                + attitude_by_attitude[axis, 1] * a1
+                + attitude_by_attitude[axis, 2] * a2
+                - dt * gyro_bias[axis, column]
+            )
+
+
+@njit(cache=True)
+def _transform_columns(
+    covariance: Array,
+    dt: float,
+    velocity_by_attitude: Array,
+    velocity_by_bias: Array,
+    attitude_by_attitude: Array,
+) -> None:
+    """P ← P Fᵀ in place, where only the lower triangle is needed."""
+    for index in range(ERROR_STATES):
+        row = covariance[index]
+        position, velocity, attitude = row[POSITION], row[VELOCITY], row[ATTITUDE]
+        gyro_bias, accelerometer_bias = row[GYRO_BIAS], row[ACCELEROMETER_BIAS]
+        for axis in range(3):
+            position[axis] += dt * velocity[axis]
+        if index < VELOCITY.start:
+            continue
+        a0, a1, a2 = attitude[0], attitude[1], attitude[2]
+        b0, b1, b2 = accelerometer_bias[0], accelerometer_bias[1], accelerometer_bias[2]
+        for axis in range(3):
+            velocity[axis] += (
                 velocity_by_attitude[axis, 0] * a0
                 + velocity_by_attitude[axis, 1] * a1
                 + velocity_by_attitude[axis, 2] * a2
@@ -222,11 +293,14 @@ def _apply_transition(
                 + velocity_by_bias[axis, 1] * b1
                 + velocity_by_bias[axis, 2] * b2
             )
-            attitude[axis, column] = (
+        if index < ATTITUDE.start:
+            continue
+        for axis in range(3):
+            attitude[axis] = (
                 attitude_by_attitude[axis, 0] * a0
                 + attitude_by_attitude[axis, 1] * a1
                 + attitude_by_attitude[axis, 2] * a2
-                - dt * gyro_bias[axis, column]
+                - dt * gyro_bias[axis]
             )
 
 

@@ -32,6 +32,9 @@ class Resampled(NamedTuple):
 
 def interpolate(time_ns: Stamps, values: Array, at_ns: Stamps, max_gap_ns: int) -> Resampled:
     """Interpolate vectors (N, C), sampled at increasing stamps (N,), linearly to stamps (M,)."""
+    first = int(np.searchsorted(time_ns, at_ns[0])) if len(at_ns) else 0
+    if np.array_equal(time_ns[first : first + len(at_ns)], at_ns):
+        return Resampled(values[first : first + len(at_ns)].copy(), np.ones(len(at_ns), dtype=bool))
     after = np.clip(np.searchsorted(time_ns, at_ns), 1, max(len(time_ns) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(time_ns) - 1)

@@ -1,8 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled operations on one unit quaternion (w, x, y, z), body to world, and on one rotation vector."""
+"""Compiled operations on one unit quaternion (w, x, y, z), body to world, and on one rotation vector.
+
+They take arrays or tuples and give tuples: an array would cost an allocation per operation, several per
+sample of the filter.
+"""
 
 from __future__ import annotations
+
+from typing import TypeAlias
 
 import numpy as np
 
@@ -10,60 +16,61 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 
+Quaternion: TypeAlias = tuple[float, float, float, float]
+RotationVector: TypeAlias = tuple[float, float, float]
+
 # Below this angle [rad] the next term of the series, angle²/24, is under the rounding of a double.
 _SMALL_ANGLE = 1e-8
 
 
 @njit(cache=True)
-def product(left: Array, right: Array) -> Array:
+def product(left: Array | Quaternion, right: Array | Quaternion) -> Quaternion:
     """Quaternion product: the rotation `right` followed by `left`."""
     w, x, y, z = left[0], left[1], left[2], left[3]
     a, b, c, d = right[0], right[1], right[2], right[3]
-    return np.array(
-        (
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        )
+    return (
+        w * a - x * b - y * c - z * d,
+        w * b + x * a + y * d - z * c,
+        w * c - x * d + y * a + z * b,
+        w * d + x * c - y * b + z * a,
     )
 
 
 @njit(cache=True)
-def inverse(quaternion: Array) -> Array:
+def inverse(quaternion: Array | Quaternion) -> Quaternion:
     """Inverse of a unit quaternion: world to body."""
-    return np.array((quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]))
+    return quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]
 
 
 @njit(cache=True)
-def normalised(quaternion: Array) -> Array:
+def normalised(quaternion: Array | Quaternion) -> Quaternion:
     """The quaternion scaled to unit norm."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     scale = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
-    return np.array((w * scale, x * scale, y * scale, z * scale))
+    return w * scale, x * scale, y * scale, z * scale
 
 
 @njit(cache=True)
-def from_rotation_vector(vector: Array) -> Array:
+def from_rotation_vector(vector: Array | RotationVector) -> Quaternion:
     """Unit quaternion of a rotation vector (3,) rad (the exponential map)."""
     x, y, z = vector[0], vector[1], vector[2]
     angle = np.sqrt(x * x + y * y + z * z)
     scale = 0.5 if angle < _SMALL_ANGLE else np.sin(0.5 * angle) / angle
-    return np.array((np.cos(0.5 * angle), scale * x, scale * y, scale * z))
+    return np.cos(0.5 * angle), scale * x, scale * y, scale * z
 
 
 @njit(cache=True)
-def to_rotation_vector(quaternion: Array) -> Array:
+def to_rotation_vector(quaternion: Array | Quaternion) -> RotationVector:
     """Shortest rotation vector (3,) rad of a unit quaternion of either sign (the logarithm map)."""
     sign = -1.0 if quaternion[0] < 0.0 else 1.0
     w, x, y, z = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2], sign * quaternion[3]
     sine = np.sqrt(x * x + y * y + z * z)
     scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * np.arctan2(sine, w) / sine
-    return np.array((scale * x, scale * y, scale * z))
+    return scale * x, scale * y, scale * z
 
 
 @njit(cache=True)
-def matrix(quaternion: Array) -> Array:
+def matrix(quaternion: Array | Quaternion) -> Array:
     """Rotation matrix (3, 3), body to world, of a unit quaternion."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     rotation = np.empty((3, 3))
@@ -85,5 +92,7 @@ def body_rates(time_ns: Stamps, attitude: Array) -> Array:
     rates = np.empty((len(attitude) - 1, 3))
     for row in range(len(rates)):
         turn = to_rotation_vector(product(inverse(attitude[row]), attitude[row + 1]))
-        rates[row] = turn / (1e-9 * (time_ns[row + 1] - time_ns[row]))
+        dt = 1e-9 * (time_ns[row + 1] - time_ns[row])
+        for axis in range(3):
+            rates[row, axis] = turn[axis] / dt
     return rates

@@ -31,7 +31,7 @@ def test_matrix_and_product_agree_with_frames():
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-8, 1e-3, 1.0, 3.1])
 def test_exponential_and_logarithm_are_inverse(angle):
     vector = angle * np.array([2.0, -3.0, 6.0]) / 7.0
-    quaternion = rotations.from_rotation_vector(vector)
+    quaternion = np.array(rotations.from_rotation_vector(vector))
     np.testing.assert_allclose(quaternion, np.roll(Rotation.from_rotvec(vector).as_quat(), 1), atol=1e-15)
     for sign in (1.0, -1.0):
         np.testing.assert_allclose(
