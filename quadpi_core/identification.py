@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import LogError, ModelError
 from quadpi_core.flight import AXES, Flight, Recording
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
@@ -34,8 +34,8 @@ Settings: TypeAlias = Literal["default", "paper"]
 # Low-pass over all signals: the paper's, and one that keeps what rotors and measured moments still share
 # (their coherence is gone above about 25 Hz on two data sets).
 CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
-# The rotors carry the vehicle while their Σω² exceeds this share of its median over the flight.
-_FLYING_SHARE = 0.5
+# The rotors carry the vehicle while their thrust exceeds this share of its weight.
+_CARRYING_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def prepare_flights(paths: Sequence[Path], vehicle: Vehicle, cutoff_hz: float) -
 
 def _prepare(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
     check_plausible(recording, vehicle)
-    flight = airborne(fuse(recording, vehicle, cutoff_hz))
+    flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
     return PreparedFlight(
         name=flight.name,
         sha256=recording_hash(recording),
@@ -81,10 +81,20 @@ def _prepare(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Prepar
     )
 
 
-def airborne(flight: Flight) -> Flight:
-    """The flight from lift-off to touch-down, by the rotors: on the ground the wrench is not aerodynamic."""
-    thrust = np.square(flight.rotor_speeds).sum(axis=1)
-    carrying = np.flatnonzero(thrust > _FLYING_SHARE * np.median(thrust))
+def airborne(flight: Flight, gravity: float) -> Flight:
+    """The flight from lift-off to touch-down: on the ground the wrench is not aerodynamic.
+
+    Thrust is taken as the multiple of Σω² that fits the specific force over the whole flight, so that neither
+    hover before a fast flight nor a long wait on the ground shifts the bound.
+
+    Raises:
+        LogError: naming the file, if the rotors never carry the vehicle.
+    """
+    squares = np.square(flight.rotor_speeds).sum(axis=1)
+    thrust_m_s2 = -squares * (flight.specific_force[:, 2] @ squares) / max(squares @ squares, 1.0)
+    carrying = np.flatnonzero(thrust_m_s2 > _CARRYING_SHARE * gravity)
+    if len(carrying) == 0:
+        raise LogError(f"{flight.source}: topic rotor_speeds: the rotors never carry the vehicle")
     return flight.slice(slice(int(carrying[0]), int(carrying[-1]) + 1))
 
 

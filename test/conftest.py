@@ -1,14 +1,28 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures that every test may use."""
+"""Fixtures that every test may use: real flights, simulated flights, and the command line."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from quadpi_core.cli import main
+from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import data_directory
+from quadpi_core.vehicle import Vehicle
+
+TORQUE_PER_THRUST_M = 0.015
+IMU_HZ, IMU_SAMPLES_PER_POSE = 400.0, 4
+GYRO_NOISE, ACCELEROMETER_NOISE, ROTOR_NOISE, POSITION_NOISE = 0.01, 0.1, 2.0, 0.002
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +32,104 @@ def shared_data() -> Path:
     if not directory.is_dir():
         pytest.skip(f"real flights not found at {directory} (set QUADPI_DATA)")
     return directory
+
+
+class Outcome(NamedTuple):
+    """What a run of the command line left behind."""
+
+    status: int
+    output: str
+    errors: str
+
+
+@pytest.fixture
+def quadpi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    """quadpi("info", path, …) → Outcome of the command line, run in this process."""
+
+    def run(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["quadpi", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return Outcome(ended.value.code or 0, *capsys.readouterr())
+
+    return run
+
+
+def fly(
+    seed: int, seconds: float = 8.0, *, drag_kg_s: float = 0.3, thrust_n_s2: float = 1.56e-6
+) -> Recording:
+    """A flight of the vehicle `neurobem` that obeys physics: rotor thrust, linear drag and gravity.
+
+    A random smooth path fixes the acceleration; the thrust that it asks for fixes the attitude, and both fix
+    the rotor speeds. In body axes F = (0, 0, -k Σω²) - D (u, v, w), with drag D and thrust k ω² of a rotor.
+    What the sensors read has white noise.
+    """
+    vehicle = Vehicle.load("neurobem")
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1.0 / IMU_HZ)
+    amplitude = rng.uniform([1.5, 1.5, 0.5], [2.5, 2.5, 1.0])
+    frequency, phase = rng.uniform(1.0, 1.8, 3), rng.uniform(0.0, 2.0 * np.pi, 3)
+
+    def path(order: int) -> Array:
+        turns = np.outer(time, frequency) + phase + order * np.pi / 2
+        return amplitude * frequency**order * np.sin(turns)
+
+    gravity = np.array([0.0, 0.0, vehicle.gravity_m_s2])
+    down = vehicle.mass_kg * (gravity - path(2)) - drag_kg_s * path(1)
+    thrust = np.linalg.norm(down, axis=1)
+    rotation = _rotation(down, heading=0.3 * np.sin(0.7 * time))
+    turn = rotation.swapaxes(1, 2) @ np.gradient(rotation, time, axis=0)
+    rates = np.stack((turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]), axis=1)
+    momentum = rates @ vehicle.inertia
+    moment = np.gradient(momentum, time, axis=0) + np.cross(rates, momentum)
+
+    time_ns = (seed + 1) * 10**18 + np.round(time * 1e9).astype(np.int64)
+    attitude = np.roll(Rotation.from_matrix(rotation).as_quat(), 1, axis=1)
+    specific_force = rotate_world_to_body(attitude, path(2) - gravity)
+    squares = _rotor_thrusts(vehicle, thrust, moment) / thrust_n_s2
+    seen = slice(None, None, IMU_SAMPLES_PER_POSE)
+
+    def noisy(values: Array, noise: float) -> Array:
+        return values + noise * rng.standard_normal(values.shape)
+
+    return Recording(
+        name=f"flight{seed}",
+        vehicle=vehicle.name,
+        source=f"flight{seed}",
+        imu=ImuStream(time_ns, noisy(rates, GYRO_NOISE), noisy(specific_force, ACCELEROMETER_NOISE)),
+        rotor_speeds=RotorSpeedStream(time_ns + 500_000, noisy(np.sqrt(squares), ROTOR_NOISE)),
+        pose=PoseStream(time_ns[seen] + 300_000, noisy(path(0)[seen], POSITION_NOISE), attitude[seen]),
+    )
+
+
+def _rotation(down: Array, heading: Array) -> Array:
+    """Body to world (N, 3, 3), its z axis along `down` and its x axis as near to `heading` as that allows."""
+    z = down / np.linalg.norm(down, axis=1, keepdims=True)
+    ahead = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=1)
+    y = np.cross(z, ahead)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    return np.stack((np.cross(y, z), y, z), axis=2)
+
+
+def _rotor_thrusts(vehicle: Vehicle, thrust: Array, moment: Array) -> Array:
+    """Thrusts (N, 4) N that add up to thrust (N,) N and moment (N, 3) Nm."""
+    x, y, _ = vehicle.rotor_positions.T
+    mixing = np.stack((np.ones(4), -y, x, -TORQUE_PER_THRUST_M * vehicle.rotor_spins))
+    return np.linalg.solve(mixing, np.column_stack((thrust, moment)).T).T
+
+
+@pytest.fixture(scope="session", name="fly")
+def fly_fixture() -> Callable[..., Recording]:
+    """fly(seed, …) → Recording, see :func:`fly`."""
+    return fly
+
+
+@pytest.fixture(scope="session")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three flights of :func:`fly`, named flight0.mcap to flight2.mcap."""
+    folder = tmp_path_factory.mktemp("bags")
+    paths = [folder / f"flight{seed}.mcap" for seed in range(3)]
+    for seed, path in enumerate(paths):
+        write_bag(path, fly(seed))
+    return paths
