@@ -10,7 +10,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.signals.filters import CausalLowPass, Filtered, zero_phase
+from quadpi_core.signals.filters import CausalLowPass, zero_phase
 
 VELOCITY = slice(0, 3)
 ATTITUDE = slice(3, 7)
@@ -81,7 +81,7 @@ class SignalChain:
         last_attitude = make_continuous(samples[:, ATTITUDE], self._last_attitude)
         filtered = self._low_pass.step(samples)
         self._last_attitude = last_attitude
-        return _unpack(filtered)
+        return _unpack(filtered.value, filtered.derivative[:, RATES])
 
 
 def filter_zero_phase(
@@ -102,7 +102,8 @@ def filter_zero_phase(
     """
     samples = _pack(velocity_body, attitude, rates, specific_force, rotor_speeds, wind)
     make_continuous(samples[:, ATTITUDE], np.zeros(4))
-    return _unpack(zero_phase(samples, cutoff_hz, rate_hz))
+    filtered = zero_phase(samples, cutoff_hz, rate_hz, derivative_of=RATES)
+    return _unpack(filtered.value, filtered.derivative)
 
 
 @njit(cache=True)
@@ -127,8 +128,7 @@ def _pack(*signals: Array) -> Array:
     return np.concatenate(signals, axis=1)
 
 
-def _unpack(filtered: Filtered) -> FilteredSignals:
-    value = filtered.value
+def _unpack(value: Array, angular_acceleration: Array) -> FilteredSignals:
     attitude = value[:, ATTITUDE]
     return FilteredSignals(
         velocity=value[:, VELOCITY],
@@ -137,5 +137,5 @@ def _unpack(filtered: Filtered) -> FilteredSignals:
         specific_force=value[:, SPECIFIC_FORCE],
         rotor_speeds=value[:, ROTOR_SPEEDS],
         wind=value[:, WIND],
-        angular_acceleration=filtered.derivative[:, RATES],
+        angular_acceleration=angular_acceleration,
     )

@@ -125,8 +125,12 @@ class CausalLowPass:
         return filtered
 
 
-def zero_phase(signal: Array, cutoff_hz: float, rate_hz: float) -> Filtered:
+def zero_phase(
+    signal: Array, cutoff_hz: float, rate_hz: float, derivative_of: slice = slice(None)
+) -> Filtered:
     """Filter samples (N, C) forward, then backward, so that nothing is delayed; the gain is |H|².
+
+    The derivative covers the channels `derivative_of`, all of them by default.
 
     The derivative is the forward derivative filter followed by the same backward low-pass: it has the phase
     of a derivative and the gain |ω| |H|², and trapezoidal integration gives back the filtered signal. Both
@@ -149,7 +153,7 @@ def zero_phase(signal: Array, cutoff_hz: float, rate_hz: float) -> Filtered:
     forward = _run(design, np.concatenate((head, samples, tail)))
     keep = slice(padding, padding + len(samples))
     value = _run(design, forward.value[::-1]).value[::-1]
-    derivative = _run(design, forward.derivative[::-1]).value[::-1]
+    derivative = _run(design, forward.derivative[::-1, derivative_of]).value[::-1]
     return Filtered(value[keep].copy(), derivative[keep].copy())
 
 
