@@ -26,6 +26,8 @@ from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 Monomial: TypeAlias = tuple[tuple[str, int, int], ...]
 
 CONSTANT: Monomial = ()
+# Samples evaluated at a time, so that the rows in between stay in the cache.
+_BLOCK = 1024
 _FACTOR = re.compile(
     r"\|(?P<absolute>\w+)\|(?:\^(?P<absolute_power>\d+))?|(?P<plain>\w+)(?:\^(?P<power>\d+))?"
 )
@@ -173,9 +175,14 @@ class RegressorProgram:
     def evaluate(self, inputs: Array) -> Array:
         """Regressors (N, p) of input vectors (N, 19); memory N × p, so meant for selected terms."""
         check_inputs(inputs)
-        rows = np.empty((BASE_ROWS + len(self.first), len(inputs)))
-        rows_kernel(np.ascontiguousarray(inputs), self.first, self.second, self.weights, rows)
-        return np.ascontiguousarray(rows[self.outputs].T)
+        inputs = np.ascontiguousarray(inputs)
+        values = np.empty((len(inputs), len(self.outputs)))
+        rows = np.empty((BASE_ROWS + len(self.first), _BLOCK))
+        for start in range(0, len(inputs), _BLOCK):
+            block = inputs[start : start + _BLOCK]
+            rows_kernel(block, self.first, self.second, self.weights, rows)
+            values[start : start + _BLOCK] = rows[self.outputs, : len(block)].T
+        return values
 
 
 BASE_ROWS = 1 + 2 * len(INPUT_NAMES)
@@ -183,7 +190,7 @@ BASE_ROWS = 1 + 2 * len(INPUT_NAMES)
 
 @njit(cache=True)
 def rows_kernel(inputs: Any, first: Any, second: Any, weights: Any, rows: Any) -> None:
-    """Fill `rows` (BASE_ROWS + n, N) of a program, one row after the other, for inputs (N, 19)."""
+    """Fill the first N columns of `rows` (BASE_ROWS + n, ≥ N) of a program for inputs (N, 19)."""
     count = inputs.shape[0]
     n_inputs = inputs.shape[1]
     for i in range(count):

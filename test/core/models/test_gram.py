@@ -11,7 +11,7 @@ from quadpi_core.models.pool import load_pools
 from quadpi_core.models.regressors import RegressorProgram
 
 
-@pytest.mark.parametrize("count", [7, 2048, 2 * 2048 + 1])
+@pytest.mark.parametrize("count", [7, 384, 2 * 2048 + 1])
 def test_one_pass_equals_the_products_of_the_whole_matrix(count: int) -> None:
     pool = load_pools("hdbeetle")["Fx"]
     program = RegressorProgram.compile((*pool.fixed, *pool.candidates))
@@ -41,8 +41,9 @@ def test_sums_differences_and_errors_of_foreign_coefficients() -> None:
     groups = np.arange(600) // 200
     first, second, third = flight_grams(program, inputs, target, groups)
     (whole,) = flight_grams(program, inputs, target, np.zeros(600, dtype=np.int64))
-    np.testing.assert_allclose((first + second + third).matrix, whole.matrix, rtol=1e-12)
-    np.testing.assert_allclose((whole - third).matrix, (first + second).matrix, rtol=1e-6)
+    scale = np.sqrt(np.outer(np.diag(whole.matrix), np.diag(whole.matrix)))
+    np.testing.assert_allclose((first + second + third).matrix / scale, whole.matrix / scale, atol=1e-14)
+    np.testing.assert_allclose((whole - third).matrix / scale, (first + second).matrix / scale, atol=1e-14)
     assert (whole - third).count == 400
 
     active = [0, 5, 2]
