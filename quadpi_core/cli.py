@@ -217,10 +217,11 @@ def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
     """
     members: dict[str, list[Path]] = {"all": list(bags)} if bags else {}
     for text in groups:
-        name, separator, paths = text.partition("=")
-        if not (name and separator and paths):
+        name, _, names = text.partition("=")
+        paths = names.split(",")
+        if not (name and all(paths)):
             raise QuadpiError(f"--group {text}: expected NAME=BAG")
-        members.setdefault(name, []).extend(Path(path) for path in paths.split(","))
+        members.setdefault(name, []).extend(Path(path) for path in paths)
     if not members:
         raise QuadpiError("no flights given: name bags, or groups of bags with --group NAME=BAG")
     return members

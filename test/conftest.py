@@ -84,7 +84,7 @@ def fly(
     momentum = rates @ vehicle.inertia
     moment = np.gradient(momentum, time, axis=0) + np.cross(rates, momentum)
 
-    time_ns = (seed + 1) * 10**18 + np.round(time * 1e9).astype(np.int64)
+    time_ns = 1_700_000_000 * 10**9 + seed * 10**12 + np.round(time * 1e9).astype(np.int64)
     attitude = np.roll(Rotation.from_matrix(rotation).as_quat(), 1, axis=1)
     specific_force = rotate_world_to_body(attitude, path(2) - gravity)
     squares = _rotor_thrusts(vehicle, thrust, moment) / thrust_n_s2

@@ -34,6 +34,8 @@ _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 _FOOTER_LENGTH = 20
 _CHUNK_BYTES = 1 << 20
 _COMPRESSION = "lz4"
+# Seconds of a ROS stamp are signed 32-bit numbers.
+_STAMP_END_NS = 2**31 * 10**9
 
 
 def write_mcap(path: Path, topics: Sequence[Topic], metadata: Mapping[str, str]) -> None:
@@ -45,15 +47,17 @@ def write_mcap(path: Path, topics: Sequence[Topic], metadata: Mapping[str, str])
         metadata: entries of the metadata record "quadpi".
 
     Raises:
-        LogError: if the path does not end in .mcap, and for log times before 1970, which MCAP cannot hold.
+        LogError: if the path does not end in .mcap, and for log times that ROS stamps cannot hold.
         OutputError: if the file cannot be written.
     """
     if path.suffix != ".mcap":
         raise LogError(f"{path}: a bag is written to a file that ends in .mcap")
     for topic in topics:
-        if np.any(topic.log_time_ns < 0):
-            sample = int(np.argmax(topic.log_time_ns < 0))
-            raise LogError(f"{path}: topic {topic.name}: sample {sample}: the log time is negative")
+        foreign = (topic.log_time_ns < 0) | (topic.log_time_ns >= _STAMP_END_NS)
+        if np.any(foreign):
+            sample = int(np.argmax(foreign))
+            reason = "the stamp is before 1970 or after 2038"
+            raise LogError(f"{path}: topic {topic.name}: sample {sample}: {reason}")
     with whole_output(path) as temporary, temporary.open("wb") as stream:
         _write(stream, topics, metadata)
 
