@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable, Sequence
 
@@ -49,6 +50,9 @@ def spin(nodes: Sequence[Node]) -> None:
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
+    # What exists by now stays: the garbage collector need not walk through it in flight.
+    gc.collect()
+    gc.freeze()
     never = Future()
     while rclpy.ok():
         executor.spin_until_future_complete(never, timeout_sec=_SHUTDOWN_POLL_S)

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,13 @@ import pytest
 
 from quadpi_core.flight import AXES, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.inputs import aerodynamic_inputs
-from quadpi_core.logs.bags import write_bag
+from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
 from quadpi_core.models.noise import ResidualNoise
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.monitor.alarm import LEVEL_ALARM
 from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.monitor.replay import replay
 from quadpi_core.vehicle import Vehicle
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
@@ -164,6 +165,19 @@ def test_the_summary_counts(session: SessionResult) -> None:
     assert summary["samples_in"] == DURATION_S * 500
     assert summary["predictions_out"] == len(session.predictions.time_ns)
     assert 0.0 < summary["latency_ms_p50"] <= summary["latency_ms_p99"]
+
+
+def test_live_equals_replay(session: SessionResult, folder: Path) -> None:
+    output = folder / "replayed.mcap"
+    replay(AerodynamicModel.load(folder / "model"), Vehicle.load(VEHICLE), folder / "hover.mcap", output)
+    predictions, alarms = read_outputs(output)
+    for item in fields(predictions):
+        np.testing.assert_allclose(
+            getattr(session.predictions, item.name), getattr(predictions, item.name), rtol=1e-9, atol=1e-12
+        )
+    np.testing.assert_array_equal(session.alarms.time_ns, alarms.time_ns)
+    np.testing.assert_array_equal(session.alarms.level, alarms.level)
+    assert session.alarms.inputs_outside == alarms.inputs_outside
 
 
 @pytest.mark.usefixtures("ros_domain")
