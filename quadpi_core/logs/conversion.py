@@ -59,8 +59,9 @@ def drop_rotor_spikes(source: str, stream: RotorSpeedStream, vehicle: Vehicle) -
 
     Electrical speeds over telemetry spike to millions of revolutions now and then. More of them than
     SPIKE_SHARE are no spikes and stay: :func:`quadpi_core.logs.plausibility.check_plausible` refuses them.
+    Nor are infinite speeds, which no sensor sends: :meth:`Stream.check` refuses them.
     """
-    spike = np.any(stream.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
+    spike = np.any((stream.speeds > vehicle.rotor_speed_max_rad_s) & np.isfinite(stream.speeds), axis=1)
     if not np.any(spike) or spike.mean() > SPIKE_SHARE:
         return stream
     _log.warning(

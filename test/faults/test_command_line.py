@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bad flights on the command line: exit status 2, one line that names the culprit, and no output left."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.logs import messages, read_recording
+from quadpi_core.logs.bags import output_topic, write_bag
+from quadpi_core.logs.mcap_writer import write_mcap
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+SAMPLE = 123
+
+
+def changed(recording, topic, column, values):
+    """The recording with one array of one topic replaced by `values(array)`."""
+    stream = getattr(recording, topic)
+    return replace(recording, **{topic: replace(stream, **{column: values(getattr(stream, column).copy())})})
+
+
+def with_sample(value):
+    def change(array):
+        array[SAMPLE, -1] = value
+        return array
+
+    return change
+
+
+def test_flight_with_every_topic_is_good(quadpi, recording, model, bad):
+    write_bag(bad, recording)
+    assert quadpi("evaluate", model, bad).status == 0
+    assert quadpi("replay", model, bad, "-o", bad.with_name("out.mcap")).status == 0
+
+
+def test_refusal_is_the_only_line_of_a_process(bad, model):
+    bad.write_bytes(b"")
+    command = [sys.executable, "-m", "quadpi_core.cli", "evaluate", model, bad]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (2, "", f"quadpi: {bad}: the file is empty\n")
+
+
+class TestDamagedFiles:
+    def test_absent(self, refused_everywhere):
+        refused_everywhere("no such file or folder")
+
+    def test_empty(self, refused_everywhere, bad):
+        bad.write_bytes(b"")
+        refused_everywhere("the file is empty")
+
+    @pytest.mark.parametrize("fraction", [0.001, 0.5, 0.99])
+    def test_truncated(self, refused_everywhere, bad, bags, fraction):
+        whole = bags[0].read_bytes()
+        bad.write_bytes(whole[: int(fraction * len(whole))])
+        refused_everywhere(r"cut off, it has no footer; \d+ whole messages can be read")
+
+    def test_without_footer(self, refused_everywhere, bad, bags):
+        bad.write_bytes(bags[0].read_bytes()[:-8])
+        refused_everywhere("cut off, it has no footer; 7200 whole messages can be read")
+
+    def test_no_bag_at_all(self, refused_everywhere, bad):
+        bad.write_text("time, ax, ay, az\n" * 100)
+        refused_everywhere("is no MCAP file")
+
+    def test_unknown_format(self, refused, tmp_path):
+        (tmp_path / "notes.txt").write_text("windy")
+        message = r"notes\.txt: not a known log format; known: bag"
+        refused(message, "import", tmp_path / "notes.txt", "--vehicle", "neurobem", "-o", tmp_path / "bags")
+        refused(message, "info", tmp_path / "notes.txt", "--json", tmp_path / "data.json")
+
+
+class TestMissingTopics:
+    def test_imu(self, refused_everywhere, bad, recording):
+        rotors = recording.rotor_speeds
+        topic = output_topic("rotor_speeds", rotors.time_ns, messages.pack_rotor_speeds(rotors))
+        write_mcap(bad, [topic], {})
+        refused_everywhere("topic imu: missing; topics of the bag: /rotor_speeds")
+
+    def test_rotor_speeds(self, refused_everywhere, bad, recording):
+        write_bag(bad, replace(recording, rotor_speeds=None))
+        refused_everywhere("topic rotor_speeds .*is missing", ("identify", "evaluate", "replay"))
+
+    def test_state(self, refused_everywhere, bad, recording):
+        write_bag(bad, replace(recording, pose=None, odometry=None))
+        message = "topics mocap/pose and odometry are missing: one is needed"
+        refused_everywhere(message, ("identify", "evaluate", "replay"))
+
+
+class TestWrongUnits:
+    """The live path cannot tell units, so neither does its replay: everything else refuses them."""
+
+    COMMANDS = ("import", "identify", "evaluate")
+
+    @pytest.mark.parametrize(
+        ("topic", "column", "factor", "message"),
+        [
+            ("imu", "angular_velocity", 180.0 / np.pi, "topic imu: .*looks like deg/s"),
+            ("imu", "specific_force", 1.0 / 9.80665, "topic imu: .*looks like g, m/s² expected"),
+            ("rotor_speeds", "speeds", 30.0 / np.pi, r"topic rotor_speeds: sample \d+: .*looks like rpm"),
+            ("rotor_speeds", "speeds", 0.1, "topic rotor_speeds: thrust over Σω².*wrong unit"),
+        ],
+    )
+    def test_units(self, refused_everywhere, bad, recording, topic, column, factor, message):
+        write_bag(bad, changed(recording, topic, column, lambda values: factor * values))
+        refused_everywhere(message, self.COMMANDS)
+
+    def test_electrical_speeds_without_pole_pairs(self, refused_everywhere, bad, recording):
+        rotors = recording.rotor_speeds
+        erpm = messages.pack_erpm(rotors.time_ns, rotors.speeds * 7 * 30.0 / np.pi)
+        write_bag(bad, replace(recording, rotor_speeds=None), [output_topic("erpm", rotors.time_ns, erpm)])
+        refused_everywhere("topic /erpm: vehicle neurobem: .*need `pole_pairs`")
+
+    def test_axes(self, refused_everywhere, bad, recording):
+        flipped = changed(recording, "imu", "specific_force", lambda force: force * [1.0, -1.0, -1.0])
+        write_bag(bad, flipped)
+        refused_everywhere("topic imu: specific force points down", self.COMMANDS)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("topic", "name", "column"),
+    [
+        ("imu", "imu", "angular_velocity"),
+        ("imu", "imu", "specific_force"),
+        ("rotor_speeds", "rotor_speeds", "speeds"),
+        ("pose", "mocap/pose", "position"),
+        ("odometry", "odometry", "velocity"),
+        ("wind", "wind", "velocity"),
+    ],
+)
+def test_numbers_that_are_not_finite(refused_everywhere, bad, recording, topic, name, column, value):
+    write_bag(bad, changed(recording, topic, column, with_sample(value)))
+    refused_everywhere(f"topic {name}: sample {SAMPLE}: .* not finite")
+
+
+@pytest.mark.parametrize("topic", ["pose", "odometry"])
+@pytest.mark.parametrize(
+    ("factor", "message"), [(0.0, "no unit quaternion"), (2.0, "no unit quaternion"), (np.nan, "not finite")]
+)
+def test_attitude_that_is_none(refused_everywhere, bad, recording, topic, factor, message):
+    def change(attitude):
+        attitude[SAMPLE] *= factor
+        return attitude
+
+    write_bag(bad, changed(recording, topic, "attitude", change))
+    name = getattr(recording, topic).topic
+    refused_everywhere(f"topic /?{name}: sample {SAMPLE}: .*{message}")
+
+
+PACK = {
+    "imu": messages.pack_imu,
+    "rotor_speeds": messages.pack_rotor_speeds,
+    "pose": messages.pack_pose,
+    "odometry": messages.pack_odometry,
+    "wind": messages.pack_wind,
+}
+
+
+@pytest.mark.parametrize("topic", PACK)
+@pytest.mark.parametrize(("shift_ns", "kind"), [(0, "repeats"), (-50_000, "runs backward")])
+def test_stamps_that_do_not_rise(refused_everywhere, bad, recording, topic, shift_ns, kind):
+    """Header stamps, that is: a recorder logs the messages as they come."""
+
+    def shift(stamps):
+        stamps[SAMPLE] = stamps[SAMPLE - 1] + shift_ns
+        return stamps
+
+    wrong = changed(recording, topic, "time_ns", shift)
+    topics = []
+    for name, pack in PACK.items():
+        good = getattr(recording, name)
+        topics.append(output_topic(good.topic, good.time_ns, pack(getattr(wrong, name))))
+    write_mcap(bad, topics, {})
+    refused_everywhere(f"topic {getattr(recording, topic).topic}: sample {SAMPLE}: the stamp {kind}")
+
+
+class TestTheSameFlightTwice:
+    @pytest.mark.parametrize("command", ["import", "identify", "evaluate"])
+    def test_copy(self, refused, bags, model, pool, tmp_path, command):
+        copy = shutil.copy(bags[0], tmp_path / "copy.mcap")
+        options = {
+            "import": ("--vehicle", "neurobem", "-o", tmp_path / "out"),
+            "identify": ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "out"),
+            "evaluate": ("--json", tmp_path / "data.json"),
+        }
+        first = (model,) if command == "evaluate" else ()
+        message = f"{copy}: the same flight as {bags[0]}; give each flight once"
+        refused(re.escape(message), command, *first, bags[0], bags[1], copy, *options[command])
+
+    def test_same_file(self, refused, bags, model, pool, tmp_path):
+        options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "out")
+        refused("flight0.mcap: the same flight as", "identify", bags[0], bags[1], bags[0], *options)
+        refused("group all: a flight is present twice", "evaluate", model, bags[0], bags[0])
+
+    def test_log_and_its_bag(self, refused, quadpi, shared_data, tmp_path):
+        log = shared_data / "neurobem" / "bemnn20210223104803seg2.mat"
+        vehicle = ("--vehicle", "neurobem")
+        assert quadpi("import", log, *vehicle, "-o", tmp_path / "bags").status == 0
+        bag = tmp_path / "bags" / f"{log.stem}.mcap"
+        refused(f"{bag}: the same flight as {log}", "identify", log, bag, *vehicle, "-o", tmp_path / "model")
+
+
+class TestFlightsThatDoNotExciteTheModel:
+    def test_too_few_samples(self, refused, fly, tmp_path):
+        flights = [tmp_path / f"short{seed}.mcap" for seed in range(2)]
+        for seed, path in enumerate(flights):
+            write_bag(path, fly(seed, seconds=1.4))
+        message = r"Fx: \d+ samples are too few for a pool of \d+ regressors"
+        refused(message, "identify", *flights, "--vehicle", "neurobem", "-o", tmp_path / "model")
+
+    def test_too_short_for_the_estimator(self, refused_everywhere, bad, fly):
+        write_bag(bad, fly(0, seconds=0.5))
+        refused_everywhere(".*", ("identify", "evaluate", "replay"))
+
+    def test_constant_rotor_speeds(self, refused, bags, pool, tmp_path):
+        flights = [tmp_path / bag.name for bag in bags]
+        for bag, path in zip(bags, flights, strict=True):
+            steady = changed(read_recording(bag, None), "rotor_speeds", "speeds", lambda s: 0.0 * s + 1100.0)
+            write_bag(path, steady)
+        message = "Mx: regressor `U_p` is constant or a combination of the other fixed ones on these flights"
+        options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "model")
+        refused(message, "identify", *flights, *options)
+
+    def test_rotors_at_rest(self, refused_everywhere, bad, recording):
+        write_bag(bad, changed(recording, "rotor_speeds", "speeds", lambda speeds: 0.0 * speeds))
+        refused_everywhere("topic rotor_speeds: ", ("identify", "evaluate"))
+
+    def test_one_flight_cannot_calibrate(self, refused, bags, tmp_path):
+        refused(
+            "Fx: .*at least two flights", "identify", bags[0], "--vehicle", "neurobem", "-o", tmp_path / "m"
+        )

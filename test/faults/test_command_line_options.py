@@ -1,0 +1,167 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bad models, vehicles, options and outputs on the command line: exit status 2, one line, no output left."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from quadpi_core.logs.bags import write_bag
+
+
+class TestModels:
+    @pytest.fixture
+    def copy(self, model, tmp_path):
+        return shutil.copytree(model, tmp_path / "copy")
+
+    @pytest.fixture
+    def refused_model(self, refused, copy, bags, tmp_path):
+        def run(message):
+            refused(message, "evaluate", copy, bags[0], "--json", tmp_path / "data.json")
+            refused(message, "replay", copy, bags[0], "-o", tmp_path / "out.mcap")
+
+        return run
+
+    def test_absent(self, refused_model, copy):
+        shutil.rmtree(copy)
+        refused_model(r"copy/model\.json: cannot be read: No such file")
+
+    @pytest.mark.parametrize("name", ["model.json", "arrays.safetensors"])
+    def test_file_missing(self, refused_model, copy, name):
+        (copy / name).unlink()
+        refused_model(rf"copy/{name}: cannot be read: No such file")
+
+    def test_altered_numbers(self, refused_model, copy):
+        arrays = bytearray((copy / "arrays.safetensors").read_bytes())
+        arrays[-1] ^= 1
+        (copy / "arrays.safetensors").write_bytes(arrays)
+        refused_model(r"copy: arrays\.safetensors: its hash .* the file was altered")
+
+    @pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": 1}', '{"format": 99}'])
+    def test_altered_description(self, refused_model, copy, text):
+        (copy / "model.json").write_text(text)
+        refused_model("copy")
+
+    def test_description_that_holds_nan(self, refused_model, copy):
+        description = json.loads((copy / "model.json").read_text())
+        description["axes"]["Fx"]["mean_spread"] = float("nan")
+        (copy / "model.json").write_text(json.dumps(description))
+        refused_model(r"copy/model\.json: not a quadpi model")
+
+    def test_a_bag_is_no_model(self, refused, bags):
+        refused(r"flight0\.mcap/model\.json: cannot be read", "evaluate", bags[0], bags[1])
+
+
+class TestVehicles:
+    @pytest.fixture
+    def foreign(self, bad, recording):
+        write_bag(bad, replace(recording, vehicle="hdbeetle"))
+        return bad
+
+    def test_bag_of_another_vehicle(self, refused_everywhere, foreign):
+        assert foreign.exists()
+        refused_everywhere("is a flight of vehicle hdbeetle, not of neurobem")
+
+    def test_info_with_another_vehicle(self, refused, foreign):
+        refused(
+            "bad.mcap: is a flight of vehicle hdbeetle, not of bebop2", "info", foreign, "--vehicle", "bebop2"
+        )
+
+    def test_bag_without_a_vehicle_is_taken(self, quadpi, model, bad, recording):
+        write_bag(bad, replace(recording, vehicle=""))
+        assert quadpi("evaluate", model, bad).status == 0
+
+    def test_model_of_another_vehicle(self, refused, model, bags, tmp_path):
+        message = "the model is of vehicle neurobem, not bebop2"
+        refused(message, "evaluate", model, bags[0], "--vehicle", "bebop2")
+        refused(message, "replay", model, bags[0], "--vehicle", "bebop2", "-o", tmp_path / "out.mcap")
+
+    @pytest.mark.parametrize("name", ["submarine", "../neurobem", "nowhere.yaml"])
+    def test_unknown(self, refused, bags, tmp_path, name):
+        refused("no such vehicle file; known", "identify", *bags, "--vehicle", name, "-o", tmp_path / "model")
+
+
+class TestOptions:
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (("--axes", "Fx,Fq"), "no candidates for axis 'Fq'; there are pools for Fx, Mx"),
+            (("--axes", ""), "no candidates for axis ''"),
+            (("--candidates", "nothing"), "nothing.yaml: no such candidate file; known: "),
+            (("--confidence", "95"), "confidence 95.0 is not between 0 and 1"),
+            (("--confidence", "nan"), "confidence nan"),
+            (("--cutoff-hz", "0"), "cut-off"),
+            (("--cutoff-hz", "-3"), "cut-off"),
+            (("--cutoff-hz", "nan"), "cut-off"),
+            (("--cutoff-hz", "300"), "cut-off"),
+        ],
+    )
+    def test_identify(self, refused, bags, pool, tmp_path, options, message):
+        base = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "model")
+        refused(message, "identify", *bags[:2], *base, *options)
+
+    def test_broken_pool(self, refused, bags, tmp_path):
+        broken = tmp_path / "pool.yaml"
+        broken.write_text('Fx: {fixed: [u], candidates: ["P^2(speed)"]}\n')
+        options = ("--vehicle", "neurobem", "--candidates", broken, "-o", tmp_path / "model")
+        refused(rf"{broken}: Fx: .*speed", "identify", *bags[:2], *options)
+
+    @pytest.mark.parametrize("confidence", ["0", "1", "0.3", "0.99999", "nan"])
+    def test_confidence(self, refused, model, bags, tmp_path, confidence):
+        refused("confidence", "evaluate", model, bags[0], "--confidence", confidence)
+        options = ("-o", tmp_path / "out.mcap", "--confidence", confidence)
+        refused("confidence", "replay", model, bags[0], *options)
+
+    def test_mapping_for_a_bag(self, refused, bags, tmp_path):
+        options = ("--vehicle", "neurobem", "--mapping", "nanodrone", "-o", tmp_path / "bags")
+        refused("flight0.mcap: a bag .*takes no mapping file", "import", bags[0], *options)
+
+
+class TestOutputs:
+    """What stood there before stays: `refused` compares every file of the folder."""
+
+    def test_file_in_place_of_a_folder(self, refused, bags, model, tmp_path):
+        file = tmp_path / "file"
+        file.write_text("mine")
+        message = "cannot be written: "
+        refused(message, "import", bags[0], "--vehicle", "neurobem", "-o", file)
+        refused(message, "replay", model, bags[0], "-o", file / "out.mcap")
+        for option in ("--json", "--html"):
+            refused(message, "evaluate", model, bags[0], option, file / "result")
+
+    def test_folder_in_place_of_a_file(self, refused, bags, model, tmp_path):
+        folder = tmp_path / "folder.mcap"
+        folder.mkdir()
+        (folder / "notes.txt").write_text("mine")
+        refused(r"folder\.mcap: cannot be written: ", "replay", model, bags[0], "-o", folder)
+        for option in ("--json", "--html"):
+            refused(r"folder\.mcap: cannot be written: ", "evaluate", model, bags[0], option, folder)
+
+    def test_folder_of_something_else(self, refused, bags, pool, tmp_path):
+        (tmp_path / "thesis.tex").write_text("mine")
+        options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path)
+        refused("holds .*, which is not part of a model: not replaced", "identify", *bags[:2], *options)
+
+    def test_bag_without_its_suffix(self, refused, bags, model, tmp_path):
+        refused(r"a file that ends in \.mcap", "replay", model, bags[0], "-o", tmp_path / "out")
+
+    def test_input_in_place_of_the_output(self, refused, bags, model, tmp_path):
+        bag = shutil.copy(bags[0], tmp_path / "flight.mcap")
+        refused("the output would replace the flight", "replay", model, bag, "-o", bag)
+        refused("its own bag would replace it", "import", bag, "--vehicle", "neurobem", "-o", tmp_path)
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+    def test_no_permission(self, refused, bags, model, tmp_path):
+        locked = tmp_path / "locked"
+        locked.mkdir(mode=0o500)
+        refused("cannot be written: Permission denied", "replay", model, bags[0], "-o", locked / "out.mcap")
+
+    def test_nothing_of_an_import_is_written_if_one_log_is_bad(self, refused, bags, bad, tmp_path):
+        bad.write_bytes(b"")
+        options = ("--vehicle", "neurobem", "-o", tmp_path / "bags")
+        refused(r"bad\.mcap: the file is empty", "import", *bags, bad, *options)
