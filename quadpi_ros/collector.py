@@ -31,6 +31,8 @@ _LEVEL_NAMES = ("ok", "warning", "ALARM")
 # The collector shares a process with its caller: nothing may be lost while that is busy.
 _DEEP_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 _POLL_S = 0.05
+# Of the inputs outside, so that a change fits one line of a terminal.
+_NAMES_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,12 @@ class AlarmChange:
     envelope_distance: float
 
     def __str__(self) -> str:
-        text = f"{self.time_s:8.2f} s  {_LEVEL_NAMES[self.level]:8}{', '.join(self.causes)}"
+        text = f"{self.time_s:7.2f} s  {_LEVEL_NAMES[self.level]:8}{', '.join(self.causes)}"
         if self.inputs_outside:
-            text += f": {', '.join(self.inputs_outside)} outside the training envelope"
-            text += f" (by {self.envelope_distance:.2f} of its range)"
+            more = len(self.inputs_outside) - _NAMES_SHOWN
+            text += f": {', '.join(self.inputs_outside[:_NAMES_SHOWN])}"
+            text += f" and {more} more" if more > 0 else ""
+            text += f", {self.envelope_distance:.0%} out of range"
         return text
 
 
