@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
@@ -19,7 +20,7 @@ from quadpi_core.models import load_pools
 from quadpi_core.paths import data_directory, whole_output
 from quadpi_core.report.html import write_report
 from quadpi_core.report.live import LiveReplay
-from quadpi_core.report.tables import evaluation_table, selection_table
+from quadpi_core.report.tables import evaluation_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import AlarmChange
 from quadpi_ros.session import SessionResult, run_session
@@ -71,7 +72,9 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
             progress=lambda axis: status.update(f"Identifying {axis}"),
         ).save(output / "model")
     for axis in model.axes:
-        console.print(selection_table(model.selection[axis], axis))
+        chosen = [row for row in model.selection[axis] if row["coefficient"] is not None]
+        terms = ", ".join(row["term"] for row in chosen)
+        console.print(f"[bold]{axis}[/bold]  R² {chosen[-1]['r2']:.3f}  {escape(terms)}")
 
     console.rule("3  Evaluate: does the interval cover?")
     flights += prepare_flights(extrapolated, vehicle, CUTOFF_HZ["default"])
