@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The how-to pages: their commands run, their links lead somewhere, their JSON keys are the real ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from quadpi_core.flight import AXES
+from quadpi_core.inputs import INPUT_NAMES
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+# Its files are made by test/core/logs/test_data_set_guide.py, which runs its commands.
+RUN_ELSEWHERE = {"add-a-data-set.md"}
+QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
+
+
+def commands(page: str) -> list[str]:
+    """The commands `quadpi …` in the fenced and indented code of a page, continued lines included."""
+    fenced = re.findall(r"^```sh\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+    indented = re.findall(r"^ {4}(.*)$", page, flags=re.MULTILINE)
+    code = "\n".join([*fenced, *indented])
+    return re.findall(r"^quadpi (?:[^\n]*\\\n)*[^\n]*", code, flags=re.MULTILINE)
+
+
+def test_commands_are_found():
+    page = "```sh\nquadpi info a\n```\nquadpi is nice\n\n    quadpi a \\\n      b\n\nText quadpi info\n"
+    assert commands(page) == ["quadpi info a", "quadpi a \\\n  b"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name not in RUN_ELSEWHERE], ids=lambda p: p.name)
+def test_commands_run(page, shared_data, tmp_path):
+    for data in shared_data.iterdir():
+        (tmp_path / data.name).symlink_to(data)
+    environment = os.environ | {"PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
+    for command in commands(page.read_text()):
+        ran = subprocess.run(
+            ["bash", "-c", QUADPI + command],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ran.returncode == 0, f"{command}\n{ran.stderr}"
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def keys(data: Any) -> Iterator[str]:
+    if isinstance(data, dict):
+        yield from data
+        for value in data.values():
+            yield from keys(value)
+    if isinstance(data, list):
+        for value in data:
+            yield from keys(value)
+
+
+def test_every_json_key_is_documented(quadpi, bags, tmp_path):
+    model, data = tmp_path / "model", tmp_path / "data.json"
+    page = (ROOT / "docs" / "commands.md").read_text()
+    named = set(re.findall(r"`([^`\n]+)`", page))
+    documented = {key for path in named for key in re.split(r"[.…\[\]]+", path)}
+    names = {*AXES, *INPUT_NAMES, *(bag.stem for bag in bags), "all"}
+    runs = [
+        ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "-o", model),
+        ("info", bags[0]),
+        ("info", model),
+        ("evaluate", model, *bags),
+        ("replay", model, bags[0], "-o", tmp_path / "out.mcap"),
+    ]
+    for run in runs:
+        assert quadpi(*run, "--json", data).status == 0
+        assert set(keys(json.loads(data.read_text()))) - names <= documented, run
