@@ -18,6 +18,8 @@ from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, rows_kern
 
 # Samples per block: the regressors of one block stay in the cache of a core.
 _BLOCK = 192
+# Samples that a thread takes at a time; fixed, so that sums do not depend on the number of cores.
+_PIECE = 10_000
 _TILE_ROWS = 4
 # Numbers of 8 bytes in a cache line.
 _CACHE_LINE = 8
@@ -71,7 +73,7 @@ class Gram:
 def flight_grams(
     program: RegressorProgram, inputs: Array, target: Array, groups: npt.NDArray[np.int64]
 ) -> list[Gram]:
-    """One Gram per flight, the flights shared among the processor's cores.
+    """One Gram per flight, the work shared among the processor's cores.
 
     Args:
         program: its outputs are the regressors, the constant first.
@@ -79,17 +81,23 @@ def flight_grams(
         target: (N,).
         groups: (N,) flight number of each sample, 0 to F − 1.
     """
+    pieces = []
+    for flight in range(int(groups.max()) + 1):
+        samples = np.flatnonzero(groups == flight)
+        pieces += [(flight, samples[start : start + _PIECE]) for start in range(0, len(samples), _PIECE)]
 
-    def gram_of(group: int) -> Gram:
-        members = groups == group
-        return _accumulate(program, inputs[members], target[members])
+    def gram_of(piece: tuple[int, npt.NDArray[np.intp]]) -> Gram:
+        return _accumulate(program, inputs[piece[1]], target[piece[1]])
 
+    totals: dict[int, Gram] = {}
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        return list(threads.map(gram_of, range(int(groups.max()) + 1)))
+        for (flight, _), gram in zip(pieces, threads.map(gram_of, pieces), strict=True):
+            totals[flight] = totals[flight] + gram if flight in totals else gram
+    return list(totals.values())
 
 
 def _accumulate(program: RegressorProgram, inputs: Array, target: Array) -> Gram:
-    """The Gram of one flight: the target goes along as one more regressor."""
+    """The Gram of some samples: the target goes along as one more regressor."""
     target_row = BASE_ROWS + len(program.first)
     factors = np.append(program.outputs, target_row)
     size = len(factors)
