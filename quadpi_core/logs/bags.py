@@ -161,6 +161,16 @@ def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:
     return Topic(f"/{name}", TOPIC_TYPES[name], time_ns, payloads)
 
 
+def has_topic(path: Path | str, topic: str) -> bool:
+    """Whether a bag holds messages on a standard topic, in any namespace.
+
+    Raises:
+        LogError: as :func:`read_bag`.
+    """
+    with Bag(Path(path)) as bag:
+        return find_topic(bag, topic) is not None
+
+
 def bag_topics(path: Path | str) -> list[TopicSummary]:
     """Summarise every topic of any bag, whatever its types, ordered by name.
 

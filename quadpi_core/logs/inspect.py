@@ -6,12 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import Recording, RotorSpeedStream, Stream
+from quadpi_core.flight import Recording, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.logs.bags import bag_topics
 from quadpi_core.logs.conversion import SPIKE_SHARE
 from quadpi_core.logs.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
@@ -97,24 +99,45 @@ def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> I
     )
 
 
+def inspect_topics(bag: Path) -> Inspection:
+    """Describe the timing of every topic of a bag without `imu`, such as one that `quadpi replay` wrote.
+
+    Raises:
+        LogError: for a bag that cannot be read.
+    """
+    return Inspection(
+        name=bag.stem,
+        vehicle="",
+        source=str(bag),
+        topics=tuple(_timing(topic.name, topic.stamps_ns) for topic in bag_topics(bag)),
+        envelope=(),
+        findings=("no topic imu: rules out identification, prediction and replay",),
+    )
+
+
 def _describe(stream: Stream) -> TopicReport:
-    steps = np.diff(stream.time_ns) * 1e-9
+    not_finite = int(np.sum(~finite_rows(*_columns(stream).values()))) if len(stream) else 0
+    return _timing(stream.topic, stream.time_ns, not_finite)
+
+
+def _timing(topic: str, time_ns: Stamps, not_finite: int = 0) -> TopicReport:
+    steps = np.diff(time_ns) * 1e-9
     forward = steps[steps > 0.0]
     median = float(np.median(forward)) if len(forward) else 0.0
     gaps = forward[forward > GAP_INTERVALS * median]
     quantiles = np.percentile(forward, [5.0, 95.0]) if len(forward) else np.zeros(2)
-    duration = float(np.ptp(stream.time_ns) * 1e-9) if len(stream) else 0.0
+    duration = float(np.ptp(time_ns) * 1e-9) if len(time_ns) else 0.0
     return TopicReport(
-        topic=stream.topic,
-        count=len(stream),
+        topic=topic,
+        count=len(time_ns),
         duration_s=duration,
-        rate_hz=(len(stream) - 1) / duration if duration > 0.0 else 0.0,
+        rate_hz=(len(time_ns) - 1) / duration if duration > 0.0 else 0.0,
         jitter_ms=float(0.5e3 * np.diff(quantiles)[0]),
         gaps=len(gaps),
         longest_gap_s=float(forward.max(initial=0.0)),
         repeated=int(np.sum(steps == 0.0)),
         backward=int(np.sum(steps < 0.0)),
-        not_finite=int(np.sum(~finite_rows(*_columns(stream).values()))) if len(stream) else 0,
+        not_finite=not_finite,
     )
 
 

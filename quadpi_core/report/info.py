@@ -14,8 +14,9 @@ from rich.text import Text
 
 from quadpi_core.errors import VehicleError
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import decode_recording
-from quadpi_core.logs.inspect import Inspection, inspect_recording
+from quadpi_core.logs import FORMATS, decode_recording, identify_format
+from quadpi_core.logs.bags import has_topic
+from quadpi_core.logs.inspect import Inspection, inspect_recording, inspect_topics
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.storage import MODEL_FILE
 from quadpi_core.report.style import number, percent
@@ -25,8 +26,8 @@ from quadpi_core.vehicle import Vehicle
 def describe(path: Path, vehicle: str | None, mapping: str | None) -> tuple[list[Table], dict[str, Any]]:
     """Tables and the same content as JSON, for a log, a bag or a model folder.
 
-    A bag names its vehicle itself; `vehicle` overrides it. Without a vehicle nothing is compared with its
-    limits.
+    A bag names its vehicle itself; `vehicle` is for logs that do not, and vehicles of one's own. Without a
+    vehicle nothing is compared with its limits. Of a bag without `imu` only the topics are shown.
 
     Raises:
         QuadpiError: for what cannot be read.
@@ -34,10 +35,17 @@ def describe(path: Path, vehicle: str | None, mapping: str | None) -> tuple[list
     if (path / MODEL_FILE).is_file():
         model = AerodynamicModel.load(path)
         return model_tables(model), _model_json(model)
+    if identify_format(path) is FORMATS["bag"] and not has_topic(path, "imu"):
+        inspection = inspect_topics(path)
+        return [_topic_table(inspection), _finding_table(inspection)], _inspection_json(inspection)
     known = Vehicle.load(vehicle) if vehicle else None
     recording = decode_recording(path, known, mapping)
     inspection = inspect_recording(recording, known or _named_vehicle(recording.vehicle))
-    return inspection_tables(inspection), {"kind": "recording", **asdict(inspection)}
+    return inspection_tables(inspection), _inspection_json(inspection)
+
+
+def _inspection_json(inspection: Inspection) -> dict[str, Any]:
+    return {"kind": "recording", **asdict(inspection)}
 
 
 def _named_vehicle(name: str) -> Vehicle | None:

@@ -173,6 +173,17 @@ class TestJsonKeys:
         assert {topic["topic"] for topic in info["topics"]} == {"imu", "rotor_speeds", "mocap/pose"}
         assert info["findings"] == []
 
+    def test_info_of_a_replay(self, quadpi, model, bags, tmp_path):
+        assert quadpi("replay", model, bags[0], "-o", tmp_path / "out.mcap").status == 0
+        shown = quadpi("info", tmp_path / "out.mcap", "--json", tmp_path / "info.json")
+        assert (shown.status, shown.errors) == (0, "")
+        info = read_json(tmp_path / "info.json")
+        assert set(info) == RECORDING
+        counts = {topic["topic"]: topic["count"] for topic in info["topics"]}
+        assert list(counts) == ["/extrapolation_alarm", "/odometry", "/prediction"]
+        assert counts["/prediction"] > 0
+        assert "no topic imu" in info["findings"][0]
+
     def test_info_of_a_model(self, quadpi, model, tmp_path):
         assert quadpi("info", model, "--json", tmp_path / "info.json").status == 0
         info = read_json(tmp_path / "info.json")
