@@ -58,8 +58,8 @@ class AlarmChange:
         if self.inputs_outside:
             more = len(self.inputs_outside) - _NAMES_SHOWN
             text += f": {', '.join(self.inputs_outside[:_NAMES_SHOWN])}"
-            text += f" and {more} more" if more > 0 else ""
-            text += f", {self.envelope_distance:.0%} out of range"
+            text += f" +{more}" if more > 0 else ""
+            text += f", {self.envelope_distance:.0%} out"
         return text
 
 

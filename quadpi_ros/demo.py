@@ -89,6 +89,9 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
     console.print(evaluation_table(evaluation))
 
     console.rule(f"4  Live: {extrapolated[0].name} through the ROS 2 nodes at {rate:g} x real time")
+    console.print(
+        "Alarm and inputs outside their training range, the farthest first, by a share of that range:"
+    )
     session = run_session(
         extrapolated[0],
         output / "model",
