@@ -128,6 +128,7 @@ def identify(
     console.print(
         f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
     )
+    console.print(model.calibration(), soft_wrap=True)
     if json_file or html_file:
         results = [predict_flight(model, flight, confidence) for flight in flights]
         groups = {"identification": [flight.name for flight in flights]}

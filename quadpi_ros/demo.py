@@ -76,6 +76,8 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
         terms = ", ".join(row["term"] for row in chosen)
         console.print(f"[bold]{axis}[/bold]  R² {chosen[-1]['r2']:.3f}  {escape(terms)}")
 
+    console.print(model.calibration())
+
     console.rule("3  Evaluate: does the interval cover?")
     flights += prepare_flights(extrapolated, vehicle, CUTOFF_HZ["default"])
     results = [predict_flight(model, flight, CONFIDENCE) for flight in flights]

@@ -12,6 +12,7 @@ from typing import Any
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.kernel import CompiledPolynomials, Evaluation
+from quadpi_core.models.noise import ResidualNoise
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.monitor.envelope import Envelope
 
@@ -59,6 +60,22 @@ class AerodynamicModel:
     def axes(self) -> tuple[str, ...]:
         """Names of the axes held, in the order of `AXES`."""
         return tuple(axis for axis in AXES if axis in self.polynomials)
+
+    def calibration(self) -> str:
+        """What the width of the intervals rests on, in a sentence."""
+        noise = next(iter(self.polynomials.values())).noise
+        if isinstance(noise, ResidualNoise):
+            return (
+                "intervals from the training residuals, as in the paper: expect less coverage on new flights"
+            )
+        total, inside = len(noise.flight_factors), noise.flights_inside
+        if inside == 0:
+            return (
+                f"no flight of {total} lies in the envelope of the others: intervals from the training "
+                f"residuals, expect less coverage on new flights"
+            )
+        rest = "" if inside == total else f"; {total - inside} outside the envelope of the others"
+        return f"intervals calibrated on {inside} of {total} flights, each left out in turn{rest}"
 
     @cached_property
     def _compiled(self) -> CompiledPolynomials:

@@ -67,10 +67,13 @@ class HeldOutNoise:
             data: maximum likelihood of e ~ N(0, σ² (1 + κ h)), flights weighing the same. Independent
             residuals of a true model would give κ = 1; correlation and a wrong model give hundreds.
         flight_factors: (F, len(LEVELS)), each flight's own, at the confidence :data:`LEVELS`.
+        flights_inside: how many flights lie mostly inside the envelope of the others, so that their errors
+            count; 0 means that the factors rest on the training residuals alone.
     """
 
     inflation: float
     flight_factors: Array
+    flights_inside: int
 
     def factor(self, confidence: float) -> float:
         """Half width at zero leverage."""
@@ -85,6 +88,7 @@ class HeldOutNoise:
             "kind": "held-out",
             "inflation": self.inflation,
             "flight_factors": self.flight_factors.tolist(),
+            "flights_inside": self.flights_inside,
         }
 
 
@@ -104,7 +108,7 @@ def noise_from_json(data: dict[str, Any]) -> ResidualNoise | HeldOutNoise:
         inflation, factors = float(data["inflation"]), np.array(data["flight_factors"], dtype=float)
         if inflation < 0.0 or factors.ndim != 2 or factors.shape[1] != len(LEVELS) or len(factors) == 0:
             raise ModelError(f"noise with inflation {inflation} and flight factors {factors.shape}")
-        return HeldOutNoise(inflation, factors)
+        return HeldOutNoise(inflation, factors, int(data["flights_inside"]))
     raise ModelError(f"unknown kind of noise {data['kind']!r}")
 
 
@@ -140,10 +144,10 @@ def calibrate(held_out: list[FlightErrors], trained: list[FlightErrors]) -> Held
     samples = sum(len(flight.error) for flight in trained)
     inflation = fit_inflation(held_out, highest=samples)
     factors = [flight.factors(inflation) for flight in trained]
-    for k, flight in enumerate(held_out):
-        if np.mean(flight.inside) >= FEWEST_INSIDE:
-            factors[k] = np.maximum(factors[k], flight.factors(inflation))
-    return HeldOutNoise(inflation, np.stack(factors))
+    inside = [k for k, flight in enumerate(held_out) if np.mean(flight.inside) >= FEWEST_INSIDE]
+    for k in inside:
+        factors[k] = np.maximum(factors[k], held_out[k].factors(inflation))
+    return HeldOutNoise(inflation, np.stack(factors), len(inside))
 
 
 def fit_inflation(flights: list[FlightErrors], highest: float) -> float:

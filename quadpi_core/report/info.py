@@ -115,6 +115,7 @@ def model_tables(model: AerodynamicModel) -> list[Table]:
         f"{percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
         box=box.SIMPLE_HEAD,
     )
+    axes.caption = model.calibration()
     axes.add_column("axis")
     axes.add_column("regressors")
     for axis in model.axes:

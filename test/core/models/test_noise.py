@@ -82,7 +82,7 @@ def test_flight_outside_the_envelope_of_the_others_does_not_set_the_width() -> N
 @pytest.mark.parametrize(("flights", "rank"), [(2, 2), (5, 5), (9, 9), (10, 10), (19, 18), (29, 27)])
 def test_factor_is_the_conformal_rank_of_the_flights(flights: int, rank: int) -> None:
     factors = np.random.default_rng(6).permutation(np.arange(1.0, flights + 1.0))
-    noise = HeldOutNoise(1.0, np.repeat(factors[:, None], len(LEVELS), axis=1))
+    noise = HeldOutNoise(1.0, np.repeat(factors[:, None], len(LEVELS), axis=1), 0)
     assert noise.factor(0.95) == rank
 
 
@@ -93,12 +93,12 @@ def test_nine_tenths_of_new_flights_reach_the_nominal_coverage() -> None:
     for _ in range(400):
         flights = [flight_errors(s * rng.normal(size=200)) for s in rng.lognormal(sigma=0.5, size=30)]
         known, new = flights[:-1], flights[-1]
-        noise = HeldOutNoise(1.0, np.stack([flight.factors(1.0) for flight in known]))
+        noise = HeldOutNoise(1.0, np.stack([flight.factors(1.0) for flight in known]), 0)
         reached.append(np.mean(np.abs(new.error) <= noise.factor(0.9)) >= 0.9)
     assert np.mean(reached) == pytest.approx(0.9, abs=0.045)
 
 
-@pytest.mark.parametrize("noise", [ResidualNoise(0.3, 98.0), HeldOutNoise(7.5, np.ones((3, len(LEVELS))))])
+@pytest.mark.parametrize("noise", [ResidualNoise(0.3, 98.0), HeldOutNoise(7.5, np.ones((3, len(LEVELS))), 2)])
 def test_json_round_trip(noise: ResidualNoise | HeldOutNoise) -> None:
     again = noise_from_json(json.loads(json.dumps(noise.to_json())))
     assert type(again) is type(noise)
@@ -120,3 +120,15 @@ def test_json_round_trip(noise: ResidualNoise | HeldOutNoise) -> None:
 def test_impossible_noise_is_refused(data: dict[str, object]) -> None:
     with pytest.raises(ModelError):
         noise_from_json(data)
+
+
+def test_says_how_many_flights_the_factors_rest_on() -> None:
+    rng = np.random.default_rng(4)
+
+    def flight(inside: float) -> FlightErrors:
+        return FlightErrors(rng.normal(size=100), np.full(100, 1e-3), np.arange(100) < 100 * inside)
+
+    trained = [flight(1.0) for _ in range(3)]
+    noise = calibrate([flight(1.0), flight(0.7), flight(0.2)], trained)
+    assert noise.flights_inside == 2
+    assert noise_from_json(noise.to_json()).flights_inside == 2
