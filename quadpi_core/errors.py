@@ -29,3 +29,8 @@ class ModelError(QuadpiError):
 
 class OutputError(QuadpiError):
     """A result cannot be written where it was asked for."""
+
+
+def one_line(error: BaseException) -> str:
+    """The message of an error of another library, whatever its line breaks, as part of ours."""
+    return " ".join(str(error).split())

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from quadpi_core.config import read_config
 from quadpi_core.errors import VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.paths import config_directory
 
 ROTORS = 4
 SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
@@ -54,7 +53,7 @@ class Vehicle:
     rotor_positions: Array
     rotor_spins: Array
     pole_pairs: int | None
-    rotor_speed_max_rad_s: float
+    rotor_speed_max_rad_s: float = 1e4
     air_density_kg_m3: float = 1.225
     gravity_m_s2: float = 9.80665
     noise: SensorNoise = field(default_factory=SensorNoise)
@@ -66,17 +65,7 @@ class Vehicle:
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
         """
-        path = Path(name_or_path)
-        if path.suffix not in {".yaml", ".yml"}:
-            path = config_directory() / "vehicles" / f"{name_or_path}.yaml"
-        try:
-            data = yaml.safe_load(path.read_text())
-        except FileNotFoundError:
-            known = sorted(p.stem for p in (config_directory() / "vehicles").glob("*.yaml"))
-            raise VehicleError(f"{path}: no such vehicle file; known vehicles: {', '.join(known)}") from None
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise VehicleError(f"{path}: not a readable YAML file: {_first_line(error)}") from error
-        return _parse(path, data)
+        return _parse(*read_config("vehicle", name_or_path, VehicleError))
 
     @cached_property
     def hover_induced_velocity(self) -> float:
@@ -99,7 +88,8 @@ class Vehicle:
 
 
 _REQUIRED = ("mass_kg", "inertia_kg_m2", "rotor_radius_m", "rotors", "pole_pairs")
-_OPTIONAL = ("rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2", "noise", "source")
+_OPTIONAL_NUMBERS = ("rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2")
+_KNOWN = (*_REQUIRED, *_OPTIONAL_NUMBERS, "noise", "source")
 
 
 def _parse(path: Path, data: Any) -> Vehicle:
@@ -109,8 +99,8 @@ def _parse(path: Path, data: Any) -> Vehicle:
         if key not in data:
             raise VehicleError(f"{path}: missing key `{key}`")
     for key in data:
-        if key not in _REQUIRED + _OPTIONAL:
-            raise VehicleError(f"{path}: unknown key `{key}`; known: {_REQUIRED + _OPTIONAL}")
+        if key not in _KNOWN:
+            raise VehicleError(f"{path}: unknown key `{key}`; known: {', '.join(_KNOWN)}")
     rotors = data["rotors"]
     if not isinstance(rotors, list) or len(rotors) != ROTORS:
         raise VehicleError(f"{path}: `rotors` must list {ROTORS} rotors")
@@ -127,15 +117,13 @@ def _parse(path: Path, data: Any) -> Vehicle:
         rotor_positions=positions,
         rotor_spins=spins,
         pole_pairs=pole_pairs,
-        rotor_speed_max_rad_s=_positive(path, data, "rotor_speed_max_rad_s", 1e4),
-        air_density_kg_m3=_positive(path, data, "air_density_kg_m3", 1.225),
-        gravity_m_s2=_positive(path, data, "gravity_m_s2", 9.80665),
         noise=_noise(path, data.get("noise") or {}),
+        **{key: _positive(path, data, key) for key in _OPTIONAL_NUMBERS if key in data},
     )
 
 
-def _positive(path: Path, data: dict[str, Any], key: str, default: float | None = None) -> float:
-    value = data.get(key, default)
+def _positive(path: Path, data: dict[str, Any], key: str) -> float:
+    value = data[key]
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 < value < np.inf:
         raise VehicleError(f"{path}: `{key}` must be a positive number, found {value!r}")
     return float(value)
@@ -185,7 +173,3 @@ def _noise(path: Path, data: dict[str, Any]) -> SensorNoise:
         if key not in known:
             raise VehicleError(f"{path}: unknown key `noise.{key}`; known: {sorted(known)}")
     return SensorNoise(**{key: _positive(path, data, key) for key in data})
-
-
-def _first_line(error: Exception) -> str:
-    return " ".join(str(error).split())

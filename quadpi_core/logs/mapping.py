@@ -14,11 +14,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import yaml
 
+from quadpi_core.config import read_config
 from quadpi_core.errors import LogError
 from quadpi_core.logs.conversion import STANDARD_GRAVITY
-from quadpi_core.paths import config_directory
 
 ERPM = "erpm"
 QUATERNION_ORDERS = MappingProxyType({"wxyz": (0, 1, 2, 3), "xyzw": (3, 0, 1, 2)})
@@ -98,16 +97,7 @@ class Mapping:
         Raises:
             LogError: naming the file and the key that is missing, unknown or has a value that is not known.
         """
-        path = Path(name_or_path)
-        if path.suffix not in {".yaml", ".yml"}:
-            path = config_directory() / "mappings" / f"{name_or_path}.yaml"
-        try:
-            data = yaml.safe_load(path.read_text())
-        except FileNotFoundError:
-            known = sorted(p.stem for p in (config_directory() / "mappings").glob("*.yaml"))
-            raise LogError(f"{path}: no such mapping file; known mappings: {', '.join(known)}") from None
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise LogError(f"{path}: not a readable YAML file: {' '.join(str(error).split())}") from error
+        path, data = read_config("mapping", name_or_path, LogError)
         _check_keys(f"{path}", data, _REQUIRED, ("body", "world", *UNITS))
         return cls(
             path=path,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import scipy.io
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.conversion import stamps_ns, unit_attitude
@@ -65,7 +65,7 @@ def _load_matrix(path: Path) -> Array:
     except OSError:
         raise
     except Exception as error:  # scipy raises many kinds for a file that is damaged or of another version
-        raise LogError(f"{path}: not a readable MATLAB 5 file: {' '.join(str(error).split())}") from error
+        raise LogError(f"{path}: not a readable MATLAB 5 file: {one_line(error)}") from error
     matrices = [
         value
         for name, value in variables.items()

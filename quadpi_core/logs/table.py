@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import (
     ImuStream,
     OdometryStream,
@@ -209,9 +209,7 @@ def _load_table(path: Path) -> pa.Table:
     try:
         table = read(path)
     except pa.ArrowException as error:
-        raise LogError(
-            f"{path}: not a readable {path.suffix[1:]} table: {' '.join(str(error).split())}"
-        ) from error
+        raise LogError(f"{path}: not a readable {path.suffix[1:]} table: {one_line(error)}") from error
     if table.num_rows == 0:
         raise LogError(f"{path}: the table has no rows")
     return table

@@ -15,8 +15,7 @@ from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from quadpi_core.config import read_config
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.models.regressors import (
@@ -26,7 +25,6 @@ from quadpi_core.models.regressors import (
     parse_monomial,
     unique_regressors,
 )
-from quadpi_core.paths import config_directory
 
 _FAMILY = re.compile(
     r"P\^(?P<degree>[1-9]\d*)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?"
@@ -89,16 +87,7 @@ def load_pools(name_or_path: str | Path) -> dict[str, CandidatePool]:
     Raises:
         ModelError: naming the file, the axis and the entry that cannot be read.
     """
-    path = Path(name_or_path)
-    if path.suffix not in {".yaml", ".yml"}:
-        path = config_directory() / "candidates" / f"{name_or_path}.yaml"
-    try:
-        data = yaml.safe_load(path.read_text())
-    except FileNotFoundError:
-        known = sorted(p.stem for p in (config_directory() / "candidates").glob("*.yaml"))
-        raise ModelError(f"{path}: no such candidate file; known: {', '.join(known)}") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ModelError(f"{path}: not a readable YAML file: {' '.join(str(error).split())}") from error
+    path, data = read_config("candidate", name_or_path, ModelError)
     if not isinstance(data, dict) or not data:
         raise ModelError(f"{path}: expected axes, each with `fixed` and `candidates`")
     return {axis: _parse_axis(path, axis, entry) for axis, entry in data.items()}

@@ -92,7 +92,7 @@ class TestOptions:
         [
             (("--axes", "Fx,Fq"), "no candidates for axis 'Fq'; there are pools for Fx, Mx"),
             (("--axes", ""), "no candidates for axis ''"),
-            (("--candidates", "nothing"), "nothing.yaml: no such candidate file; known: "),
+            (("--candidates", "nothing"), "nothing.yaml: no such candidate file; known candidates: "),
             (("--confidence", "95"), "confidence 95.0 is not between 0 and 1"),
             (("--confidence", "nan"), "confidence nan"),
             (("--cutoff-hz", "0"), "cut-off"),

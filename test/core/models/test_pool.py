@@ -93,5 +93,5 @@ def test_broken_file_is_refused_in_one_line(tmp_path: Path, content: str, words:
 
 
 def test_unknown_pool_names_the_known_ones() -> None:
-    with pytest.raises(ModelError, match=r"no such candidate file; known: .*hdbeetle"):
+    with pytest.raises(ModelError, match=r"no such candidate file; known candidates: .*hdbeetle"):
         load_pools("hdbeatle")
