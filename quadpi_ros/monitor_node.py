@@ -13,12 +13,12 @@ from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
 from sensor_msgs.msg import Imu
 
-from quadpi_core.flight import AXES, ImuStream, OdometryStream, RotorSpeedStream, WindStream
+from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, WindStream
 from quadpi_core.logs import messages
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings, Predictions
-from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.pairing import TIMEOUT_S, PairedSamples, Pairing
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros.parameters import parameter, read_parameters
 from quadpi_ros.runtime import run, spin
@@ -50,7 +50,7 @@ class MonitorParameters:
         _SETTINGS.alarm_rate_hz, "rate of extrapolation_alarm between changes", limits=(0.1, 1000.0)
     )
     pairing_timeout_s: float = parameter(
-        0.1, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
+        TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
     )
     body_frame: str = parameter(messages.BODY_FRAME, "frame_id of what is published: forward-left-up")
 
@@ -80,7 +80,6 @@ class MonitorNode(SensorNode):
         )
         self._pairing = Pairing(parameters.pairing_timeout_s)
         self._body_frame = parameters.body_frame
-        self._axes = sum(1 << bit for bit, axis in enumerate(AXES) if axis in model.axes)
         self._warm_up(vehicle.gravity_m_s2)
 
         self._publish_prediction = self.announce(WrenchPrediction, "prediction")
@@ -148,7 +147,7 @@ class MonitorNode(SensorNode):
             predictions,
             model=self._monitor.model.identity,
             confidence=self._monitor.confidence,
-            axes=self._axes,
+            axes=self._monitor.model.axes,
             frame_id=self._body_frame,
         )
 

@@ -15,9 +15,9 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.messages import ReportedAlarms, unpack_stamps
-from quadpi_core.monitor.alarm import LEVEL_ALARM
+from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.output import Predictions
-from quadpi_core.signals.fusion import nominal_rate
+from quadpi_core.signals.resample import nominal_rate
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.player import Playlist
 from quadpi_ros.processes import Child, isolated_domain
@@ -58,16 +58,14 @@ class SessionResult:
 
     def summary(self) -> dict[str, float | int | None]:
         """The numbers of the session, ready for JSON; seconds count from the first IMU sample."""
-        raised = self.alarms.level == LEVEL_ALARM
-        end_ns = max(self.predictions.time_ns[-1], self.alarms.time_ns[-1])
-        durations_ns = np.diff(self.alarms.time_ns, append=end_ns)
-        since_start_s = 1e-9 * (self.alarms.time_ns - self.imu_stamps_ns[0])
+        start_ns, end_ns = int(self.imu_stamps_ns[0]), int(self.imu_stamps_ns[-1])
+        alarm = alarm_time(self.alarms.time_ns, self.alarms.level, end_ns)
         return {
             "samples_in": len(self.imu_stamps_ns),
             "predictions_out": len(self.predictions.time_ns),
             "dropped": self.dropped,
-            "alarm_fraction": float(durations_ns[raised].sum() / max(durations_ns.sum(), 1)),
-            "alarm_first_s": float(since_start_s[raised][0]) if raised.any() else None,
+            "alarm_fraction": alarm.fraction,
+            "alarm_first_s": None if alarm.first_ns is None else 1e-9 * (alarm.first_ns - start_ns),
             "latency_ms_p50": float(np.percentile(self.latency_ms, 50)),
             "latency_ms_p99": float(np.percentile(self.latency_ms, 99)),
         }

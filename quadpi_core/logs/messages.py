@@ -9,6 +9,7 @@ no message of its type; values are not judged here (see `Recording.check`), exce
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
+    AXES,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -226,7 +228,12 @@ def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
 
 
 def pack_predictions(
-    predictions: Predictions, *, model: str, confidence: float, axes: int, frame_id: str = BODY_FRAME
+    predictions: Predictions,
+    *,
+    model: str,
+    confidence: float,
+    axes: Sequence[str],
+    frame_id: str = BODY_FRAME,
 ) -> Payloads:
     """Encode as quadpi/WrenchPrediction.
 
@@ -234,7 +241,7 @@ def pack_predictions(
         predictions: N rows.
         model: identity of the model.
         confidence: nominal coverage of the interval.
-        axes: AXIS_ bits of the axes that the model holds.
+        axes: names of the axes that the model holds.
         frame_id: body frame.
     """
     lower, upper = _mirrored_bounds(predictions.lower, predictions.upper)
@@ -244,7 +251,7 @@ def pack_predictions(
             **_header(predictions.time_ns, frame_id),
             "model": model,
             "confidence": confidence,
-            "axes": axes,
+            "axes": sum(1 << AXES.index(axis) for axis in axes),
             "predicted": _mirrored(predictions.predicted),
             "lower": lower,
             "upper": upper,

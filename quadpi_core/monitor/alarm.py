@@ -179,6 +179,26 @@ class Alarm:
         )
 
 
+class AlarmTime(NamedTuple):
+    """How much of a flight stood at alarm level, and since when.
+
+    Attributes:
+        fraction: share of the time from the first alarm row to the end.
+        first_ns: stamp of the first row at alarm level; None without one.
+    """
+
+    fraction: float
+    first_ns: int | None
+
+
+def alarm_time(time_ns: Stamps, level: npt.NDArray[np.uint8], end_ns: int) -> AlarmTime:
+    """Sum up alarm rows (M,), each of which stands until the next; the last until `end_ns`."""
+    raised = level == LEVEL_ALARM
+    durations = np.diff(time_ns, append=max(end_ns, int(time_ns[-1])))
+    fraction = float(durations[raised].sum() / max(durations.sum(), 1))
+    return AlarmTime(fraction, int(time_ns[np.argmax(raised)]) if raised.any() else None)
+
+
 @njit(cache=True)
 def _raise_peaks(excess: Any, limits: Any, inputs: Any, leverage: Any, width: Any, state: Any) -> bool:
     """Take one usable sample into the peaks and fill `excess` (19,); True if it is beyond a limit."""

@@ -21,6 +21,9 @@ from quadpi_core.frames import Array
 
 Row: TypeAlias = tuple[Array, ...]
 
+# How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
+TIMEOUT_S = 0.1
+
 _CALM: Array = np.zeros(3)
 _NO_STATE: Row = (np.full(3, np.nan), np.full(4, np.nan), np.full(3, np.nan))
 _NO_ROTOR_SPEEDS: Array = np.full(4, np.nan)
@@ -70,7 +73,7 @@ class Pairing:
         capacity: samples kept per topic; the oldest makes room.
     """
 
-    def __init__(self, timeout_s: float = 0.1, capacity: int = 256) -> None:
+    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = 256) -> None:
         self.counts = PairingCounts()
         self._timeout_ns = round(timeout_s * 1e9)
         self._capacity = capacity

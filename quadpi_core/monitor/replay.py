@@ -12,15 +12,15 @@ import numpy as np
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
-from quadpi_core.flight import AXES, ImuStream, OdometryStream, Recording, Stamps, WindStream
+from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs import decode_recording, messages
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.logs.mcap_writer import write_mcap
-from quadpi_core.monitor.alarm import LEVEL_ALARM, MonitorSettings
+from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.output import Alarms
-from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.pairing import TIMEOUT_S, PairedSamples
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
 from quadpi_core.signals.resample import interpolate, interpolate_attitude, nominal_rate
@@ -29,8 +29,7 @@ from quadpi_core.vehicle import Vehicle
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
 
-# As in live pairing: an IMU sample waits no longer for the rotor speed and state that complete it.
-TIMEOUT_NS = 100_000_000
+_TIMEOUT_NS = round(TIMEOUT_S * 1e9)
 _ANY_GAP = np.iinfo(np.int64).max
 
 
@@ -102,13 +101,12 @@ def replay(
     samples = _pair(recording, imu, odometry)
     predictions, alarms = monitor.step(*samples)
 
-    axes = sum(1 << AXES.index(axis) for axis in model.axes)
     topics.append(
         output_topic(
             "prediction",
             predictions.time_ns,
             messages.pack_predictions(
-                predictions, model=model.identity, confidence=monitor.confidence, axes=axes
+                predictions, model=model.identity, confidence=monitor.confidence, axes=model.axes
             ),
         )
     )
@@ -149,8 +147,8 @@ def _pair(recording: Recording, imu: ImuStream, odometry: OdometryStream) -> Pai
         _until_next(odometry.time_ns, imu.time_ns), _until_next(rotor_speeds.time_ns, imu.time_ns)
     )
     started = imu.time_ns >= max(odometry.time_ns[0], rotor_speeds.time_ns[0])
-    complete = wait_ns <= TIMEOUT_NS
-    given_up = ~complete & (imu.time_ns[-1] - imu.time_ns > TIMEOUT_NS)
+    complete = wait_ns <= _TIMEOUT_NS
+    given_up = ~complete & (imu.time_ns[-1] - imu.time_ns > _TIMEOUT_NS)
     kept = started & (complete | given_up)
     if not np.any(started & complete):
         raise LogError(f"{recording.source}: topics imu, rotor_speeds and the state share no time")
@@ -190,15 +188,12 @@ def _hold(wind: WindStream | None, time_ns: Stamps) -> Array:
 
 
 def _summarise(recording: Recording, monitored: int, predictions: int, alarms: Alarms) -> ReplaySummary:
-    """Count; an alarm row stands until the next one."""
     stamps = recording.imu.time_ns
-    raised = alarms.level == LEVEL_ALARM
-    durations = np.diff(alarms.time_ns, append=max(stamps[-1], alarms.time_ns[-1]))
-    first = alarms.time_ns[np.argmax(raised)] if raised.any() else None
+    alarm = alarm_time(alarms.time_ns, alarms.level, int(stamps[-1]))
     return ReplaySummary(
         samples_in=len(stamps),
         predictions_out=predictions,
         dropped=monitored - predictions,
-        alarm_fraction=float(durations[raised].sum() / max(durations.sum(), 1)),
-        alarm_first_s=None if first is None else float(1e-9 * (first - stamps[0])),
+        alarm_fraction=alarm.fraction,
+        alarm_first_s=None if alarm.first_ns is None else 1e-9 * (alarm.first_ns - int(stamps[0])),
     )

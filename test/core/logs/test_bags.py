@@ -8,6 +8,7 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
+    AXES,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -141,7 +142,7 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         np.zeros((N, 6)),
         excess,
     )
-    packed = messages.pack_predictions(predictions, model="m", confidence=0.95, axes=63)
+    packed = messages.pack_predictions(predictions, model="m", confidence=0.95, axes=AXES)
     write_bag(
         path,
         recording,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, RotorSpeedStream, WindStream
+from quadpi_core.flight import AXES, ImuStream, OdometryStream, PoseStream, RotorSpeedStream, WindStream
 from quadpi_core.frames import rotation_matrix, world_ned_to_enu
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import messages
@@ -158,7 +158,7 @@ def test_bounds_swap_on_axes_that_change_sign(rng):
         measured=rng.normal(size=(N, 6)),
         relative_width=rng.uniform(size=(N, 6)),
     )
-    payloads = messages.pack_predictions(predictions, model="poly 0123456789ab", confidence=0.95, axes=63)
+    payloads = messages.pack_predictions(predictions, model="poly 0123456789ab", confidence=0.95, axes=AXES)
     for sample, one in enumerate(reference(payloads, messages.PREDICTION)):
         assert one.lower_fx == predictions.lower[sample, 0]
         assert one.lower_fy == -predictions.upper[sample, 1]
@@ -173,7 +173,7 @@ def test_bounds_swap_on_axes_that_change_sign(rng):
 def test_axes_that_are_not_held_stay_plain_zero():
     zeros = np.zeros((N, 6))
     payloads = messages.pack_predictions(
-        Predictions(TIME_NS, zeros, zeros, zeros, zeros, zeros), model="m", confidence=0.9, axes=0
+        Predictions(TIME_NS, zeros, zeros, zeros, zeros, zeros), model="m", confidence=0.9, axes=()
     )
     assert not np.signbit(typestore().deserialize_cdr(payloads[0], messages.PREDICTION).upper_fy)
 
