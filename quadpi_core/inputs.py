@@ -14,7 +14,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.frames import Array
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 INPUT_NAMES = (
@@ -47,8 +47,8 @@ _CONVERGED = 1e-15
 
 
 def flight_inputs(flight: Flight, vehicle: Vehicle) -> Array:
-    """Input vectors (N, 19) of a whole flight; airspeed = ground velocity − wind."""
-    velocity_air = flight.velocity - rotate_world_to_body(flight.attitude, flight.wind)
+    """Input vectors (N, 19) of a whole flight."""
+    velocity_air = relative_to_air(flight.velocity, flight.attitude, flight.wind)
     return aerodynamic_inputs(velocity_air, flight.attitude, flight.rates, flight.rotor_speeds, vehicle)
 
 
@@ -92,6 +92,25 @@ def induced_velocity(velocity_air: Array, hover_induced_velocity: float) -> Arra
     solution = np.empty(len(velocity_air))
     _induced_velocity_kernel(velocity_air, hover_induced_velocity, solution)
     return solution
+
+
+@njit(cache=True)
+def relative_to_air(velocity: Any, attitude: Any, wind: Any) -> Any:
+    """Velocity (N, 3) m/s relative to the air, body axes: ground velocity (body) less wind (world)."""
+    out = np.empty((velocity.shape[0], 3))
+    for i in range(velocity.shape[0]):
+        w, x, y, z = attitude[i]
+        north, east, down = wind[i]
+        out[i, 0] = velocity[i, 0] - (
+            (1 - 2 * (y * y + z * z)) * north + 2 * (x * y + w * z) * east + 2 * (x * z - w * y) * down
+        )
+        out[i, 1] = velocity[i, 1] - (
+            2 * (x * y - w * z) * north + (1 - 2 * (x * x + z * z)) * east + 2 * (y * z + w * x) * down
+        )
+        out[i, 2] = velocity[i, 2] - (
+            2 * (x * z + w * y) * north + 2 * (y * z - w * x) * east + (1 - 2 * (x * x + y * y)) * down
+        )
+    return out
 
 
 @njit(cache=True)

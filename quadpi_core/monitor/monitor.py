@@ -15,7 +15,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, vehicle_constants
+from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.signals.chain import FilteredSignals, SignalChain
@@ -163,8 +163,7 @@ class Monitor:
 
     def _predict(self, time_ns: Stamps, signals: FilteredSignals) -> tuple[Predictions, Array, Array]:
         """Predictions, input vectors (U, 19) and leverage (U, 6) of filtered samples."""
-        velocity_air = np.empty((len(time_ns), 3))
-        _relative_to_air(signals.velocity, signals.attitude, signals.wind, velocity_air)
+        velocity_air = relative_to_air(signals.velocity, signals.attitude, signals.wind)
         inputs = np.empty((len(time_ns), len(INPUT_NAMES)))
         inputs_kernel(
             velocity_air, signals.attitude, signals.rates, signals.rotor_speeds, *self._constants, inputs
@@ -234,20 +233,3 @@ def _all_finite(lower: Any, upper: Any, measured: Any, leverage: Any, inputs: An
         finite[i] = np.isfinite(total)
         everywhere &= finite[i]
     return everywhere
-
-
-@njit(cache=True)
-def _relative_to_air(velocity: Any, attitude: Any, wind: Any, out: Any) -> None:
-    """Fill `out` (N, 3) with velocity − Rᵀ wind: ground velocity (body) less wind (world), body axes."""
-    for i in range(velocity.shape[0]):
-        w, x, y, z = attitude[i]
-        north, east, down = wind[i]
-        out[i, 0] = velocity[i, 0] - (
-            (1 - 2 * (y * y + z * z)) * north + 2 * (x * y + w * z) * east + 2 * (x * z - w * y) * down
-        )
-        out[i, 1] = velocity[i, 1] - (
-            2 * (x * y - w * z) * north + (1 - 2 * (x * x + z * z)) * east + 2 * (y * z + w * x) * down
-        )
-        out[i, 2] = velocity[i, 2] - (
-            2 * (x * z + w * y) * north + 2 * (y * z - w * x) * east + (1 - 2 * (x * x + y * y)) * down
-        )
