@@ -17,7 +17,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.intervals.evaluate import FlightResult
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.duplicates import find_duplicates, recording_hash
+from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.kernel import CompiledPolynomials
@@ -65,7 +65,7 @@ def prepare_flights(paths: Sequence[Path], vehicle: Vehicle, cutoff_hz: float) -
         SignalError: naming the file, where the signals cannot be fused.
     """
     recordings = [read_recording(path, vehicle) for path in paths]
-    find_duplicates(recordings)
+    refuse_duplicates(recordings)
     return [_prepare(recording, vehicle, cutoff_hz) for recording in recordings]
 
 

@@ -30,10 +30,10 @@ from quadpi_core.frames import (
     rotate_world_to_body,
     world_enu_to_ned,
 )
+from quadpi_core.logs import CFUSDLOG_MAGIC
 from quadpi_core.logs.conversion import STANDARD_GRAVITY, unit_attitude
 from quadpi_core.vehicle import Vehicle
 
-MAGIC = 0xBC
 _CRC_BYTES = 4
 _STAMP_TYPE = {1: "<u4", 2: "<u8"}
 _NANOSECONDS_PER_TICK = {1: 1_000_000, 2: 1_000}
@@ -135,8 +135,10 @@ def decode_events(source: str, data: bytes) -> dict[str, Event]:
     Raises:
         LogError: naming the byte where the log is cut off or damaged, or for a checksum that does not match.
     """
-    if len(data) < 5 or data[0] != MAGIC:
-        raise LogError(f"{source}: not a Crazyflie uSD log (it must begin with the byte 0x{MAGIC:X})")
+    if len(data) < 5 or data[0] != CFUSDLOG_MAGIC:
+        raise LogError(
+            f"{source}: not a Crazyflie uSD log (it must begin with the byte 0x{CFUSDLOG_MAGIC:X})"
+        )
     version, event_count = struct.unpack_from("<HH", data, 1)
     if version not in _STAMP_TYPE:
         raise LogError(f"{source}: uSD log version {version} is not known; known: {list(_STAMP_TYPE)}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 import logging
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import RotorSpeedStream, Stamps
@@ -54,6 +55,13 @@ def unit_attitude(source: str, topic: str, attitude: Array) -> Array:
     return unit
 
 
+def rotor_spikes(stream: RotorSpeedStream, vehicle: Vehicle) -> npt.NDArray[np.bool_]:
+    """Samples (N,) in which a rotor is faster than the vehicle allows; infinite is no spike but no speed."""
+    fast = (stream.speeds > vehicle.rotor_speed_max_rad_s) & np.isfinite(stream.speeds)
+    spikes: npt.NDArray[np.bool_] = np.any(fast, axis=1)
+    return spikes
+
+
 def drop_rotor_spikes(source: str, stream: RotorSpeedStream, vehicle: Vehicle) -> RotorSpeedStream:
     """The stream without the samples in which a rotor is faster than the vehicle allows, logging how many.
 
@@ -61,7 +69,7 @@ def drop_rotor_spikes(source: str, stream: RotorSpeedStream, vehicle: Vehicle) -
     SPIKE_SHARE are no spikes and stay: :func:`quadpi_core.logs.plausibility.check_plausible` refuses them.
     Nor are infinite speeds, which no sensor sends: :meth:`Stream.check` refuses them.
     """
-    spike = np.any((stream.speeds > vehicle.rotor_speed_max_rad_s) & np.isfinite(stream.speeds), axis=1)
+    spike = rotor_spikes(stream, vehicle)
     if not np.any(spike) or spike.mean() > SPIKE_SHARE:
         return stream
     _log.warning(

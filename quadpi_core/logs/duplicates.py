@@ -34,7 +34,7 @@ def _update(digest: hashlib._Hash, time_ns: Stamps, *signals: Array) -> None:
         digest.update((values + 0.0).astype("<f4").tobytes())
 
 
-def find_duplicates(recordings: Iterable[Recording]) -> None:
+def refuse_duplicates(recordings: Iterable[Recording]) -> None:
     """Refuse a flight that is present twice.
 
     Raises:

@@ -11,7 +11,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.logs.duplicates import find_duplicates
+from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.vehicle import Vehicle
 
@@ -36,7 +36,7 @@ def import_logs(
         if _bag(folder, recording).resolve() == log.resolve():
             raise LogError(f"{log}: its own bag would replace it; choose another folder")
         check_plausible(recording, vehicle)
-    find_duplicates(recordings)
+    refuse_duplicates(recordings)
     for recording in recordings:
         bag = _bag(folder, recording)
         write_bag(bag, recording)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from quadpi_core.flight import Recording, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.bags import bag_topics
-from quadpi_core.logs.conversion import SPIKE_SHARE
+from quadpi_core.logs.conversion import SPIKE_SHARE, rotor_spikes
 from quadpi_core.logs.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
@@ -201,13 +201,12 @@ def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[s
 
 
 def _spike_findings(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
-    with np.errstate(invalid="ignore"):
-        spike = np.any(rotors.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
+    spike = rotor_spikes(rotors, vehicle)
     if 0.0 < share(spike) <= SPIKE_SHARE:
         yield (
             f"topic rotor_speeds: {spike.sum()} spikes above the vehicle's "
-            f"{vehicle.rotor_speed_max_rad_s:.0f} rad/s, up to {np.nanmax(rotors.speeds):.3g}, the first at "
-            f"sample {int(np.argmax(spike))}; they are dropped on import"
+            f"{vehicle.rotor_speed_max_rad_s:.0f} rad/s, up to {np.nanmax(rotors.speeds[spike]):.3g}, "
+            f"the first at sample {int(np.argmax(spike))}; they are dropped on import"
         )
 
 

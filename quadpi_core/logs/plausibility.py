@@ -15,6 +15,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_body_to_world
+from quadpi_core.logs.conversion import SPIKE_SHARE, rotor_spikes
 from quadpi_core.vehicle import Vehicle
 
 LARGEST_RATE_RAD_S = 60.0
@@ -162,10 +163,10 @@ def _up(recording: Recording) -> Iterator[str]:
 
 
 def _rotor_speeds(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
+    fast = rotor_spikes(rotors, vehicle)
     with np.errstate(invalid="ignore"):
-        fast = np.any(rotors.speeds > vehicle.rotor_speed_max_rad_s, axis=1)
         negative = np.any(rotors.speeds < 0.0, axis=1)
-    if share(fast) > OUTLIER_SHARE:
+    if share(fast) > SPIKE_SHARE:
         yield (
             f"topic rotor_speeds: sample {int(np.argmax(fast))}: {share(fast):.0%} of the samples exceed the "
             f"vehicle's {vehicle.rotor_speed_max_rad_s:.0f} rad/s: looks like rpm or erpm"

@@ -15,7 +15,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
 from quadpi_core.logs import decode_recording, identify_format, read_recording
-from quadpi_core.logs.duplicates import find_duplicates, recording_hash
+from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.inspect import inspect_recording
 from quadpi_core.logs.plausibility import check_plausible, thrust_coefficient
 from quadpi_core.vehicle import Vehicle
@@ -236,17 +236,17 @@ def test_copies_are_recognised_across_conversions(hover: Recording):
     )
     assert recording_hash(copy) == recording_hash(hover)
     with pytest.raises(LogError, match=r"copy\.mcap: the same flight as hover\.mcap"):
-        find_duplicates([hover, copy])
+        refuse_duplicates([hover, copy])
 
 
 def test_the_same_file_twice_is_a_duplicate(hover: Recording):
     with pytest.raises(LogError, match=r"hover\.mcap: the same flight as hover\.mcap"):
-        find_duplicates([hover, replace(hover)])
+        refuse_duplicates([hover, replace(hover)])
 
 
 def test_different_flights_are_not_duplicates(hover: Recording):
     other = with_imu(hover, specific_force=1.0 + 1e-5)
-    find_duplicates([hover, other, with_speeds(hover, lambda speeds: np.add(speeds, 1.0, out=speeds))])
+    refuse_duplicates([hover, other, with_speeds(hover, lambda speeds: np.add(speeds, 1.0, out=speeds))])
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_real_flights_are_plausible(shared_data: Path, folder, vehicle_name, map
         assert thrust_coefficient(recording, vehicle) == pytest.approx(coefficient, rel=0.03)
         assert "half" not in findings(recording, vehicle)
         recordings.append(recording)
-    find_duplicates(recordings)
+    refuse_duplicates(recordings)
 
 
 @pytest.mark.parametrize(("run", "spikes", "first"), [(1, 2, 2502), (4, 3, 2005)])
