@@ -7,7 +7,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from nav_msgs.msg import Odometry
@@ -23,8 +22,6 @@ from quadpi_core.logs import messages
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
 from quadpi_core.monitor.output import Predictions
-
-Unpacked = TypeVar("Unpacked")
 
 _CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 _LEVEL_NAMES = ("ok", "warning", "ALARM")

@@ -22,14 +22,10 @@ class SensorNode(Node):
     """A node whose messages stay serialized in rclpy: `quadpi_core.logs.messages` knows their bytes.
 
     That is the code that bags go through, and it costs less than rclpy's own conversion.
-
-    Attributes:
-        malformed: messages so far whose bytes could not be decoded.
     """
 
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
-        self.malformed = 0
 
     def listen(
         self,
@@ -44,7 +40,6 @@ class SensorNode(Node):
             try:
                 sample = unpack(payload)
             except LogError as error:
-                self.malformed += 1
                 self.warn(f"topic {topic}: message refused: {error}")
                 return
             handle(sample)

@@ -18,7 +18,6 @@ RATES = slice(7, 10)
 SPECIFIC_FORCE = slice(10, 13)
 ROTOR_SPEEDS = slice(13, 17)
 WIND = slice(17, 20)
-CHANNELS = 20
 
 
 class FilteredSignals(NamedTuple):
