@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import operator
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -68,6 +71,11 @@ class Gram:
         """Σ (y − z_active · coefficients)², of any coefficients, also such fitted elsewhere."""
         explained = 2.0 * self.moment[active] - self.matrix[np.ix_(active, active)] @ coefficients
         return max(float(self.square - coefficients @ explained), 0.0)
+
+
+def sum_grams(grams: Sequence[Gram]) -> Gram:
+    """The Gram of all flights together."""
+    return reduce(operator.add, grams)
 
 
 def flight_grams(

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.gram import Gram, flight_grams
+from quadpi_core.models.gram import Gram, flight_grams, sum_grams
 from quadpi_core.models.noise import FlightErrors, HeldOutNoise, ResidualNoise, calibrate
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
@@ -155,7 +155,7 @@ class StepwisePolynomial:
         program = RegressorProgram.compile(regressors)
         grams = flight_grams(program, X, y, flights)
         active, self.steps_ = self._select(grams, self._settings)
-        gram = _sum(grams)
+        gram = sum_grams(grams)
         coefficients, whitening = fit_coefficients(gram, active)
         chosen = tuple(regressors[k] for k in active)
         noise: ResidualNoise | HeldOutNoise
@@ -247,7 +247,7 @@ class StepwisePolynomial:
             rest = grams[:left_out] + grams[left_out + 1 :]
             active, _ = self._select(rest, settings)
             chosen = tuple(regressors[k] for k in active)
-            error, leverage = _errors(chosen, *fit_coefficients(_sum(rest), active), X, y)
+            error, leverage = _errors(chosen, *fit_coefficients(sum_grams(rest), active), X, y)
             mine = flights == left_out
             low, high = X[~mine].min(axis=0), X[~mine].max(axis=0)
             inside = np.all((X[mine] >= low) & (X[mine] <= high), axis=1)
@@ -293,13 +293,6 @@ def _leverage(regressors: Array, whitening: Array) -> Array:
     """Leverage h (N,) = |W z|² for each row z of the regressors (N, s)."""
     leverage: Array = np.square(regressors @ whitening.T).sum(axis=1)
     return leverage
-
-
-def _sum(grams: list[Gram]) -> Gram:
-    total = grams[0]
-    for gram in grams[1:]:
-        total = total + gram
-    return total
 
 
 def _fit_columns(step: SelectionStep) -> dict[str, float]:

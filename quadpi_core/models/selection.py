@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.gram import Gram
+from quadpi_core.models.gram import Gram, sum_grams
 
 StopRule: TypeAlias = Literal["pse", "r2", "bic", "leave-one-flight-out"]
 # A score of a set of regressors, to be made as small as possible.
@@ -70,7 +70,6 @@ def select(
     n_fixed: int,
     settings: SelectionSettings,
     names: list[str],
-    effective_count: float | None = None,
 ) -> tuple[list[int], list[SelectionStep]]:
     """Choose regressors for the flights whose Gram matrices are given.
 
@@ -79,7 +78,6 @@ def select(
         n_fixed: number of fixed regressors, the bias included.
         settings: stop rule and limits.
         names: of the regressors, for messages.
-        effective_count: number of independent samples for the rule "bic"; all samples if None.
 
     Returns:
         The chosen regressors in order of selection, and the log of all steps, the ones beyond the
@@ -88,10 +86,8 @@ def select(
     Raises:
         ModelError: if a fixed regressor is a combination of the others, or the rule needs more flights.
     """
-    total = grams[0]
-    for gram in grams[1:]:
-        total = total + gram
-    score = _score(grams, total, settings.stop, effective_count)
+    total = sum_grams(grams)
+    score = _score(grams, total, settings.stop)
     basis = _OrthogonalBasis(total, settings.rank_tolerance)
     for k in range(n_fixed):
         if not basis.admissible()[k]:
@@ -232,7 +228,7 @@ def _step(
     )
 
 
-def _score(grams: list[Gram], total: Gram, stop: StopRule, effective_count: float | None) -> _Score:
+def _score(grams: list[Gram], total: Gram, stop: StopRule) -> _Score:
     count = total.count
     if stop == "pse":
         # Predicted square error (Barron; Klein and Morelli Eq. 5.86): σ_max² is the variance of y.
@@ -241,8 +237,7 @@ def _score(grams: list[Gram], total: Gram, stop: StopRule, effective_count: floa
     if stop == "r2":
         return lambda _, sse: sse / total.total_square
     if stop == "bic":
-        independent = count if effective_count is None else effective_count
-        return lambda active, sse: independent * np.log(sse / count) + len(active) * np.log(independent)
+        return lambda active, sse: count * np.log(sse / count) + len(active) * np.log(count)
     if stop == "leave-one-flight-out":
         if len(grams) < 2:
             raise ModelError("the stop rule leave-one-flight-out needs at least two flights")
