@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import pkgutil
 import sys
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from rich.table import Table
 
 import benchmarks
 from benchmarks import Result, UnavailableError
-from quadpi_core.paths import whole_output
+from quadpi_core.paths import write_json
 
 OUTPUT = Path("out") / "bench.json"
 
@@ -47,8 +46,7 @@ def main() -> int:
                 failed = True
                 remarks[stem(module)] = f"failed: {type(error).__name__}: {error}"
     console.print(as_table(results, remarks))
-    with whole_output(OUTPUT) as temporary:
-        temporary.write_text(json.dumps(as_json(results), indent=2) + "\n")
+    write_json(OUTPUT, as_json(results))
     console.print(f"written to {OUTPUT}")
     return 1 if failed else 0
 

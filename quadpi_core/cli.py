@@ -7,7 +7,6 @@ Each command imports what it needs when it runs, so that `--help` answers at onc
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -260,11 +259,10 @@ def _model_vehicle(vehicle: Any, expected: str) -> Any:
 
 
 def _write_json(path: Path | None, data: dict[str, Any]) -> None:
-    from quadpi_core.paths import whole_output
+    from quadpi_core.paths import write_json
 
     if path is not None:
-        with whole_output(path) as temporary:
-            temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+        write_json(path, data)
 
 
 def _console() -> Console:

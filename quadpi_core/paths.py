@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from quadpi_core.errors import OutputError
 
@@ -56,6 +58,17 @@ def whole_output(path: Path) -> Iterator[Path]:
             shutil.rmtree(scratch, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON, whole or not at all.
+
+    Raises:
+        OutputError: if `path` cannot be written.
+        ValueError: for a number that is not finite.
+    """
+    with whole_output(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def data_directory() -> Path:

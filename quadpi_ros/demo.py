@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from quadpi_core.identification import CUTOFF_HZ, identify, predict_flight, prep
 from quadpi_core.intervals.evaluate import evaluate_flights
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
-from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.paths import data_directory, write_json
 from quadpi_core.report.html import write_report
 from quadpi_core.report.live import LiveReplay
 from quadpi_core.report.tables import evaluation_table
@@ -110,8 +109,7 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
 
     console.rule("5  Report")
     summary = evaluation | {"live": live}
-    with whole_output(output / "summary.json") as temporary:
-        temporary.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n")
+    write_json(output / "summary.json", summary)
     write_report(
         output / "report.html", evaluation, results, model, _replay(extrapolated[0].stem, session, live)
     )
