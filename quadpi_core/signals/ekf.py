@@ -26,7 +26,6 @@ from quadpi_core.vehicle import Vehicle
 
 Sample: TypeAlias = tuple[int, Array, Array]
 
-_NO_STAMP = -(2**62)
 _COLLECTED_MAX = 8192
 
 
