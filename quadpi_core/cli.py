@@ -44,15 +44,23 @@ def import_(
     mapping: Annotated[
         str | None, typer.Option(help="Mapping for CSV or Parquet: a name in config/mappings, or a file.")
     ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
+    ] = False,
 ) -> None:
     """Convert flight logs to MCAP bags with the standard topics."""
     from quadpi_core.logs.importing import import_logs
     from quadpi_core.vehicle import Vehicle
 
     console = _console()
-    for bag, recording in import_logs(logs, Vehicle.load(vehicle), output, mapping):
+    for bag, recording, alignment in import_logs(logs, Vehicle.load(vehicle), output, mapping, align=align):
         topics = ", ".join(stream.topic for stream in recording.streams())
         console.print(f"{bag}: {len(recording.imu)} IMU samples; topics {topics}", soft_wrap=True)
+        if alignment is not None:
+            console.print(
+                f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
+                f"{alignment.correlation:.3f} over {alignment.matches} samples"
+            )
 
 
 @app.command()

@@ -52,7 +52,7 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
     console.rule("1  Import: flight logs to MCAP bags")
     identified: list[Path] = []
     extrapolated: list[Path] = []
-    for bag, recording in import_logs(logs, vehicle, output / "bags"):
+    for bag, recording, _ in import_logs(logs, vehicle, output / "bags"):
         speed = float(np.linalg.norm(recording.odometry.velocity, axis=1).max())
         (identified if speed < FASTEST_IDENTIFIED_M_S else extrapolated).append(bag)
         console.print(f"{bag}: {len(recording.imu)} IMU samples, up to {speed:.1f} m/s")
