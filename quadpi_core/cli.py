@@ -110,7 +110,7 @@ def identify(
     from quadpi_core.identification import CUTOFF_HZ, predict_flight, prepare_flights
     from quadpi_core.identification import identify as identify_model
     from quadpi_core.models.pool import load_pools, select_axes
-    from quadpi_core.report.tables import selection_table
+    from quadpi_core.report.tables import held_out_table, selection_table
     from quadpi_core.vehicle import Vehicle
 
     console = _console()
@@ -136,6 +136,8 @@ def identify(
         f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
     )
     console.print(model.calibration(), soft_wrap=True)
+    if held_out := held_out_table(model):
+        console.print(held_out)
     if json_file or html_file:
         results = [predict_flight(model, flight, confidence) for flight in flights]
         groups = {"identification": [flight.name for flight in flights]}

@@ -128,7 +128,7 @@ def identify(
     wrench = np.concatenate([flight.wrench for flight in flights])
     labels = np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights])
     polynomials: dict[str, FittedPolynomial] = {}
-    selection, training_range = {}, {}
+    selection, training_range, held_out_coverage = {}, {}, {}
     for axis in (axis for axis in AXES if axis in pools):
         progress(axis)
         pool = pools[axis]
@@ -143,6 +143,8 @@ def identify(
             raise ModelError(f"{axis}: {error}") from error
         polynomials[axis] = regressor.fitted_
         selection[axis] = regressor.selection_log()
+        coverage = regressor.held_out_coverage(confidence)
+        held_out_coverage[axis] = [] if coverage is None else coverage.tolist()
         training_range[axis] = float(np.ptp(target))
     compiled = CompiledPolynomials.pack(polynomials)
     evidence = compiled.evaluate(inputs, compiled.factors(confidence))
@@ -157,6 +159,7 @@ def identify(
         training_range=training_range,
         flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
         selection=selection,
+        held_out_coverage=held_out_coverage,
     )
 
 

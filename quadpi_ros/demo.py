@@ -19,7 +19,7 @@ from quadpi_core.models import load_pools
 from quadpi_core.paths import data_directory, write_json
 from quadpi_core.report.html import write_report
 from quadpi_core.report.live import LiveReplay
-from quadpi_core.report.tables import evaluation_table
+from quadpi_core.report.tables import evaluation_table, held_out_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import AlarmChange
 from quadpi_ros.session import SessionResult, run_session
@@ -76,6 +76,7 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
         console.print(f"[bold]{axis}[/bold]  R² {chosen[-1]['r2']:.3f}  {escape(terms)}")
 
     console.print(model.calibration())
+    console.print(held_out_table(model))
 
     console.rule("3  Evaluate: does the interval cover?")
     flights += prepare_flights(extrapolated, vehicle, CUTOFF_HZ["default"])

@@ -41,6 +41,8 @@ class AerodynamicModel:
         training_range: per axis, range (max − min) of the measured training data, the denominator of NMPIW.
         flights: that the model was identified on.
         selection: per axis, the selection log (see `StepwisePolynomial.selection_log`).
+        held_out_coverage: per axis, the coverage of each of `flights` by model and intervals of the others;
+            empty under the paper's settings.
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
     """
 
@@ -54,6 +56,7 @@ class AerodynamicModel:
     training_range: dict[str, float]
     flights: tuple[TrainingFlight, ...]
     selection: dict[str, list[dict[str, Any]]]
+    held_out_coverage: dict[str, list[float]]
     identity: str = ""
 
     @property

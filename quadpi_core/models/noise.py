@@ -8,6 +8,7 @@ An interval is ŷ ± factor(confidence) · √(1 + inflation · h) with the leve
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,9 +79,23 @@ class HeldOutNoise:
     def factor(self, confidence: float) -> float:
         """Half width at zero leverage."""
         _check_confidence(confidence, float(LEVELS[-1]))
-        factors = np.sort([np.interp(confidence, LEVELS, row) for row in self.flight_factors])
-        rank = int(np.ceil(FLIGHT_SHARE * (len(factors) + 1)))
-        return float(factors[min(rank, len(factors)) - 1])
+        return _ranked_factor(self.flight_factors, confidence)
+
+    def held_out_coverage(self, held_out: Sequence[FlightErrors], confidence: float) -> Array:
+        """Share (F,) of each flight's errors, when it was left out, that the others' factors cover.
+
+        Outside the envelope of the others too: what a flight unlike them can expect.
+        """
+        factors = [
+            _ranked_factor(np.delete(self.flight_factors, k, axis=0), confidence)
+            for k in range(len(held_out))
+        ]
+        return np.array(
+            [
+                np.mean(flight.scores(self.inflation) <= factor)
+                for flight, factor in zip(held_out, factors, strict=True)
+            ]
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, as stored with a model."""
@@ -128,9 +143,13 @@ class FlightErrors:
 
     def factors(self, inflation: float) -> Array:
         """Factors (len(LEVELS),) whose intervals would have covered the errors inside."""
-        scores = np.abs(self.error) / np.sqrt(1.0 + inflation * self.leverage)
-        factors: Array = np.quantile(scores[self.inside], LEVELS, method="higher")
+        factors: Array = np.quantile(self.scores(inflation)[self.inside], LEVELS, method="higher")
         return factors
+
+    def scores(self, inflation: float) -> Array:
+        """Factors (N,) whose intervals would just have covered each error."""
+        scores: Array = np.abs(self.error) / np.sqrt(1.0 + inflation * self.leverage)
+        return scores
 
 
 def calibrate(held_out: list[FlightErrors], trained: list[FlightErrors]) -> HeldOutNoise:
@@ -160,6 +179,13 @@ def fit_inflation(flights: list[FlightErrors], highest: float) -> float:
 
     bounds = (0.0, float(np.log(max(highest, 1.0 + 1e-9))))
     return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
+
+
+def _ranked_factor(flight_factors: Array, confidence: float) -> float:
+    """The factor that covers FLIGHT_SHARE of the flights, or all while there are too few to tell."""
+    factors = np.sort([np.interp(confidence, LEVELS, row) for row in flight_factors])
+    rank = int(np.ceil(FLIGHT_SHARE * (len(factors) + 1)))
+    return float(factors[min(rank, len(factors)) - 1])
 
 
 def _check_confidence(confidence: float, highest: float) -> None:

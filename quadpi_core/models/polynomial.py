@@ -82,7 +82,7 @@ class StepwisePolynomial:
     Attributes:
         fitted_: the identified :class:`FittedPolynomial`.
         steps_: selection log, :class:`~quadpi_core.models.selection.SelectionStep` per step.
-        held_out_mse_: (F,) mean square error of each flight when it was left out; None under "residual".
+        held_out_: errors on each flight of the model without it; None under "residual".
     """
 
     def __init__(
@@ -162,14 +162,13 @@ class StepwisePolynomial:
         if self.noise == "residual":
             freedom = float(len(y) - 2)
             std = float(np.sqrt(gram.residual_square(active, coefficients) / freedom))
-            noise, self.held_out_mse_ = ResidualNoise(std, freedom), None
+            noise, self.held_out_ = ResidualNoise(std, freedom), None
         else:
-            held_out = self._held_out_errors(grams, X, y, flights)
-            self.held_out_mse_ = np.array([np.mean(flight.error**2) for flight in held_out])
+            self.held_out_ = self._held_out_errors(grams, X, y, flights)
             error, leverage = _errors(chosen, coefficients, whitening, X, y)
             members = [flights == k for k in range(len(grams))]
             trained = [FlightErrors(error[m], leverage[m], np.ones(m.sum(), dtype=bool)) for m in members]
-            noise = calibrate(held_out, trained)
+            noise = calibrate(self.held_out_, trained)
         self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, noise, 1.0)
         self.fitted_ = replace(self.fitted_, mean_spread=float(np.mean(self.fitted_.spread(X))))
         self.n_features_in_ = X.shape[1]
@@ -199,6 +198,13 @@ class StepwisePolynomial:
         """Coefficient of determination R² of the predictions."""
         residual = y - self.predict(X)
         return float(1.0 - residual @ residual / np.sum((y - np.mean(y)) ** 2))
+
+    def held_out_coverage(self, confidence: float = 0.95) -> Array | None:
+        """Coverage (F,) of each flight by model and intervals of the others; None under "residual"."""
+        noise = self._fitted.noise
+        if isinstance(noise, ResidualNoise) or self.held_out_ is None:
+            return None
+        return noise.held_out_coverage(self.held_out_, confidence)
 
     def selection_log(self) -> list[dict[str, Any]]:
         """The steps as in the paper's tables: term, coefficient in the final model, R², criterion.

@@ -54,6 +54,7 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
             "mean_spread": polynomial.mean_spread,
             "training_range": model.training_range[axis],
             "selection": model.selection[axis],
+            "held_out_coverage": model.held_out_coverage[axis],
         }
     array_bytes = save_arrays(arrays)
     content = {
@@ -116,6 +117,9 @@ def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identit
         training_range={axis: float(entry["training_range"]) for axis, entry in axes.items()},
         flights=tuple(TrainingFlight(**flight) for flight in content["flights"]),
         selection={axis: entry["selection"] for axis, entry in axes.items()},
+        held_out_coverage={
+            axis: [float(c) for c in entry["held_out_coverage"]] for axis, entry in axes.items()
+        },
         identity=identity,
     )
 

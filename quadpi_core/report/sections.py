@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -23,8 +23,11 @@ from quadpi_core.report.style import (
 from quadpi_core.report.tables import selection_cells
 
 
-def verdict(evaluation: Mapping[str, Any]) -> str:
-    """One sentence: on which groups the intervals hold, and on which they cover too little, how badly."""
+def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
+    """One sentence: on which groups the intervals hold, and on which they cover too little, how badly.
+
+    A group of `training` flights alone is marked: there the intervals hold by construction.
+    """
     confidence = evaluation["confidence"]
     holding, clauses = [], []
     for group, part in evaluation["groups"].items():
@@ -34,6 +37,8 @@ def verdict(evaluation: Mapping[str, Any]) -> str:
             worst = min(short, key=lambda axis: short[axis])
             extent = f"{len(short)} of {len(axes)} axes; {worst} covers {percent(short[worst])}"
             clauses.append(f"fall short on {group} ({extent})")
+        elif set(part["flights"]) <= set(training):
+            holding.append(f"{group} (in sample)")
         else:
             holding.append(group)
     if holding:
@@ -53,10 +58,12 @@ def header(evaluation: Mapping[str, Any], model: AerodynamicModel) -> str:
         "identified on": f"{len(model.flights)} flights",
         "evaluated on": f"{len(evaluation['flights'])} flights",
     }
+    training = [flight.name for flight in model.flights]
     entries = "".join(f"<div><dt>{key}</dt><dd>{escape(value)}</dd></div>" for key, value in facts.items())
     return (
         "<header><h1>quadpi · how far can this model be trusted?</h1>"
-        f'<p class="verdict">{escape(verdict(evaluation))}</p><dl class="facts">{entries}</dl></header>'
+        f'<p class="verdict">{escape(verdict(evaluation, training))}</p>'
+        f'<dl class="facts">{entries}</dl></header>'
     )
 
 
@@ -147,7 +154,25 @@ def model(held: AerodynamicModel) -> str:
         for axis, log in held.selection.items()
     )
     flights = ", ".join(f"{flight.name} ({flight.samples} samples)" for flight in held.flights)
-    return _section("Identified model", f"Training flights: {escape(flights)}.", tables)
+    return _section(
+        "Identified model",
+        f"Training flights: {escape(flights)}. {escape(held.calibration().capitalize())}.",
+        _held_out_table(held) + tables,
+    )
+
+
+def _held_out_table(held: AerodynamicModel) -> str:
+    """Coverage of each training flight by model and intervals of the others."""
+    if not all(held.held_out_coverage[axis] for axis in held.axes):
+        return ""
+    head = "<tr>" + _cells("th", ("left out: coverage", *held.axes)) + "</tr>"
+    rows = "".join(
+        "<tr>"
+        + _cells("td", (escape(flight.name), *(percent(held.held_out_coverage[a][k]) for a in held.axes)))
+        + "</tr>"
+        for k, flight in enumerate(held.flights)
+    )
+    return f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>"
 
 
 def definitions(evaluation: Mapping[str, Any]) -> str:

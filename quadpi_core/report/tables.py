@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Group
@@ -13,6 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from quadpi_core.report.style import covers_too_little, determination, number, percent, percent_range, unit
+
+if TYPE_CHECKING:
+    from quadpi_core.models.aerodynamic import AerodynamicModel
 
 
 def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
@@ -51,6 +54,19 @@ def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table
             determination(metrics["r2"]),
             number(metrics["n_eff"]),
         )
+    return table
+
+
+def held_out_table(model: AerodynamicModel) -> Table | None:
+    """Coverage of each training flight by the model of the others; None where none was left out."""
+    if not all(model.held_out_coverage[axis] for axis in model.axes):
+        return None
+    table = Table(title="left out in turn: coverage", title_justify="left", box=box.SIMPLE_HEAD)
+    table.add_column("flight")
+    for axis in model.axes:
+        table.add_column(axis, justify="right", no_wrap=True)
+    for k, flight in enumerate(model.flights):
+        table.add_row(Text(flight.name), *(percent(model.held_out_coverage[axis][k]) for axis in model.axes))
     return table
 
 

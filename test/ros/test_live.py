@@ -100,6 +100,7 @@ def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
         training_range=dict.fromkeys(polynomials, 1.0),
         flights=(),
         selection={axis: [] for axis in polynomials},
+        held_out_coverage={axis: [] for axis in polynomials},
     )
 
 

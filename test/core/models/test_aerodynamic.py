@@ -55,6 +55,7 @@ def identified(pools: dict[str, CandidatePool], paper_axes: tuple[str, ...] = ()
         training_range=ranges,
         flights=(TrainingFlight("first", "ab" * 32, 1200), TrainingFlight("second", "cd" * 32, 1200)),
         selection={axis: fit.selection_log() for axis, fit in fits.items()},
+        held_out_coverage={axis: [0.9, 1.0] for axis in fits},
     )
     evaluation = model.evaluate(X)
     envelope = Envelope.fit(X, groups, evaluation.leverage, evaluation.relative_width)

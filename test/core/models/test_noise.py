@@ -132,3 +132,18 @@ def test_says_how_many_flights_the_factors_rest_on() -> None:
     noise = calibrate([flight(1.0), flight(0.7), flight(0.2)], trained)
     assert noise.flights_inside == 2
     assert noise_from_json(noise.to_json()).flights_inside == 2
+
+
+def test_held_out_coverage_uses_the_factors_of_the_others() -> None:
+    rng = np.random.default_rng(5)
+
+    def flight(scale: float) -> FlightErrors:
+        return FlightErrors(scale * rng.normal(size=4000), np.zeros(4000), np.ones(4000, dtype=bool))
+
+    calm, rough = flight(1.0), flight(3.0)
+    noise = calibrate([calm, rough], [calm, rough])
+    covered = noise.held_out_coverage([calm, rough], 0.95)
+    assert covered[0] == 1.0
+    np.testing.assert_allclose(
+        covered[1], np.mean(np.abs(rough.error) < np.quantile(np.abs(calm.error), 0.95)), atol=2e-3
+    )

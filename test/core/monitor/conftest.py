@@ -92,5 +92,6 @@ def model(vehicle) -> AerodynamicModel:
         training_range=dict.fromkeys(polynomials, 1.0),
         flights=(),
         selection={axis: [] for axis in polynomials},
+        held_out_coverage={axis: [] for axis in polynomials},
         identity="swings@000000000000",
     )

@@ -108,7 +108,7 @@ def test_flights_without_a_group_are_shown_too(case, tmp_path):
 def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
     axes = case.evaluation["groups"]["new & fast"]["axes"]
     worst = min(axes, key=lambda axis: axes[axis]["picp"])
-    assert verdict(case.evaluation) == (
-        "95 % prediction intervals hold on known, but fall short on new & fast "
+    assert verdict(case.evaluation, ["slow", "mid", "another"]) == (
+        "95 % prediction intervals hold on known (in sample), but fall short on new & fast "
         f"(6 of 6 axes; {worst} covers {100 * axes[worst]['picp']:.1f} %)."
     )
