@@ -126,7 +126,8 @@ def update_pose(state: State, noise: Noise, time_ns: int, position: Array, attit
     """Correct the state by a pose: position (3,) m world, attitude (4,) body to world.
 
     Between IMU samples the last one is held to reach the pose's stamp; a pose late by up to MAX_LATENESS_NS
-    is applied to the state as it stands. Gives an :class:`Outcome`; the state is untouched unless USED.
+    is first moved to the state's stamp by the state's own motion. Gives an :class:`Outcome`; the state is
+    untouched unless USED.
     """
     if not usable_pose(position, attitude):
         return Outcome.UNUSABLE
@@ -136,7 +137,18 @@ def update_pose(state: State, noise: Noise, time_ns: int, position: Array, attit
         return Outcome.TOO_EARLY
     if time_ns > state.time_ns[0]:
         propagate(state, noise, time_ns, state.rates, state.specific_force)
-    correct(state, noise, position, attitude)
+    late = 1e-9 * (state.time_ns[0] - time_ns)
+    turn = _minus(state.rates, state.gyro_bias, late)
+    correct(
+        state,
+        noise,
+        (
+            position[0] + late * state.velocity[0],
+            position[1] + late * state.velocity[1],
+            position[2] + late * state.velocity[2],
+        ),
+        rotations.product(rotations.normalised(attitude), rotations.from_rotation_vector(turn)),
+    )
     return Outcome.USED
 
 
@@ -305,10 +317,10 @@ def _transform_columns(
 
 
 @njit(cache=True)
-def correct(state: State, noise: Noise, position: Array, attitude: Array) -> None:
+def correct(state: State, noise: Noise, position: Vector, attitude: rotations.Quaternion) -> None:
     """Measurement update by a pose at the state's own stamp, one scalar at a time, in Joseph form."""
     attitude_error = rotations.to_rotation_vector(
-        rotations.product(rotations.inverse(state.attitude), rotations.normalised(attitude))
+        rotations.product(rotations.inverse(state.attitude), attitude)
     )
     error = np.zeros(ERROR_STATES)
     for axis in range(3):

@@ -215,6 +215,25 @@ def test_a_pose_late_by_less_than_20_ms_is_applied_where_the_filter_stands(runni
     assert ekf.state.covariance[0, 0] < variance
 
 
+def test_poses_that_arrive_15_ms_late_cost_little(noisy_vehicle, simulated):
+    recording, true = simulated.recording, simulated.truth
+
+    def velocity_error(lateness_ns):
+        ekf, errors = Ekf(noisy_vehicle, RATE), []
+        arrival = [
+            (sample[0] + (kind == "pose") * lateness_ns, kind, index, sample)
+            for kind, index, sample in events(recording)
+        ]
+        for _, kind, index, sample in sorted(arrival, key=lambda event: event[0]):
+            if kind == "pose":
+                ekf.update_pose(*sample)
+            elif ekf.predict(*sample) == Outcome.USED and index > 1500:
+                errors.append(ekf.state.velocity - true.velocity[index])
+        return np.sqrt(np.mean(np.square(errors)))
+
+    assert velocity_error(15_000_000) < 1.5 * velocity_error(0)
+
+
 def test_sign_and_scale_of_a_pose_attitude_do_not_matter(running):
     ekf, last_ns = running
     position, attitude = ekf.state.position + 0.001, ekf.state.attitude.copy()
