@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import json
 import pkgutil
 import sys
 from collections.abc import Iterator
@@ -46,7 +47,9 @@ def main() -> int:
                 failed = True
                 remarks[stem(module)] = f"failed: {type(error).__name__}: {error}"
     console.print(as_table(results, remarks))
-    write_json(OUTPUT, as_json(results))
+    # One benchmark alone renews its own figures and leaves the others'.
+    earlier = json.loads(OUTPUT.read_text()) if only is not None and OUTPUT.is_file() else {}
+    write_json(OUTPUT, earlier | as_json(results))
     console.print(f"written to {OUTPUT}")
     return 1 if failed else 0
 

@@ -64,7 +64,7 @@ class Child:
         status = self._process.poll()
         if status:
             lines = self._errors.read_text(errors="replace").splitlines() or [f"exit status {status}"]
-            raise ChildError(f"{self._name}: {lines[-1].removeprefix('error: ')}")
+            raise ChildError(f"{self._name}: {lines[-1].removeprefix('quadpi: ')}")
         return status is not None
 
     def cpu_seconds(self) -> float:

@@ -69,7 +69,7 @@ def run(work: Callable[[], None]) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
     except QuadpiError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"quadpi: {error}", file=sys.stderr)
         return 2
     finally:
         rclpy.try_shutdown()

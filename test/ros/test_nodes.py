@@ -67,7 +67,7 @@ def test_estimator_refuses_wrong_parameters(overrides: list[str], message: str) 
     status, errors = run_module("estimator_node", "--ros-args", *arguments)
     assert status == 2
     (line,) = errors.splitlines()
-    assert line.startswith("error: ")
+    assert line.startswith("quadpi: ")
     assert message in line
 
 
@@ -96,13 +96,13 @@ def test_live_process_refuses_wrong_parameters(overrides: list[str], message: st
 def test_wrong_ros_argument_is_one_line() -> None:
     status, errors = run_module("live", "--ros-args", "--nonsense")
     assert status == 2
-    assert errors.splitlines()[-1] == "error: unknown ROS arguments ['--nonsense']"
+    assert errors.splitlines()[-1] == "quadpi: unknown ROS arguments ['--nonsense']"
 
 
 def test_player_names_a_bag_that_is_not_there(tmp_path: Path) -> None:
     status, errors = run_module("player", str(tmp_path / "none.mcap"))
     assert status == 2
-    assert errors == f"error: {tmp_path / 'none.mcap'}: no such bag\n"
+    assert errors == f"quadpi: {tmp_path / 'none.mcap'}: no such bag\n"
 
 
 @pytest.mark.usefixtures("ros")
