@@ -61,8 +61,10 @@ def held_out_table(model: AerodynamicModel) -> Table | None:
     """Coverage of each training flight by the model of the others; None where none was left out."""
     if not all(model.held_out_coverage[axis] for axis in model.axes):
         return None
-    table = Table(title="left out in turn: coverage", title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column("flight")
+    table = Table(
+        title="left out in turn: coverage", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    table.add_column("flight", no_wrap=True)
     for axis in model.axes:
         table.add_column(axis, justify="right", no_wrap=True)
     for k, flight in enumerate(model.flights):
