@@ -20,6 +20,8 @@ from quadpi_core.errors import LogError
 from quadpi_core.frames import Array
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
+# A sensor that pauses for longer is not sampling: nothing is interpolated, integrated or filtered across.
+MAX_GAP_NS = 100_000_000
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 

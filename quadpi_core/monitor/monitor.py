@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import MAX_GAP_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
@@ -31,8 +31,6 @@ RATE_MAX_RAD_S = 70.0
 SPECIFIC_FORCE_MAX_M_S2 = 320.0
 QUATERNION_NORM_TOLERANCE = 0.1
 
-# The low-pass takes the sample rate as constant; a longer step in the stamps starts it anew.
-GAP_S = 0.1
 _NO_STAMP = np.iinfo(np.int64).min
 
 
@@ -88,7 +86,7 @@ class Monitor:
             RATE_MAX_RAD_S,
             SPECIFIC_FORCE_MAX_M_S2,
             vehicle.rotor_speed_max_rad_s,
-            round(GAP_S * 1e9),
+            MAX_GAP_NS,
         )
         self._previous_ns = np.array([_NO_STAMP])
         model.evaluate(np.zeros((1, len(INPUT_NAMES))), self.confidence)

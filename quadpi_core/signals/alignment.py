@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import correlate
 
 from quadpi_core.errors import SignalError
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.resample import interpolate
@@ -18,7 +18,6 @@ from quadpi_core.signals.rotations import body_rates
 
 MIN_CORRELATION = 0.5
 MIN_OVERLAP_S = 2.0
-MAX_GAP_NS = 100_000_000
 # Differentiating motion-capture attitudes amplifies their noise; a quadrotor's turns lie below this.
 POSE_CUTOFF_HZ = 8.0
 

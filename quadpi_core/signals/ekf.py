@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import SignalError
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import ekf_kernels as kernels
 from quadpi_core.signals import ekf_run
@@ -220,7 +220,7 @@ class Ekf:
         if not (np.isfinite(gyro).all() and np.isfinite(specific_force).all()):
             return Outcome.UNUSABLE
         last_ns = self._imu[-1][0] if self._imu else time_ns - 1
-        if not -kernels.MAX_JUMP_BACK_NS <= time_ns - last_ns <= kernels.MAX_GAP_NS:
+        if not -kernels.MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
             self.reset()
         elif time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING

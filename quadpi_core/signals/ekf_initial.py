@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import MAX_GAP_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.signals.ekf_kernels import (
@@ -16,7 +16,6 @@ from quadpi_core.signals.ekf_kernels import (
     ATTITUDE,
     ERROR_STATES,
     GYRO_BIAS,
-    MAX_GAP_NS,
     POSITION,
     VELOCITY,
     State,

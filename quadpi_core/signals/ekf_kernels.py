@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import MAX_GAP_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 
@@ -29,7 +29,6 @@ ACCELEROMETER_BIAS = slice(12, 15)
 # Small vectors travel as tuples inside the kernels: they cost no allocation.
 Vector: TypeAlias = tuple[float, float, float]
 
-MAX_GAP_NS = 100_000_000
 MAX_LATENESS_NS = 20_000_000
 MAX_JUMP_BACK_NS = 1_000_000_000
 _MIN_QUATERNION_NORM = 0.5

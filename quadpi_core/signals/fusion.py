@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.errors import LogError, SignalError
-from quadpi_core.flight import Flight, Recording, Stamps, Stream, WindStream
+from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, Stamps, Stream, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.ekf import Ekf
@@ -21,8 +21,6 @@ from quadpi_core.signals.resample import (
     uniform_stamps,
 )
 from quadpi_core.vehicle import Vehicle
-
-MAX_GAP_NS = 100_000_000
 
 
 class Estimate(NamedTuple):

@@ -163,6 +163,18 @@ def test_import_keeps_every_stream(quadpi, bags, tmp_path):
         assert [len(stream) for stream in again.streams()] == [len(stream) for stream in original.streams()]
 
 
+def test_import_aligns_motion_capture_with_the_gyro(quadpi, fly, tmp_path):
+    recording = fly(0)
+    late = replace(recording.pose, time_ns=recording.pose.time_ns + 40_000_000)
+    write_bag(tmp_path / "late.mcap", replace(recording, pose=late))
+    run = quadpi(
+        "import", tmp_path / "late.mcap", "--vehicle", "neurobem", "--align", "-o", tmp_path / "bags"
+    )
+    assert run.status == 0
+    moved = read_recording(tmp_path / "bags" / "late.mcap", None).pose
+    assert abs(int(moved.time_ns[0] - recording.pose.time_ns[0])) < 2_000_000
+
+
 class TestJsonKeys:
     """What docs/commands.md promises."""
 

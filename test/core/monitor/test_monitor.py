@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError, SignalError
+from quadpi_core.flight import MAX_GAP_NS
 from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models import Evaluation
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK
-from quadpi_core.monitor.monitor import GAP_S, Monitor
+from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.pairing import PairedSamples
 
@@ -77,7 +78,7 @@ def test_blocks_give_the_same_rows_bit_for_bit(model, vehicle, samples, block):
     rng = np.random.default_rng(2)
     samples = cut(samples, slice(0, 1500))
     time_ns = samples.time_ns.copy()
-    time_ns[700:] += 2 * round(GAP_S * 1e9)
+    time_ns[700:] += 2 * MAX_GAP_NS
     rates = samples.rates.copy()
     rates[rng.random(len(rates)) < 0.02, 1] = np.nan
     samples = changed(samples, time_ns=time_ns, rates=rates)
