@@ -24,7 +24,7 @@ class Evaluation:
     Attributes:
         predicted, lower, upper: (N, 6) N and Nm, body forward-right-down.
         leverage: (N, 6) h = z (ZᵀZ)⁻¹ zᵀ.
-        relative_width: (N, 6) interval width over its mean on the training flights.
+        relative_width: (N, 6) interval width over its root mean square on the training flights.
     """
 
     predicted: Array
@@ -44,7 +44,7 @@ class CompiledPolynomials:
     coefficients: Array
     whitening: Array
     inflation: Array
-    mean_spread: Array
+    rms_spread: Array
     polynomials: dict[str, FittedPolynomial]
 
     @classmethod
@@ -56,7 +56,7 @@ class CompiledPolynomials:
         count = np.zeros(len(AXES), dtype=np.int64)
         coefficients = np.zeros((len(AXES), longest))
         whitening = np.zeros((len(AXES), longest, longest))
-        inflation, mean_spread = np.zeros(len(AXES)), np.ones(len(AXES))
+        inflation, rms_spread = np.zeros(len(AXES)), np.ones(len(AXES))
         start = 0
         for axis, polynomial in polynomials.items():
             k, size = AXES.index(axis), len(polynomial.regressors)
@@ -66,8 +66,8 @@ class CompiledPolynomials:
             coefficients[k, :size] = polynomial.coefficients
             whitening[k, :size, :size] = polynomial.whitening
             inflation[k] = polynomial.noise.inflation
-            mean_spread[k] = polynomial.mean_spread
-        return cls(program, terms, count, coefficients, whitening, inflation, mean_spread, polynomials)
+            rms_spread[k] = polynomial.rms_spread
+        return cls(program, terms, count, coefficients, whitening, inflation, rms_spread, polynomials)
 
     def factors(self, confidence: float) -> Array:
         """Half width (6,) of each axis' interval at zero leverage."""
@@ -91,7 +91,7 @@ class CompiledPolynomials:
             self.coefficients,
             self.whitening,
             self.inflation,
-            self.mean_spread,
+            self.rms_spread,
             factors,
             out,
         )
@@ -109,7 +109,7 @@ def evaluate_kernel(
     coefficients: Any,
     whitening: Any,
     inflation: Any,
-    mean_spread: Any,
+    rms_spread: Any,
     factors: Any,
     out: Any,
 ) -> None:
@@ -132,4 +132,4 @@ def evaluate_kernel(
             out[1, i, axis] = predicted - factors[axis] * spread
             out[2, i, axis] = predicted + factors[axis] * spread
             out[3, i, axis] = leverage
-            out[4, i, axis] = spread / mean_spread[axis] if size > 0 else 0.0
+            out[4, i, axis] = spread / rms_spread[axis] if size > 0 else 0.0

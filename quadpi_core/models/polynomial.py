@@ -35,14 +35,15 @@ class FittedPolynomial:
         coefficients: (s,), SI units.
         whitening: (s, s) lower triangular W with leverage h = |W z|².
         noise: interval rule.
-        mean_spread: mean over the training samples of √(1 + inflation · h), the unit of relative width.
+        rms_spread: root mean square over the training samples of √(1 + inflation · h), the unit of relative
+            width; the leverages of N samples add up to s, so it is √(1 + inflation · s / N).
     """
 
     regressors: tuple[Regressor, ...]
     coefficients: Array
     whitening: Array
     noise: ResidualNoise | HeldOutNoise
-    mean_spread: float
+    rms_spread: float
 
     @cached_property
     def program(self) -> RegressorProgram:
@@ -169,8 +170,8 @@ class StepwisePolynomial:
             members = [flights == k for k in range(len(grams))]
             trained = [FlightErrors(error[m], leverage[m], np.ones(m.sum(), dtype=bool)) for m in members]
             noise = calibrate(self.held_out_, trained)
-        self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, noise, 1.0)
-        self.fitted_ = replace(self.fitted_, mean_spread=float(np.mean(self.fitted_.spread(X))))
+        rms_spread = float(np.sqrt(1.0 + noise.inflation * len(chosen) / len(y)))
+        self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, noise, rms_spread)
         self.n_features_in_ = X.shape[1]
         return self
 

@@ -34,6 +34,7 @@ from quadpi_core.paths import whole_output
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
 FORMAT = 1
+METHOD = "polynomial"
 
 
 def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
@@ -51,7 +52,7 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
         axes[axis] = {
             "regressors": [str(regressor) for regressor in polynomial.regressors],
             "noise": polynomial.noise.to_json(),
-            "mean_spread": polynomial.mean_spread,
+            "rms_spread": polynomial.rms_spread,
             "training_range": model.training_range[axis],
             "selection": model.selection[axis],
             "held_out_coverage": model.held_out_coverage[axis],
@@ -59,7 +60,7 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
     array_bytes = save_arrays(arrays)
     content = {
         "format": FORMAT,
-        "method": "polynomial",
+        "method": METHOD,
         "settings": model.settings,
         "vehicle": model.vehicle,
         "cutoff_hz": model.cutoff_hz,
@@ -92,6 +93,10 @@ def load_model(folder: Path) -> AerodynamicModel:
         if content["format"] != FORMAT:
             raise ModelError(
                 f"{MODEL_FILE}: format {content['format']!r} is not known to this version ({FORMAT})"
+            )
+        if content["method"] != METHOD:
+            raise ModelError(
+                f"{MODEL_FILE}: method {content['method']!r} is not known to this version ({METHOD})"
             )
         if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
             raise ModelError(f"{ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered")
@@ -132,10 +137,10 @@ def _polynomial(axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> F
         raise ModelError(f"{ARRAYS_FILE}: {axis}: shapes do not fit the {size} regressors")
     if not (np.all(np.isfinite(coefficients)) and np.all(np.isfinite(whitening))):
         raise ModelError(f"{ARRAYS_FILE}: {axis}: numbers that are not finite")
-    mean_spread = float(entry["mean_spread"])
-    if mean_spread < 1.0:
-        raise ModelError(f"{MODEL_FILE}: {axis}: mean_spread {mean_spread} is below 1")
-    return FittedPolynomial(regressors, coefficients, whitening, noise_from_json(entry["noise"]), mean_spread)
+    rms_spread = float(entry["rms_spread"])
+    if rms_spread < 1.0:
+        raise ModelError(f"{MODEL_FILE}: {axis}: rms_spread {rms_spread} is below 1")
+    return FittedPolynomial(regressors, coefficients, whitening, noise_from_json(entry["noise"]), rms_spread)
 
 
 def _refuse_other_content(folder: Path) -> None:

@@ -63,7 +63,7 @@ class Envelope:
             inputs: (N, 19) input vectors.
             groups: (N,) label of the flight that each sample belongs to.
             leverage: (N, 6) leverage of each sample, zero columns for axes not held.
-            relative_width: (N, 6) interval width over its training mean, likewise.
+            relative_width: (N, 6) interval width over its root mean square in training, likewise.
 
         Raises:
             ModelError: for no samples, shapes that do not fit or values that are not finite.

@@ -49,7 +49,7 @@ class TestModels:
 
     def test_description_that_holds_nan(self, refused_model, copy):
         description = json.loads((copy / "model.json").read_text())
-        description["axes"]["Fx"]["mean_spread"] = float("nan")
+        description["axes"]["Fx"]["rms_spread"] = float("nan")
         (copy / "model.json").write_text(json.dumps(description))
         refused_model(r"copy/model\.json: not a quadpi model")
 

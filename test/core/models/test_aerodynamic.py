@@ -100,7 +100,7 @@ def test_compiled_evaluation_equals_that_of_each_axis(
             "lower": lower,
             "upper": upper,
             "leverage": single.fitted_.leverage(inputs),
-            "relative_width": spread / single.fitted_.mean_spread,
+            "relative_width": spread / single.fitted_.rms_spread,
         }
         for name, values in expected.items():
             np.testing.assert_allclose(
@@ -219,6 +219,7 @@ def test_altered_description_shows_in_the_identity(folder: Path) -> None:
     ("keys", "value"),
     [
         (["format"], 2),
+        (["method"], "ensemble"),
         (["axes"], {}),
         (["axes", "Fw"], {}),
         (["axes", "Fx"], None),
@@ -228,7 +229,7 @@ def test_altered_description_shows_in_the_identity(folder: Path) -> None:
         (["axes", "Fx", "noise", "inflation"], -1.0),
         (["axes", "Fx", "noise", "inflation"], float("nan")),
         (["axes", "Fx", "noise", "flight_factors"], [[1.0, 2.0]]),
-        (["axes", "Fx", "mean_spread"], 0.0),
+        (["axes", "Fx", "rms_spread"], 0.0),
         (["axes", "Fx", "training_range"], "wide"),
         (["confidence"], "high"),
         (["envelope"], {}),

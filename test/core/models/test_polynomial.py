@@ -134,7 +134,7 @@ def test_intervals_widen_with_confidence_and_away_from_the_training_data() -> No
     widths = [np.subtract(*model.predict_interval(near, c)[::-1])[0] for c in (0.5, 0.8, 0.95, 0.99)]
     assert np.all(np.diff(widths) > 0.0)
     assert np.subtract(*model.predict_interval(far)[::-1])[0] > 2.0 * widths[2]
-    assert np.mean(model.fitted_.spread(X)) == pytest.approx(model.fitted_.mean_spread)
+    assert np.sqrt(np.mean(model.fitted_.spread(X) ** 2)) == pytest.approx(model.fitted_.rms_spread)
 
 
 def test_order_of_the_flights_does_not_matter() -> None:
