@@ -22,6 +22,9 @@ from quadpi_core.frames import Array
 Stamps: TypeAlias = npt.NDArray[np.int64]
 # A sensor that pauses for longer is not sampling: nothing is interpolated, integrated or filtered across.
 MAX_GAP_NS = 100_000_000
+# Beyond these an IMU sample comes from a broken sensor or is in a wrong unit.
+RATE_MAX_RAD_S = 70.0
+SPECIFIC_FORCE_MAX_M_S2 = 320.0
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
-from quadpi_core.flight import MAX_GAP_NS, Stamps
+from quadpi_core.flight import MAX_GAP_NS, RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 # Beyond these a sample is a broken sensor or a wrong unit, not flight.
 AIRSPEED_MAX_M_S = 100.0
-RATE_MAX_RAD_S = 70.0
-SPECIFIC_FORCE_MAX_M_S2 = 320.0
 QUATERNION_NORM_TOLERANCE = 0.1
 
 _NO_STAMP = np.iinfo(np.int64).min

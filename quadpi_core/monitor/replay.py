@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
@@ -120,12 +121,23 @@ def replay(
 
 
 def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[ImuStream, OdometryStream]:
-    """What the estimator hands to the monitor in its process: IMU samples less their biases, and states."""
-    samples = np.searchsorted(imu.time_ns, trace.time_ns)
-    rates = imu.angular_velocity[samples] - trace.gyro_bias
-    specific_force = imu.specific_force[samples] - trace.accelerometer_bias
-    states = OdometryStream(trace.time_ns, trace.position, trace.attitude, trace.velocity_body, rates)
-    return ImuStream(trace.time_ns, rates, specific_force), states
+    """What the estimator hands to the monitor in its process: IMU samples less their biases, and states.
+
+    Samples that it cannot use come as they are: the monitor has to report them.
+    """
+    used = np.searchsorted(imu.time_ns, trace.time_ns)
+    rates, specific_force = imu.angular_velocity.copy(), imu.specific_force.copy()
+    rates[used] -= trace.gyro_bias
+    specific_force[used] -= trace.accelerometer_bias
+    states = OdometryStream(trace.time_ns, trace.position, trace.attitude, trace.velocity_body, rates[used])
+    kept = np.union1d(used, np.flatnonzero(~_usable(imu)))
+    return ImuStream(imu.time_ns[kept], rates[kept], specific_force[kept]), states
+
+
+def _usable(imu: ImuStream) -> npt.NDArray[np.bool_]:
+    """Samples (N,) that the estimator can use."""
+    samples = zip(imu.angular_velocity, imu.specific_force, strict=True)
+    return np.array([ekf_kernels.usable_imu(*sample) for sample in samples])
 
 
 def _pose_covariance(trace: EkfTrace) -> Array:

@@ -217,7 +217,7 @@ class Ekf:
             progress.next_imu[0] += 1
 
     def _collect_imu(self, time_ns: int, gyro: Array, specific_force: Array) -> Outcome:
-        if not (np.isfinite(gyro).all() and np.isfinite(specific_force).all()):
+        if not kernels.usable_imu(gyro, specific_force):
             return Outcome.UNUSABLE
         last_ns = self._imu[-1][0] if self._imu else time_ns - 1
         if not -kernels.MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
@@ -236,7 +236,9 @@ class Ekf:
     def _collect_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
         if not kernels.usable_pose(position, attitude):
             return Outcome.UNUSABLE
-        if self._poses and time_ns <= self._poses[-1][0]:
+        if self._poses and time_ns < self._poses[-1][0] - kernels.MAX_JUMP_BACK_NS:
+            self._poses.clear()
+        elif self._poses and time_ns <= self._poses[-1][0]:
             return Outcome.STAMP_NOT_ADVANCING
         self._poses.append((time_ns, np.array(position), np.array(attitude)))
         return Outcome.COLLECTED

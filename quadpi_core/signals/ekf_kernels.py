@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import MAX_GAP_NS, Stamps
+from quadpi_core.flight import MAX_GAP_NS, RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 
@@ -32,6 +32,8 @@ Vector: TypeAlias = tuple[float, float, float]
 MAX_LATENESS_NS = 20_000_000
 MAX_JUMP_BACK_NS = 1_000_000_000
 _MIN_QUATERNION_NORM = 0.5
+# Farther than any motion capture sees.
+_POSITION_MAX_M = 10_000.0
 
 
 class Outcome(IntEnum):
@@ -39,7 +41,7 @@ class Outcome(IntEnum):
 
     USED = 0
     COLLECTED = 1  # kept for the initialisation
-    UNUSABLE = 2  # a value is not finite, or an attitude is no rotation
+    UNUSABLE = 2  # a value is not finite or cannot be, or an attitude is no rotation
     STAMP_NOT_ADVANCING = 3
     TOO_LATE = 4
     TOO_EARLY = 5
@@ -97,7 +99,7 @@ def predict(state: State, noise: Noise, time_ns: int, rates: Array, specific_for
     The IMU signal is taken as linear between its samples. Gives an :class:`Outcome`; the state is untouched
     unless it is USED.
     """
-    if not (np.all(np.isfinite(rates)) and np.all(np.isfinite(specific_force))):
+    if not usable_imu(rates, specific_force):
         return Outcome.UNUSABLE
     since_imu = time_ns - state.imu_time_ns[0]
     if since_imu > MAX_GAP_NS or since_imu < -MAX_JUMP_BACK_NS:
@@ -152,9 +154,17 @@ def update_pose(state: State, noise: Noise, time_ns: int, position: Array, attit
 
 
 @njit(cache=True)
+def usable_imu(rates: Array, specific_force: Array) -> bool:
+    """Whether rates (3,) rad/s and specific_force (3,) m/s² can be those of a flight; NaN cannot."""
+    return bool(
+        np.all(np.abs(rates) <= RATE_MAX_RAD_S) and np.all(np.abs(specific_force) <= SPECIFIC_FORCE_MAX_M_S2)
+    )
+
+
+@njit(cache=True)
 def usable_pose(position: Array, attitude: Array) -> bool:
-    """Whether a pose is finite and its attitude a rotation, but for scale."""
-    if not (np.all(np.isfinite(position)) and np.all(np.isfinite(attitude))):
+    """Whether a position (3,) m can be measured and its attitude (4,) is a rotation, but for scale."""
+    if not (np.all(np.abs(position) <= _POSITION_MAX_M) and np.all(np.isfinite(attitude))):
         return False
     return bool(np.sum(attitude * attitude) >= _MIN_QUATERNION_NORM**2)
 

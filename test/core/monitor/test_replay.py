@@ -168,6 +168,25 @@ def test_replay_equals_the_live_path_sample_by_sample(model, vehicle, with_pose,
     assert len(replayed.time_ns) > 2400
 
 
+def test_a_spike_of_the_imu_is_reported_and_leaves_the_rest_as_it_was(
+    model, vehicle, with_pose, bag_of, tmp_path
+):
+    replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap")
+    expected, _ = read_outputs(tmp_path / "out.mcap")
+    spike = 2000
+    specific_force = with_pose.imu.specific_force.copy()
+    specific_force[spike, 2] = -1e30
+    imu = replace(with_pose.imu, specific_force=specific_force)
+    summary = replay(model, vehicle, bag_of(replace(with_pose, imu=imu)), tmp_path / "out.mcap")
+    predictions, alarms = read_outputs(tmp_path / "out.mcap")
+    assert summary.dropped == 1
+    assert set(expected.time_ns) - set(predictions.time_ns) == {imu.time_ns[spike]}
+    kept = np.isin(expected.time_ns, predictions.time_ns)
+    np.testing.assert_allclose(predictions.predicted, expected.predicted[kept], atol=0.05)
+    reported = int(np.flatnonzero(alarms.causes & BAD_DATA)[0])
+    assert alarms.time_ns[reported] == imu.time_ns[spike]
+
+
 def test_estimated_odometry_is_in_the_bag(model, vehicle, with_pose, bag_of, tmp_path):
     replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap")
     predictions, _ = read_outputs(tmp_path / "out.mcap")

@@ -192,15 +192,18 @@ def test_bad_samples_are_refused_counted_and_leave_no_trace(running):
     still, upright = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     bad = np.array([0.0, np.nan, 0.0])
     assert ekf.predict(last_ns + 2_000_000, bad, still) == Outcome.UNUSABLE
+    assert ekf.predict(last_ns + 2_000_000, still, np.array([0.0, 0.0, -1e30])) == Outcome.UNUSABLE
+    assert ekf.predict(last_ns + 2_000_000, np.array([5e3, 0.0, 0.0]), still) == Outcome.UNUSABLE
     assert ekf.predict(last_ns, still, still) == Outcome.STAMP_NOT_ADVANCING
     assert ekf.update_pose(last_ns, bad, upright) == Outcome.UNUSABLE
+    assert ekf.update_pose(last_ns, np.array([0.0, 1e30, 0.0]), upright) == Outcome.UNUSABLE
     assert ekf.update_pose(last_ns, still, np.zeros(4)) == Outcome.UNUSABLE
     assert ekf.update_pose(last_ns, still, np.full(4, np.inf)) == Outcome.UNUSABLE
     assert ekf.update_pose(last_ns - 25_000_000, still, upright) == Outcome.TOO_LATE
     assert ekf.update_pose(last_ns + 500_000_000, still, upright) == Outcome.TOO_EARLY
     assert_same(before, ekf)
-    assert ekf.imu_counts[Outcome.UNUSABLE] == 1
-    assert ekf.pose_counts[Outcome.UNUSABLE] == 3
+    assert ekf.imu_counts[Outcome.UNUSABLE] == 3
+    assert ekf.pose_counts[Outcome.UNUSABLE] == 4
     assert ekf.pose_counts[Outcome.TOO_LATE] == 1
 
 
@@ -254,6 +257,14 @@ def test_a_pause_or_a_jump_back_starts_anew(running, jump_ns):
     assert not ekf.initialised
     with pytest.raises(SignalError, match="not initialised"):
         _ = ekf.state
+
+
+def test_a_pose_from_the_future_does_not_keep_it_from_starting(noisy_vehicle, simulated):
+    recording = simulated.recording
+    ekf = Ekf(noisy_vehicle, RATE)
+    wild_ns = int(recording.pose.time_ns[0]) + 1_000_000_000_000
+    ekf.update_pose(wild_ns, recording.pose.position[0], recording.pose.attitude[0])
+    assert next(feed(ekf, recording), None) is not None
 
 
 def test_coasts_through_a_mocap_dropout_and_recovers(noisy_vehicle, simulated):
