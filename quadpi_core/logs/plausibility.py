@@ -15,6 +15,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_body_to_world
+from quadpi_core.logs.conversion import STANDARD_GRAVITY
 from quadpi_core.logs.conversion import SPIKE_SHARE, rotor_spikes
 from quadpi_core.vehicle import Vehicle
 
@@ -29,6 +30,11 @@ _SPECIFIC_FORCE_G = (0.4, 2.5)
 _ATTITUDE_STEP_S = 0.05
 _TURNING_RAD_S = 0.3
 _LARGEST_RATIO = 10.0
+# An attitude that is only noisy may seem to turn at a multiple of the true rate.
+_LARGEST_RATIO_OF_ATTITUDE = 30.0
+# Over this time no vehicle gains so much speed that its mean specific force is far from gravity's.
+_LONG_S = 5.0
+_MEAN_UP_G = (0.5, 1.5)
 
 
 def check_plausible(recording: Recording, vehicle: Vehicle) -> None:
@@ -118,6 +124,11 @@ def _rates(recording: Recording) -> Iterator[str]:
                 f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
                 f"{attitude:.3g}: looks like deg/s"
             )
+        elif attitude > _TURNING_RAD_S and attitude > _LARGEST_RATIO_OF_ATTITUDE * gyro:
+            yield (
+                f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
+                f"{attitude:.3g}: looks like rad/s taken for deg/s, or a wrong unit of time"
+            )
 
 
 def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStream]:
@@ -158,8 +169,17 @@ def _up(recording: Recording) -> Iterator[str]:
         seen = finite_rows(stream.attitude)
         nearest = np.searchsorted(imu.time_ns[known], stream.time_ns[seen]).clip(0, len(force) - 1)
         in_world = rotate_body_to_world(stream.attitude[seen], force[nearest])
-        if np.any(seen) and np.mean(in_world[:, 2]) > -0.3 * np.median(np.linalg.norm(force, axis=1)):
+        if not np.any(seen):
+            continue
+        up = -float(np.mean(in_world[:, 2]))
+        low, high = _MEAN_UP_G
+        if up < 0.3 * np.median(np.linalg.norm(force, axis=1)):
             yield f"topic {stream.topic}: attitude and specific force disagree on what is up: wrong frames?"
+        elif np.ptp(stream.time_ns) > _LONG_S * 1e9 and not low < up / STANDARD_GRAVITY < high:
+            yield (
+                f"topic imu: the mean specific force points up at {up:.3g} m/s², expected about 9.8: wrong "
+                f"unit, or gravity counted twice?"
+            )
 
 
 def _rotor_speeds(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:

@@ -104,7 +104,9 @@ class TestWrongUnits:
         ("topic", "column", "factor", "message"),
         [
             ("imu", "angular_velocity", 180.0 / np.pi, "topic imu: .*looks like deg/s"),
+            ("imu", "angular_velocity", np.pi / 180.0, "topic imu: .*looks like rad/s taken for deg/s"),
             ("imu", "specific_force", 1.0 / 9.80665, "topic imu: .*looks like g, m/s² expected"),
+            ("imu", "specific_force", 2.0, "topic imu: .*gravity counted twice"),
             ("rotor_speeds", "speeds", 30.0 / np.pi, r"topic rotor_speeds: sample \d+: .*looks like rpm"),
             ("rotor_speeds", "speeds", 0.1, "topic rotor_speeds: thrust over Σω².*wrong unit"),
         ],
