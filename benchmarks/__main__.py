@@ -13,7 +13,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-from rich.console import Console
+from rich import box
+from rich.console import Console, Group
+from rich.markup import escape
 from rich.table import Table
 
 import benchmarks
@@ -82,9 +84,9 @@ def as_json(results: list[Result]) -> dict[str, dict[str, object]]:
     }
 
 
-def as_table(results: list[Result], remarks: dict[str, str]) -> Table:
-    """One row per figure, and one per benchmark that gave none."""
-    table = Table("figure", "value", "goal", "holds", "baseline")
+def as_table(results: list[Result], remarks: dict[str, str]) -> Group:
+    """One row per figure, then what each was measured against, and why one gave no figure."""
+    table = Table("figure", "value", "goal", "holds", box=box.SIMPLE_HEAD)
     for result in results:
         bound = "at most" if result.at_most else "at least"
         table.add_row(
@@ -92,11 +94,9 @@ def as_table(results: list[Result], remarks: dict[str, str]) -> Table:
             f"{result.value:.3g} {result.unit}",
             "" if result.goal is None else f"{bound} {result.goal:g}",
             {True: "[green]yes", False: "[red]no", None: ""}[result.holds],
-            result.baseline,
         )
-    for name, remark in remarks.items():
-        table.add_row(name, "", "", "", remark)
-    return table
+    notes = {result.name: result.baseline for result in results} | remarks
+    return Group(table, *(f"[bold]{name}[/bold]: {escape(note)}" for name, note in notes.items()))
 
 
 if __name__ == "__main__":
