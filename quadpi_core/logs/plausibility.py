@@ -15,8 +15,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_body_to_world
-from quadpi_core.logs.conversion import STANDARD_GRAVITY
-from quadpi_core.logs.conversion import SPIKE_SHARE, rotor_spikes
+from quadpi_core.logs.conversion import SPIKE_SHARE, STANDARD_GRAVITY, rotor_spikes
 from quadpi_core.vehicle import Vehicle
 
 LARGEST_RATE_RAD_S = 60.0
