@@ -73,6 +73,7 @@ def info(
     """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
     from quadpi_core.report.info import describe
 
+    _check_outputs([path], json_file)
     tables, data = describe(path, vehicle, mapping)
     console = _console()
     for table in tables:
@@ -113,6 +114,7 @@ def identify(
     from quadpi_core.report.tables import held_out_table, selection_table
     from quadpi_core.vehicle import Vehicle
 
+    _check_outputs(bags, output, json_file, html_file)
     console = _console()
     cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)
@@ -169,6 +171,7 @@ def evaluate(
     the_vehicle = _model_vehicle(Vehicle.load(vehicle or the_model.vehicle), the_model.vehicle)
     paths = group_bags(bags or [], group or [])
     files = list(dict.fromkeys(path for members in paths.values() for path in members))
+    _check_outputs([model, *files], json_file, html_file)
     level = the_model.confidence if confidence is None else confidence
     flights = prepare_flights(files, the_vehicle, the_model.cutoff_hz)
     results = [predict_flight(the_model, flight, level) for flight in flights]
@@ -194,6 +197,7 @@ def replay(
     from quadpi_core.monitor.replay import replay as replay_bag
     from quadpi_core.vehicle import Vehicle
 
+    _check_outputs([model, bag], output, json_file)
     the_model = AerodynamicModel.load(model)
     the_vehicle = _model_vehicle(Vehicle.load(vehicle or the_model.vehicle), the_model.vehicle)
     summary = asdict(replay_bag(the_model, the_vehicle, bag, output, confidence=confidence))
@@ -260,6 +264,16 @@ def _report(
     if html_file is not None:
         write_report(html_file, evaluation, results, model)
     return evaluation
+
+
+def _check_outputs(inputs: list[Path], *outputs: Path | None) -> None:
+    """Refuse an output in the place of an input or of another output, or within either."""
+    taken = [path.resolve() for path in inputs]
+    for output in filter(None, outputs):
+        place = output.resolve()
+        if any(place.is_relative_to(path) for path in taken):
+            raise QuadpiError(f"{output}: would replace or alter an input or another output; choose another")
+        taken.append(place)
 
 
 def _model_vehicle(vehicle: Any, expected: str) -> Any:

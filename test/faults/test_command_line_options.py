@@ -125,6 +125,20 @@ class TestOptions:
 class TestOutputs:
     """What stood there before stays: `refused` compares every file of the folder."""
 
+    @pytest.mark.parametrize("option", ["--json", "--html"])
+    def test_report_in_place_of_an_input(self, refused, bags, model, option):
+        for place in (bags[0], model, model / "model.json"):
+            before = place.read_bytes() if place.is_file() else None
+            refused("choose another", "evaluate", model, bags[0], option, place)
+            assert place.is_dir() or place.read_bytes() == before
+
+    def test_two_outputs_in_one_place(self, refused, bags, model, tmp_path):
+        out = tmp_path / "out.mcap"
+        refused("choose another", "evaluate", model, bags[0], "--json", out, "--html", out)
+        refused("choose another", "replay", model, bags[0], "-o", out, "--json", out)
+        options = ("--vehicle", "neurobem", "-o", tmp_path / "m", "--json", tmp_path / "m" / "data.json")
+        refused("choose another", "identify", *bags, *options)
+
     def test_file_in_place_of_a_folder(self, refused, bags, model, tmp_path):
         file = tmp_path / "file"
         file.write_text("mine")
@@ -152,7 +166,7 @@ class TestOutputs:
 
     def test_input_in_place_of_the_output(self, refused, bags, model, tmp_path):
         bag = shutil.copy(bags[0], tmp_path / "flight.mcap")
-        refused("the output would replace the flight", "replay", model, bag, "-o", bag)
+        refused("would replace or alter an input", "replay", model, bag, "-o", bag)
         refused("its own bag would replace it", "import", bag, "--vehicle", "neurobem", "-o", tmp_path)
 
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
