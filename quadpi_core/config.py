@@ -32,6 +32,8 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
         return path, yaml.safe_load(path.read_text())
     except FileNotFoundError:
         known = ", ".join(sorted(file.stem for file in own.glob("*.yaml")))
-        raise error(f"{path}: no such {kind} file; known {kind}s: {known}") from None
+        raise error(
+            f"{path}: no such {kind} file; known {kind}s: {known}, or the path of a .yaml file"
+        ) from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as reason:
         raise error(f"{path}: not a readable YAML file: {one_line(reason)}") from reason
