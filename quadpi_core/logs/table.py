@@ -175,6 +175,8 @@ class _TableReader:
     def _column(self, name: str) -> Array:
         if name not in self.table.column_names:
             raise LogError(f"{self.path}: no column {name}; it has {', '.join(self.table.column_names)}")
+        if self.table.column_names.count(name) > 1:
+            raise LogError(f"{self.path}: column {name} is present twice")
         column = self.table[name]
         numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_null)
         if not any(test(column.type) for test in numeric):
@@ -210,6 +212,8 @@ def _load_table(path: Path) -> pa.Table:
         table = read(path)
     except pa.ArrowException as error:
         raise LogError(f"{path}: not a readable {path.suffix[1:]} table: {one_line(error)}") from error
+    if table.num_columns == 1:
+        raise LogError(f"{path}: the table has one column; a CSV file has commas between its columns")
     if table.num_rows == 0:
         raise LogError(f"{path}: the table has no rows")
     return table

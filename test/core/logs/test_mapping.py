@@ -281,6 +281,20 @@ def test_unusable_columns_are_named(tmp_path: Path, columns: dict[str, Any], mes
         read(tmp_path, minimal_mapping(), table)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"ay"', '"ax"', "column ax is present twice"),
+        (",", ";", "the table has one column; .* commas between"),
+    ],
+)
+def test_heading_and_separator_of_a_csv_file(tmp_path: Path, old: str, new: str, message: str):
+    path, mapping_path = write(tmp_path, minimal_mapping(), hover_table())
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(LogError, match=rf"flight\.csv: {message}"):
+        read_recording(path, None, mapping_path)
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_damaged_tables_are_refused(tmp_path: Path, suffix: str):
     path, mapping_path = write(tmp_path, minimal_mapping(), hover_table(), suffix)
