@@ -240,7 +240,9 @@ def _score(grams: list[Gram], total: Gram, stop: StopRule) -> _Score:
         return lambda active, sse: count * np.log(sse / count) + len(active) * np.log(count)
     if stop == "leave-one-flight-out":
         if len(grams) < 2:
-            raise ModelError("the stop rule leave-one-flight-out needs at least two flights")
+            raise ModelError(
+                "the stop rule leave-one-flight-out needs at least two flights; settings paper take one"
+            )
         rests = [total - gram for gram in grams]
         return lambda active, _: _held_out_error(active, grams, rests)
     raise ModelError(f"unknown stop rule {stop!r}; known: pse, r2, bic, leave-one-flight-out")

@@ -238,5 +238,11 @@ class TestFlightsThatDoNotExciteTheModel:
 
     def test_one_flight_cannot_calibrate(self, refused, bags, tmp_path):
         refused(
-            "Fx: .*at least two flights", "identify", bags[0], "--vehicle", "neurobem", "-o", tmp_path / "m"
+            "Fx: .*at least two flights; settings paper take one",
+            "identify",
+            bags[0],
+            "--vehicle",
+            "neurobem",
+            "-o",
+            tmp_path / "m",
         )
