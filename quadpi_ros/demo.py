@@ -42,6 +42,8 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
     Raises:
         QuadpiError: saying what to provide where the flights are absent.
     """
+    if not 0.0 < rate < np.inf:
+        raise QuadpiError(f"--rate must be positive, found {rate:g}")
     directory = (data or data_directory()) / "neurobem"
     logs = sorted(directory.glob("*.mat"))
     what_to_provide = NO_DATA.format(directory=directory, fastest=FASTEST_IDENTIFIED_M_S)
