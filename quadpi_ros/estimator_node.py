@@ -67,10 +67,17 @@ class EstimatorNode(SensorNode):
         self.listen(Imu, "imu", messages.unpack_imu, self._take_imu)
         self.listen(PoseStamped, "mocap/pose", messages.unpack_pose, self._take_pose)
 
+    def problem(self) -> str | None:
+        """Also that no state comes out of what arrives."""
+        silent = super().problem()
+        if silent or self._ekf.initialised:
+            return silent
+        return "imu and mocap/pose arrive but give no state: are they stamped by the same clock?"
+
     def _take_imu(self, imu: ImuStream) -> None:
         outcome = self._ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
-            self.warn(f"topic imu: sample not used: {outcome.name.lower().replace('_', ' ')}")
+            self.warn("topic imu", f"sample not used: {outcome.name.lower().replace('_', ' ')}")
         if outcome == Outcome.UNUSABLE and self._listener:
             self._listener.take_imu(imu)
         if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self._ekf.initialised:
@@ -88,7 +95,7 @@ class EstimatorNode(SensorNode):
     def _take_pose(self, pose: PoseStream) -> None:
         outcome = self._ekf.update_pose(int(pose.time_ns[0]), pose.position[0], pose.attitude[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
-            self.warn(f"topic mocap/pose: pose not used: {outcome.name.lower().replace('_', ' ')}")
+            self.warn("topic mocap/pose", f"pose not used: {outcome.name.lower().replace('_', ' ')}")
 
 
 def _warm_up(vehicle: Vehicle) -> None:

@@ -87,7 +87,7 @@ class MonitorNode(SensorNode):
         if not estimator_in_process:
             self.listen(Imu, "imu", messages.unpack_imu, self.take_imu)
             self.listen(Odometry, "odometry", messages.unpack_odometry, self.take_odometry)
-        self.listen(Vector3Stamped, "wind", messages.unpack_wind, self._take_wind)
+        self.listen(Vector3Stamped, "wind", messages.unpack_wind, self._take_wind, required=False)
         if parameters.rotor_topic == "erpm":
             self.listen(
                 Erpm, "erpm", lambda payload: messages.unpack_erpm(payload, vehicle), self._take_rotor_speeds
@@ -140,7 +140,7 @@ class MonitorNode(SensorNode):
         if len(alarms.time_ns):
             self._publish_all(self._publish_alarm, messages.pack_alarms(alarms, self._body_frame))
         if len(predictions.time_ns) < len(samples.time_ns):
-            self.warn(f"IMU samples without a prediction; so far {self._pairing.counts}")
+            self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
 
     def _pack(self, predictions: Predictions) -> Payloads:
         return messages.pack_predictions(

@@ -256,3 +256,42 @@ def test_replay_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
 
     given = [argument.replace("$rate", "2.0") for argument in player["arguments"]]
     assert parse_arguments(given).rate == 2.0
+
+
+@pytest.mark.usefixtures("ros")
+def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.MonkeyPatch) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import Imu
+
+    from quadpi_ros.sensor_node import SensorNode
+
+    node, receivers = SensorNode("watched"), {}
+    logged: list[str] = []
+    monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(warning=logged.append))
+    monkeypatch.setattr(
+        node, "create_subscription", lambda _, topic, receive, *__, **___: receivers.update({topic: receive})
+    )
+    for topic, kind in (("imu", Imu), ("mocap/pose", PoseStamped)):
+        node.listen(kind, topic, lambda _: None, lambda _: None)
+    node.listen(PoseStamped, "wind", lambda _: None, lambda _: None, required=False)
+
+    def watch(*topics: str) -> list[str]:
+        logged.clear()
+        for topic in topics:
+            receivers[topic](serialize_message(Imu()))
+        node._watch()
+        return list(logged)
+
+    assert watch() == []
+    assert watch() == ["nothing arrives on imu, mocap/pose"]
+    assert watch() == []
+    assert watch("imu") == []
+    assert watch("imu") == ["nothing arrives on mocap/pose"]
+    assert watch("imu", "mocap/pose") == []
+    assert watch("imu", "mocap/pose") == []
+    node.warn("topic imu", "one")
+    node.warn("topic imu", "two")
+    node.warn("topic mocap/pose", "three")
+    assert logged == ["topic imu: one", "topic mocap/pose: three"]
+    node.destroy_node()
