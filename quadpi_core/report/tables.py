@@ -37,7 +37,9 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
 
 
 def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table:
-    table = Table(title=Text(name), title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(
+        title=Text(name), title_justify="left", box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False
+    )
     table.add_column("axis", no_wrap=True)
     for heading in ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "n_eff"):
         table.add_column(heading, justify="right", no_wrap=True)
