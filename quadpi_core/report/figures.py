@@ -168,7 +168,7 @@ def styled(figure: go.Figure, height: int, hovermode: str = "closest") -> go.Fig
             "size": 12.5,
             "color": INK,
         },
-        margin={"l": 64, "r": 16, "t": 56, "b": 48},
+        margin={"l": 80, "r": 16, "t": 56, "b": 48},
         legend={"orientation": "h", "x": 0, "y": 1, "yref": "container", "yanchor": "top"},
         modebar={"bgcolor": "rgba(0,0,0,0)", "color": "#b4bcc5", "activecolor": MEASURED},
         paper_bgcolor="rgba(0,0,0,0)",
@@ -177,6 +177,6 @@ def styled(figure: go.Figure, height: int, hovermode: str = "closest") -> go.Fig
     figure.update_annotations(font_size=12)
     figure.update_xaxes(gridcolor=RULE, linecolor=RULE, title_font_size=13, zeroline=False, ticks="outside")
     figure.update_xaxes(tickcolor=RULE)
-    figure.update_yaxes(gridcolor=RULE, linecolor=RULE, title_font_size=13)
+    figure.update_yaxes(gridcolor=RULE, linecolor=RULE, title_font_size=13, exponentformat="power")
     figure.update_yaxes(selector=lambda axis: axis.zeroline is None, zeroline=False)
     return figure
