@@ -168,7 +168,8 @@ def evaluate(
     from quadpi_core.vehicle import Vehicle
 
     the_model = AerodynamicModel.load(model)
-    the_vehicle = _model_vehicle(Vehicle.load(vehicle or the_model.vehicle), the_model.vehicle)
+    the_vehicle = Vehicle.load(vehicle or the_model.vehicle)
+    the_model.require(the_vehicle)
     paths = group_bags(bags or [], group or [])
     files = list(dict.fromkeys(path for members in paths.values() for path in members))
     _check_outputs([model, *files], json_file, html_file)
@@ -199,7 +200,8 @@ def replay(
 
     _check_outputs([model, bag], output, json_file)
     the_model = AerodynamicModel.load(model)
-    the_vehicle = _model_vehicle(Vehicle.load(vehicle or the_model.vehicle), the_model.vehicle)
+    the_vehicle = Vehicle.load(vehicle or the_model.vehicle)
+    the_model.require(the_vehicle)
     summary = asdict(replay_bag(the_model, the_vehicle, bag, output, confidence=confidence))
     _console().print_json(data=summary)
     _write_json(json_file, summary)
@@ -274,12 +276,6 @@ def _check_outputs(inputs: list[Path], *outputs: Path | None) -> None:
         if any(place.is_relative_to(path) for path in taken):
             raise QuadpiError(f"{output}: would replace or alter an input or another output; choose another")
         taken.append(place)
-
-
-def _model_vehicle(vehicle: Any, expected: str) -> Any:
-    if vehicle.name != expected:
-        raise QuadpiError(f"the model is of vehicle {expected}, not {vehicle.name}")
-    return vehicle
 
 
 def _write_json(path: Path | None, data: dict[str, Any]) -> None:

@@ -151,6 +151,7 @@ def identify(
     return AerodynamicModel(
         name="",
         vehicle=vehicle.name,
+        vehicle_fingerprint=vehicle.fingerprint,
         settings=settings,
         cutoff_hz=cutoff_hz,
         confidence=confidence,

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -73,6 +74,19 @@ class Vehicle:
         disc_area = ROTORS * np.pi * self.rotor_radius_m**2
         weight = self.mass_kg * self.gravity_m_s2
         return float(np.sqrt(weight / (2.0 * self.air_density_kg_m3 * disc_area)))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of the numbers that inputs and measured wrench depend on: a model fits only these."""
+        numbers = np.concatenate(
+            [
+                [self.mass_kg, self.rotor_radius_m, self.air_density_kg_m3, self.gravity_m_s2],
+                self.inertia.ravel(),
+                np.sign(self.rotor_positions[:, :2]).ravel(),
+                self.rotor_spins,
+            ]
+        )
+        return hashlib.sha256(numbers.astype("<f8").tobytes()).hexdigest()
 
     def rotor_speeds_from_erpm(self, erpm: Array) -> Array:
         """Convert electrical rev/min (..., 4) to mechanical rad/s.

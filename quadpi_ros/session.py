@@ -17,6 +17,7 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.messages import ReportedAlarms, unpack_stamps
 from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.output import Predictions
+from quadpi_core.signals.ekf_initial import COLLECT_NS
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.player import Playlist
@@ -51,8 +52,9 @@ class SessionResult:
 
     @property
     def dropped(self) -> int:
-        """IMU samples without a prediction, from the first prediction to the last rotor speed."""
-        first, last = self.predictions.time_ns[0], self.rotor_stamps_ns[-1]
+        """IMU samples without a prediction, from when the estimator can start to the last rotor speed."""
+        first = max(self.imu_stamps_ns[0] + COLLECT_NS, self.rotor_stamps_ns[0])
+        last = self.rotor_stamps_ns[-1]
         expected = np.sum((self.imu_stamps_ns >= first) & (self.imu_stamps_ns <= last))
         return int(expected) - len(self.predictions.time_ns)
 

@@ -9,12 +9,14 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.kernel import CompiledPolynomials, Evaluation
 from quadpi_core.models.noise import ResidualNoise
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class AerodynamicModel:
     Attributes:
         name: of the model folder.
         vehicle: name of the vehicle file.
+        vehicle_fingerprint: of the vehicle's numbers (see `Vehicle.fingerprint`).
         settings: "default" or "paper".
         cutoff_hz: of the low-pass that every signal passed before identification, and must pass before use.
         confidence: nominal coverage that the monitor uses unless told otherwise.
@@ -48,6 +51,7 @@ class AerodynamicModel:
 
     name: str
     vehicle: str
+    vehicle_fingerprint: str
     settings: str
     cutoff_hz: float
     confidence: float
@@ -63,6 +67,20 @@ class AerodynamicModel:
     def axes(self) -> tuple[str, ...]:
         """Names of the axes held, in the order of `AXES`."""
         return tuple(axis for axis in AXES if axis in self.polynomials)
+
+    def require(self, vehicle: Vehicle) -> None:
+        """Refuse a vehicle other than the one that the model was identified for.
+
+        Raises:
+            ModelError: if name or numbers differ.
+        """
+        if vehicle.name != self.vehicle:
+            raise ModelError(f"model {self.name} is of vehicle {self.vehicle}, not {vehicle.name}")
+        if vehicle.fingerprint != self.vehicle_fingerprint:
+            raise ModelError(
+                f"model {self.name} was identified with another mass, inertia or rotor geometry than vehicle "
+                f"file {vehicle.name} gives now"
+            )
 
     def calibration(self) -> str:
         """What the width of the intervals rests on, in a sentence."""

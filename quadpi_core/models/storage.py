@@ -63,6 +63,7 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
         "method": METHOD,
         "settings": model.settings,
         "vehicle": model.vehicle,
+        "vehicle_fingerprint": model.vehicle_fingerprint,
         "cutoff_hz": model.cutoff_hz,
         "confidence": model.confidence,
         "axes": axes,
@@ -114,6 +115,7 @@ def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identit
     return AerodynamicModel(
         name=name,
         vehicle=str(content["vehicle"]),
+        vehicle_fingerprint=str(content["vehicle_fingerprint"]),
         settings=str(content["settings"]),
         cutoff_hz=float(content["cutoff_hz"]),
         confidence=float(content["confidence"]),

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.errors import ModelError
 from quadpi_core.flight import MAX_GAP_NS, RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
@@ -69,10 +68,7 @@ class Monitor:
         confidence: float | None = None,
         settings: MonitorSettings | None = None,
     ) -> None:
-        if model.vehicle != vehicle.name:
-            raise ModelError(
-                f"model {model.name} belongs to vehicle {model.vehicle}, not to vehicle {vehicle.name}"
-            )
+        model.require(vehicle)
         self.model = model
         self.confidence = model.confidence if confidence is None else confidence
         self._chain = SignalChain(rate_hz, model.cutoff_hz)

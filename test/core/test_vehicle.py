@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import yaml
 
 from quadpi_core.errors import VehicleError
 from quadpi_core.paths import config_directory
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import SensorNoise, Vehicle
 
 VEHICLES = ("bebop2", "crazyflie_rpm", "hdbeetle", "nanodrone", "neurobem")
 
@@ -142,3 +143,10 @@ def test_other_files_are_refused(tmp_path: Path, text: str):
 def test_unknown_vehicle_lists_the_known():
     with pytest.raises(VehicleError, match=r"no such vehicle file; known vehicles: bebop2, .*neurobem"):
         Vehicle.load("nonesuch")
+
+
+def test_fingerprint_changes_with_what_a_model_depends_on_only():
+    vehicle = Vehicle.load("neurobem")
+    assert replace(vehicle, name="copy", noise=SensorNoise()).fingerprint == vehicle.fingerprint
+    assert replace(vehicle, mass_kg=vehicle.mass_kg + 0.05).fingerprint != vehicle.fingerprint
+    assert replace(vehicle, rotor_spins=-vehicle.rotor_spins).fingerprint != vehicle.fingerprint

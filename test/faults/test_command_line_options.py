@@ -12,6 +12,7 @@ from dataclasses import replace
 import pytest
 
 from quadpi_core.logs.bags import write_bag
+from quadpi_core.paths import config_directory
 
 
 class TestModels:
@@ -77,9 +78,14 @@ class TestVehicles:
         assert quadpi("evaluate", model, bad).status == 0
 
     def test_model_of_another_vehicle(self, refused, model, bags, tmp_path):
-        message = "the model is of vehicle neurobem, not bebop2"
+        message = "is of vehicle neurobem, not bebop2"
         refused(message, "evaluate", model, bags[0], "--vehicle", "bebop2")
         refused(message, "replay", model, bags[0], "--vehicle", "bebop2", "-o", tmp_path / "out.mcap")
+
+    def test_same_name_with_another_mass(self, refused, model, bags, tmp_path):
+        heavier = (config_directory() / "vehicles" / "neurobem.yaml").read_text().replace("0.772", "1.5")
+        (tmp_path / "neurobem.yaml").write_text(heavier)
+        refused("another mass", "evaluate", model, bags[0], "--vehicle", tmp_path / "neurobem.yaml")
 
     @pytest.mark.parametrize("name", ["submarine", "../neurobem", "nowhere.yaml"])
     def test_unknown(self, refused, bags, tmp_path, name):

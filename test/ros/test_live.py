@@ -92,6 +92,7 @@ def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
     return AerodynamicModel(
         name="hover",
         vehicle=vehicle.name,
+        vehicle_fingerprint=vehicle.fingerprint,
         settings="default",
         cutoff_hz=30.0,
         confidence=0.95,

@@ -25,6 +25,7 @@ from quadpi_core.models import (
 )
 from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.vehicle import Vehicle
 
 POOLS = {
     "Fx": load_pools("bebop2_simulation")["Fx"],
@@ -47,6 +48,7 @@ def identified(pools: dict[str, CandidatePool], paper_axes: tuple[str, ...] = ()
     model = AerodynamicModel(
         name="model",
         vehicle="bebop2",
+        vehicle_fingerprint=Vehicle.load("bebop2").fingerprint,
         settings="default",
         cutoff_hz=25.0,
         confidence=0.95,

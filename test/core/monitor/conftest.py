@@ -84,6 +84,7 @@ def model(vehicle) -> AerodynamicModel:
     return AerodynamicModel(
         name="swings",
         vehicle=vehicle.name,
+        vehicle_fingerprint=vehicle.fingerprint,
         settings="default",
         cutoff_hz=CUTOFF_HZ,
         confidence=0.95,

@@ -212,7 +212,7 @@ def test_confidence_widens_the_interval(model, vehicle, samples):
 
 
 def test_model_of_another_vehicle_is_refused(model, vehicle):
-    with pytest.raises(ModelError, match="belongs to vehicle bebop2, not to vehicle neurobem"):
+    with pytest.raises(ModelError, match="is of vehicle bebop2, not neurobem"):
         Monitor(replace(model, vehicle="bebop2"), vehicle, RATE_HZ)
 
 

@@ -289,7 +289,7 @@ def test_too_short_for_the_estimator_is_refused(model, vehicle, with_pose, bag_o
 
 
 def test_model_of_another_vehicle_is_refused(model, vehicle, with_pose, bag_of, tmp_path):
-    with pytest.raises(ModelError, match="belongs to vehicle bebop2"):
+    with pytest.raises(ModelError, match="is of vehicle bebop2"):
         replay(replace(model, vehicle="bebop2"), vehicle, bag_of(with_pose), tmp_path / "out.mcap")
     assert not (tmp_path / "out.mcap").exists()
 

@@ -53,6 +53,7 @@ def case():
     model = AerodynamicModel(
         name="m",
         vehicle="v",
+        vehicle_fingerprint="0" * 64,
         settings="default",
         cutoff_hz=15.0,
         confidence=0.95,
