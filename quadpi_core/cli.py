@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from quadpi_core import __version__
 from quadpi_core.errors import QuadpiError
 
 if TYPE_CHECKING:
@@ -34,6 +35,21 @@ OptionalVehicle = Annotated[
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the result as JSON.")]
 HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"quadpi {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """How far can an aerodynamic model of a quadrotor be trusted?"""
 
 
 @app.command("import")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import quadpi_core
 from quadpi_core.cli import app, group_bags
 from quadpi_core.errors import QuadpiError
 from quadpi_core.inputs import INPUT_NAMES
@@ -153,6 +154,10 @@ def test_main_path_on_real_flights(quadpi, shared_data, tmp_path, vehicle, logs,
     replayed = quadpi("replay", model, flights[0], "-o", tmp_path / "out.mcap")
     assert replayed.status == 0, replayed.errors
     assert json.loads(replayed.output)["predictions_out"] > 0
+
+
+def test_version(quadpi):
+    assert quadpi("--version").output.strip() == f"quadpi {quadpi_core.__version__}"
 
 
 def test_import_keeps_every_stream(quadpi, bags, tmp_path):
