@@ -17,7 +17,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.intervals.evaluate import FlightResult
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.kernel import CompiledPolynomials
@@ -65,16 +65,19 @@ def prepare_flights(paths: Sequence[Path], vehicle: Vehicle, cutoff_hz: float) -
         SignalError: naming the file, where the signals cannot be fused.
     """
     recordings = [read_recording(path, vehicle) for path in paths]
-    refuse_duplicates(recordings)
-    return [_prepare(recording, vehicle, cutoff_hz) for recording in recordings]
+    hashes = refuse_duplicates(recordings)
+    return [
+        _prepare(recording, sha256, vehicle, cutoff_hz)
+        for recording, sha256 in zip(recordings, hashes, strict=True)
+    ]
 
 
-def _prepare(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
+def _prepare(recording: Recording, sha256: str, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
     check_plausible(recording, vehicle)
     flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
     return PreparedFlight(
         name=flight.name,
-        sha256=recording_hash(recording),
+        sha256=sha256,
         time=flight.time,
         inputs=flight_inputs(flight, vehicle),
         wrench=measured_wrench(flight, vehicle),

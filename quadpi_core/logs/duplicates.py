@@ -34,8 +34,8 @@ def _update(digest: hashlib._Hash, time_ns: Stamps, *signals: Array) -> None:
         digest.update((values + 0.0).astype("<f4").tobytes())
 
 
-def refuse_duplicates(recordings: Iterable[Recording]) -> None:
-    """Refuse a flight that is present twice.
+def refuse_duplicates(recordings: Iterable[Recording]) -> list[str]:
+    """Refuse a flight that is present twice; gives the hash of each (see :func:`recording_hash`).
 
     Raises:
         LogError: naming both files.
@@ -46,3 +46,4 @@ def refuse_duplicates(recordings: Iterable[Recording]) -> None:
         if digest in seen:
             raise LogError(f"{recording.source}: the same flight as {seen[digest]}; give each flight once")
         seen[digest] = recording.source
+    return list(seen)

@@ -190,13 +190,7 @@ class Ekf:
                 f"poses; imu spans {_span(imu.time_ns)}, mocap/pose {_span(pose.time_ns)}"
             )
         return EkfTrace(
-            time_ns=track.time_ns[recorded],
-            position=track.position[recorded],
-            velocity=track.velocity[recorded],
-            attitude=track.attitude[recorded],
-            gyro_bias=track.gyro_bias[recorded],
-            accelerometer_bias=track.accelerometer_bias[recorded],
-            variance=track.variance[recorded],
+            **{name: column[recorded] for name, column in track._asdict().items()},
             imu_counts=self.imu_counts,
             pose_counts=self.pose_counts,
         )
