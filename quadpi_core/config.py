@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files under config, or of the user's own: found and read alike for vehicles, mappings and pools."""
+"""YAML files under config, or of the user's own: all kinds are found and read alike."""
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +16,10 @@ from quadpi_core.paths import config_directory
 
 
 def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -> tuple[Path, Any]:
-    """Path and content of a YAML file, by its name in config/`kind`s or by its path.
+    """Path and content of a YAML file, by its name in the folder of its kind or by its path.
 
     Args:
-        kind: "vehicle", "mapping" or "candidate".
+        kind: "vehicle", "mapping", "candidate", "scenario" or "noise".
         name_or_path: a path if it ends in .yaml or .yml, else a name.
         error: class of the error to raise.
 
@@ -25,15 +27,22 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
         QuadpiError: of that class, naming the file that is absent or no YAML.
     """
     path = Path(name_or_path)
-    own = config_directory() / f"{kind}s"
+    own = config_directory() / (kind if kind == "noise" else f"{kind}s")
     if path.suffix not in {".yaml", ".yml"}:
         path = own / f"{name_or_path}.yaml"
     try:
         return path, yaml.safe_load(path.read_text())
     except FileNotFoundError:
-        known = ", ".join(sorted(file.stem for file in own.glob("*.yaml")))
+        known = sorted(file.stem for file in own.glob("*.yaml"))
         raise error(
-            f"{path}: no such {kind} file; known {kind}s: {known}, or the path of a .yaml file"
+            f"{path}: no such {kind} file; known {kind}s: {', '.join(known)}, or the path of a .yaml file"
+            f"{nearest(path.stem, known)}"
         ) from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as reason:
         raise error(f"{path}: not a readable YAML file: {one_line(reason)}") from reason
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The known name most like the one that was not found, as a question for its error; else nothing."""
+    similar = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean `{similar[0]}`?" if similar else ""

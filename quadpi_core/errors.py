@@ -27,6 +27,10 @@ class ModelError(QuadpiError):
     """A model cannot be identified, loaded or applied."""
 
 
+class SimulationError(QuadpiError):
+    """A scenario, effect or sensor suite is impossible, or a simulated vehicle cannot fly it."""
+
+
 class OutputError(QuadpiError):
     """A result cannot be written where it was asked for."""
 

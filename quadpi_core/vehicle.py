@@ -103,7 +103,8 @@ class Vehicle:
 
 _REQUIRED = ("mass_kg", "inertia_kg_m2", "rotor_radius_m", "rotors", "pole_pairs")
 _OPTIONAL_NUMBERS = ("rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2")
-_KNOWN = (*_REQUIRED, *_OPTIONAL_NUMBERS, "noise", "source")
+# What `simulation` holds is read by quadpi_core.simulation.
+_KNOWN = (*_REQUIRED, *_OPTIONAL_NUMBERS, "noise", "simulation", "source")
 
 
 def _parse(path: Path, data: Any) -> Vehicle:

@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What truly happened in a simulated flight, at the instants at which the sensors sample it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadpi_core.flight import Flight, Stamps
+from quadpi_core.frames import Array, rotate_body_to_world
+from quadpi_core.simulation.reference import Reference
+from quadpi_core.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Truth:
+    """N instants of a simulated flight; body axes forward-right-down, world north-east-down, SI.
+
+    Attributes:
+        name: of the flight.
+        vehicle: as it truly flew: mass and inertia include effects such as a payload.
+        time_ns: (N,) stamps.
+        position: (N, 3) m, world.
+        attitude: (N, 4) body to world.
+        velocity: (N, 3) m/s over ground, body axes.
+        rates: (N, 3) rad/s.
+        acceleration: (N, 3) m/s², second derivative of the position, world.
+        angular_acceleration: (N, 3) rad/s².
+        rotor_speeds: (N, 4) rad/s.
+        rotor_accelerations: (N, 4) rad/s².
+        wrench: (N, 6) aerodynamics and every effect, gravity not included.
+        wind: (N, 3) m/s of the air over ground, world.
+        known_wind: (N, 3) m/s, the part of it that an anemometer measures; None without one.
+        reference: what the controller was to follow, at the same instants.
+    """
+
+    name: str
+    vehicle: Vehicle
+    time_ns: Stamps
+    position: Array
+    attitude: Array
+    velocity: Array
+    rates: Array
+    acceleration: Array
+    angular_acceleration: Array
+    rotor_speeds: Array
+    rotor_accelerations: Array
+    wrench: Array
+    wind: Array
+    known_wind: Array | None
+    reference: Reference
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @property
+    def time(self) -> Array:
+        """Seconds (N,) since the first instant."""
+        seconds: Array = 1e-9 * (self.time_ns - self.time_ns[0])
+        return seconds
+
+    @property
+    def specific_force(self) -> Array:
+        """What an ideal accelerometer at the centre of gravity reads (N, 3) m/s², body axes."""
+        return self.wrench[:, :3] / self.vehicle.mass_kg
+
+    @property
+    def position_error(self) -> Array:
+        """Distance (N,) m from the reference."""
+        distance: Array = np.linalg.norm(self.position - self.reference.position, axis=1)
+        return distance
+
+    @property
+    def speed(self) -> Array:
+        """Airspeed (N,) m/s."""
+        over_ground = rotate_body_to_world(self.attitude, self.velocity)
+        airspeed: Array = np.linalg.norm(over_ground - self.wind, axis=1)
+        return airspeed
+
+    def flight(self) -> Flight:
+        """The truth in the place of an estimated flight; its wind is the true one."""
+        return Flight(
+            name=self.name,
+            vehicle=self.vehicle.name,
+            source=self.name,
+            start_ns=int(self.time_ns[0]),
+            time=self.time,
+            position=self.position,
+            attitude=self.attitude,
+            velocity=self.velocity,
+            rates=self.rates,
+            angular_acceleration=self.angular_acceleration,
+            specific_force=self.specific_force,
+            rotor_speeds=self.rotor_speeds,
+            wind=self.wind,
+        )
