@@ -1,28 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""An evaluation as one self-contained page: no network, no other file."""
+"""An evaluation as one self-contained page."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from html import escape
-from importlib import resources
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
 
 from quadpi_core.flight import AXES
 from quadpi_core.intervals.evaluate import FlightResult
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.paths import whole_output
 from quadpi_core.report import sections
 from quadpi_core.report.distributions import envelope_figure, residual_figure
 from quadpi_core.report.figures import coverage_figure, time_history_figure
 from quadpi_core.report.live import LiveReplay, alarm_figure
+from quadpi_core.report.page import write_page
 from quadpi_core.report.style import group_colours
 
 # All time histories together draw so many samples, at about 11 bytes each in the page.
@@ -73,15 +68,7 @@ def write_report(
         sections.model(model),
         sections.definitions(evaluation),
     ]
-    template = Template(resources.files("quadpi_core.report").joinpath("page.html").read_text("utf-8"))
-    page = template.substitute(
-        title=escape(f"quadpi: {evaluation['model']}"),
-        plotly=get_plotlyjs(),
-        body="\n".join(parts),
-        figures=_json_for_script(figures),
-    )
-    with whole_output(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_page(path, f"quadpi: {evaluation['model']}", parts, figures)
 
 
 def _histories(
@@ -91,7 +78,7 @@ def _histories(
     figures: dict[str, go.Figure] = {}
     for (_, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
         for flight in flights:
-            name = sections.history_name(flight.name)
+            name = f"{sections.HISTORY} {flight.name}"
             if name not in figures:
                 metrics = evaluation["flights"][flight.name]["axes"]
                 figures[name] = time_history_figure(flight, metrics, colour, bins)
@@ -106,9 +93,3 @@ def _history_bins(results: Sequence[FlightResult]) -> int:
     """Parts to cut each flight into; fewer for many flights, so that the page stays small."""
     lines = _LINES_PER_AXIS * sum(len(result.axes) for result in results)
     return max(_FEWEST_BINS, min(_MOST_BINS, _DRAWN_SAMPLES // (2 * max(1, lines))))
-
-
-def _json_for_script(figures: Mapping[str, go.Figure]) -> str:
-    """Figures as JSON that cannot end the script element that holds it."""
-    entries = (f"{json.dumps(name)}:{figure.to_json()}" for name, figure in figures.items())
-    return "{" + ",".join(entries).replace("<", "\\u003c") + "}"

@@ -4,13 +4,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 from typing import Any
 
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.report.live import LiveReplay
+from quadpi_core.report.page import (
+    cells,
+    figure,
+    figure_of_flight,
+    flight_menu,
+    footer,
+    heading,
+    section,
+    table,
+)
 from quadpi_core.report.style import (
     covers_too_little,
     determination,
@@ -21,6 +31,9 @@ from quadpi_core.report.style import (
     unit,
 )
 from quadpi_core.report.tables import selection_cells
+
+# The kind of figure that shows the time history of a flight.
+HISTORY = "history"
 
 
 def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
@@ -59,12 +72,7 @@ def header(evaluation: Mapping[str, Any], model: AerodynamicModel) -> str:
         "evaluated on": f"{len(evaluation['flights'])} flights",
     }
     training = [flight.name for flight in model.flights]
-    entries = "".join(f"<div><dt>{key}</dt><dd>{escape(value)}</dd></div>" for key, value in facts.items())
-    return (
-        "<header><h1>quadpi · how far can this model be trusted?</h1>"
-        f'<p class="verdict">{escape(verdict(evaluation, training))}</p>'
-        f'<dl class="facts">{entries}</dl></header>'
-    )
+    return heading("how far can this model be trusted?", verdict(evaluation, training), facts)
 
 
 def coverage(evaluation: Mapping[str, Any]) -> str:
@@ -74,8 +82,8 @@ def coverage(evaluation: Mapping[str, Any]) -> str:
         f"<details><summary>All metrics by {kind}</summary>{_metrics_table(evaluation, kind + 's')}</details>"
         for kind in ("group", "flight")
     )
-    overview = _coverage_table(evaluation) + _figure("coverage") if evaluation["groups"] else ""
-    return _section(
+    overview = _coverage_table(evaluation) + figure("coverage") if evaluation["groups"] else ""
+    return section(
         "Coverage and width",
         f"PICP: share of measurements inside the {nominal} prediction interval, with its 95 % confidence "
         "interval for autocorrelated samples. MPIW: mean width of the interval. Marked ▼ where the "
@@ -86,41 +94,33 @@ def coverage(evaluation: Mapping[str, Any]) -> str:
 
 def histories(flights: Mapping[str, Sequence[str]], bins: int) -> str:
     """Time histories with a selector of the flight."""
-    options = "".join(
-        f'<optgroup label="{escape(group)}">'
-        + "".join(f'<option value="{escape(history_name(name))}">{escape(name)}</option>' for name in names)
-        + "</optgroup>"
-        for group, names in flights.items()
-    )
-    first = next(name for names in flights.values() for name in names)
-    return _section(
+    return section(
         "Time histories",
         "Measured wrench (grey), prediction (line) and prediction interval (band); body axes "
         "forward-right-down, gravity not included. Drag to zoom all axes together, double-click to reset. "
         f"Long flights are thinned for display: of each of {bins} equal parts of a flight the lowest and "
         "highest samples are drawn, so peaks are kept. Metrics use all samples.",
-        f'<label>Flight <select id="flight">{options}</select></label>'
-        f'<div class="figure" id="history" data-figure="{escape(history_name(first))}"></div>',
+        flight_menu(flights) + figure_of_flight(HISTORY),
     )
 
 
 def envelope() -> str:
     """Distributions of the inputs."""
-    return _section(
+    return section(
         "Training envelope",
         "Where each group flew: share of samples by input. The shaded range is what the training flights "
         "covered; outside it the model extrapolates.",
-        _figure("envelope"),
+        figure("envelope"),
     )
 
 
 def residuals(confidence: float) -> str:
     """Residuals against airspeed."""
-    return _section(
+    return section(
         "Residuals against airspeed",
         f"Band: the central {100 * confidence:g} % of measured − predicted at that speed. Dashed: the mean "
         "prediction interval there. Where the band leaves the dashed lines, the interval is too narrow.",
-        _figure("residuals"),
+        figure("residuals"),
     )
 
 
@@ -138,11 +138,11 @@ def live(replay: LiveReplay) -> str:
         "latency, 99 %": _optional(s["latency_ms_p99"], _milliseconds),
     }
     boxes = "".join(f'<div class="tile"><b>{escape(v)}</b><span>{k}</span></div>' for k, v in tiles.items())
-    return _section(
+    return section(
         "Live replay",
         f"Flight {escape(replay.flight)} through the live nodes: the alarm level, the evidence over its "
         "threshold (1 is the limit that training sets), and the inputs outside the training envelope.",
-        f'<div class="tiles">{boxes}</div>{_figure("alarm")}',
+        f'<div class="tiles">{boxes}</div>{figure("alarm")}',
     )
 
 
@@ -154,7 +154,7 @@ def model(held: AerodynamicModel) -> str:
         for axis, log in held.selection.items()
     )
     flights = ", ".join(f"{flight.name} ({flight.samples} samples)" for flight in held.flights)
-    return _section(
+    return section(
         "Identified model",
         f"Training flights: {escape(flights)}. {escape(held.calibration().capitalize())}.",
         _held_out_table(held) + tables,
@@ -165,10 +165,10 @@ def _held_out_table(held: AerodynamicModel) -> str:
     """Coverage of each training flight by model and intervals of the others."""
     if not all(held.held_out_coverage[axis] for axis in held.axes):
         return ""
-    head = "<tr>" + _cells("th", ("left out: coverage", *held.axes)) + "</tr>"
+    head = "<tr>" + cells("th", ("left out: coverage", *held.axes)) + "</tr>"
     rows = "".join(
         "<tr>"
-        + _cells("td", (escape(flight.name), *(percent(held.held_out_coverage[a][k]) for a in held.axes)))
+        + cells("td", (escape(flight.name), *(percent(held.held_out_coverage[a][k]) for a in held.axes)))
         + "</tr>"
         for k, flight in enumerate(held.flights)
     )
@@ -188,13 +188,7 @@ def definitions(evaluation: Mapping[str, Any]) -> str:
         "Winkler score": f"Mean of width + 2/α · distance outside, α = {alpha}; lower is better.",
         "n_eff": "Number of independent samples that the autocorrelated prediction errors are worth.",
     }
-    text = "".join(f"<dt>{key}</dt><dd>{value}</dd>" for key, value in entries.items())
-    return f"<footer><dl>{text}</dl><p>quadpi {escape(evaluation['quadpi_version'])}</p></footer>"
-
-
-def history_name(flight: str) -> str:
-    """Name of the figure that shows a flight."""
-    return f"history {flight}"
+    return footer(entries)
 
 
 def _coverage_table(evaluation: Mapping[str, Any]) -> str:
@@ -219,55 +213,38 @@ def _coverage_table(evaluation: Mapping[str, Any]) -> str:
                 f'<td class="ci">{percent_range(metrics["picp_ci"])}</td><td>{number(metrics["mpiw"])}</td>'
             )
         rows.append("".join(cells))
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _metrics_table(evaluation: Mapping[str, Any], kind: str) -> str:
     headings = ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "Winkler", "n", "n_eff")
-    head = f'<tr><th>{kind[:-1]}</th><th class="text">axis</th>{_cells("th", headings)}</tr>'
+    head = f'<tr><th>{kind[:-1]}</th><th class="text">axis</th>{cells("th", headings)}</tr>'
     rows = [
         f'<td>{escape(name)}</td><td class="text">{axis} <span class="unit">[{unit(axis)}]</span></td>'
         + _coverage_cell(metrics, evaluation["confidence"])
         + f'<td class="ci">{percent_range(metrics["picp_ci"])}</td>'
-        + _cells("td", (number(metrics["mpiw"]), percent(metrics["nmpiw"])))
-        + _cells("td", (number(metrics["rmse"]), determination(metrics["r2"]), number(metrics["winkler"])))
-        + _cells("td", (_count(metrics["n"]), _count(metrics["n_eff"])))
+        + cells("td", (number(metrics["mpiw"]), percent(metrics["nmpiw"])))
+        + cells("td", (number(metrics["rmse"]), determination(metrics["r2"]), number(metrics["winkler"])))
+        + cells("td", (_count(metrics["n"]), _count(metrics["n_eff"])))
         for name, part in evaluation[kind].items()
         for axis, metrics in part["axes"].items()
     ]
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _selection_table(log: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for row in log:
         term, *numbers = (escape(cell) for cell in selection_cells(row))
-        rows.append(f'<td class="term">{term}</td>{_cells("td", numbers)}')
-    head = f"<tr><th>term</th>{_cells('th', ('coefficient', 'R² reached', 'criterion'))}</tr>"
-    return _table(head, rows)
+        rows.append(f'<td class="term">{term}</td>{cells("td", numbers)}')
+    head = f"<tr><th>term</th>{cells('th', ('coefficient', 'R² reached', 'criterion'))}</tr>"
+    return table(head, rows)
 
 
 def _coverage_cell(metrics: Mapping[str, Any], confidence: float) -> str:
     if covers_too_little(metrics, confidence):
         return f'<td class="start short">▼ {percent(metrics["picp"])}</td>'
     return f'<td class="start">{percent(metrics["picp"])}</td>'
-
-
-def _section(title: str, caption: str, content: str) -> str:
-    return f'<section><h2>{title}</h2><p class="caption">{caption}</p>{content}</section>'
-
-
-def _figure(name: str) -> str:
-    return f'<div class="figure" data-figure="{name}"></div>'
-
-
-def _table(head: str, rows: Iterable[str]) -> str:
-    body = "".join(f"<tr>{row}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
-
-
-def _cells(tag: str, texts: Iterable[str]) -> str:
-    return "".join(f"<{tag}>{text}</{tag}>" for text in texts)
 
 
 def _optional(value: float | None, text: Any) -> str:

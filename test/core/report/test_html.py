@@ -60,8 +60,9 @@ def test_every_figure_that_the_page_names_is_there(page):
     figures = json.loads(page.scripts[1])
     named = {attributes["data-figure"] for _, attributes in page.tags if "data-figure" in attributes}
     flights = {attributes["value"] for tag, attributes in page.tags if tag == "option"}
-    assert flights == {"history slow", "history mid", "history fast<b>"}
-    assert named | flights == set(figures)
+    kinds = {attributes["data-kind"] for _, attributes in page.tags if "data-kind" in attributes}
+    assert flights == {"slow", "mid", "fast<b>"}
+    assert named | {f"{kind} {flight}" for kind in kinds for flight in flights} == set(figures)
     assert all(figure["data"] for figure in figures.values())
 
 
