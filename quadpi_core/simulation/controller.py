@@ -1,0 +1,214 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Position and yaw controller: geometric, with incremental dynamic inversion of thrust and moments.
+
+Position and attitude errors give a demanded specific force and angular acceleration (geometric tracking
+control of Lee, Leok and McClamroch, 2010, with the rates that the reference implies fed forward). What the
+last instant's wrench holds beyond the rotors' hover thrust and torque, drag above all, is taken as a
+disturbance that stays until the next step (incremental nonlinear dynamic inversion, Smeur et al., 2016). The
+controller knows mass, inertia and hover coefficients of the nominal vehicle, and the true state.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
+from quadpi_core.signals import rotations
+from quadpi_core.simulation.linear import cross, inverse, product3
+from quadpi_core.vehicle import ROTORS
+
+_POSITION_GAIN = 5.0
+_VELOCITY_GAIN = 4.0
+_TILT_GAIN = 8.0
+_YAW_GAIN = 3.0
+_RATE_GAIN = 18.0
+_YAW_RATE_GAIN = 6.0
+# A motor that follows its command with one time constant is led by as much.
+_MOTOR_LEAD = 2.0
+# Cosine and sine of the greatest tilt that the position may demand, 65 degrees.
+_COS_TILT_MAX, _SIN_TILT_MAX = 0.4226, 0.9063
+_LEAST_SPECIFIC_FORCE = 2.0
+
+
+class Controls(NamedTuple):
+    """What the controller knows of the nominal vehicle, and what it remembers.
+
+    Attributes:
+        thrust_slope: N per (rad/s)² of one rotor in hover.
+        allocation: (4, 4) squares of the rotor speeds from thrust and moments.
+        effectiveness: (4, 4) its inverse.
+        disturbance: (6,) wrench that the rotors in hover do not explain, at the last instant.
+        command: (4,) commanded rotor speeds [rad/s].
+    """
+
+    thrust_slope: float
+    allocation: Array
+    effectiveness: Array
+    disturbance: Array
+    command: Array
+
+    @classmethod
+    def of(cls, nominal: Any) -> Controls:
+        """For a nominal vehicle, a record VEHICLE (1,)."""
+        vehicle = nominal[0]
+        disc = vehicle["air_density"] * np.pi * vehicle["rotor_radius"] ** 4
+        slope = vehicle["thrust"][0] * disc
+        yaw_slope = vehicle["torque"][0] * disc * vehicle["rotor_radius"]
+        x, y, _ = vehicle["rotor_positions"].T
+        effectiveness = np.stack(
+            (np.full(ROTORS, slope), -y * slope, x * slope, vehicle["rotor_spins"] * yaw_slope)
+        )
+        return cls(
+            thrust_slope=float(slope),
+            allocation=inverse(effectiveness),
+            effectiveness=effectiveness,
+            disturbance=np.zeros(6),
+            command=np.full(ROTORS, float(vehicle["hover_rotor_speed"])),
+        )
+
+
+@njit(cache=True, nogil=True)
+def observe(controls: Controls, rotor_speeds: Any, wrench: Any) -> None:
+    """Remember which part of the wrench at an instant the rotors in hover do not explain."""
+    disturbance, effectiveness = controls.disturbance, controls.effectiveness
+    disturbance[:] = wrench
+    for rotor in range(ROTORS):
+        square = rotor_speeds[rotor] ** 2
+        disturbance[2] += effectiveness[0, rotor] * square
+        for axis in range(3):
+            disturbance[3 + axis] -= effectiveness[1 + axis, rotor] * square
+
+
+@njit(cache=True, nogil=True)
+def control(
+    controls: Controls,
+    vehicle: Any,
+    motion: Any,
+    position: Any,
+    velocity: Any,
+    acceleration: Any,
+    jerk: Any,
+    yaw: float,
+    yaw_rate: float,
+    tilt: Any,
+    thrust: float,
+) -> None:
+    """Set the commanded rotor speeds for one step.
+
+    Args:
+        controls: see :class:`Controls`; its `command` is replaced.
+        vehicle: nominal record VEHICLE.
+        motion: record MOTION of the true state.
+        position, velocity, acceleration, jerk: (3,) reference in the world.
+        yaw, yaw_rate: reference heading [rad] and its rate.
+        tilt: (2,) rad of roll and pitch on top of what the position needs.
+        thrust: share of the weight on top of it.
+    """
+    rotation = rotations.matrix(motion.attitude)
+    # Specific force that the rotors have to give, in the world: what is demanded less what the air gives.
+    demand = np.empty(3)
+    for axis in range(3):
+        demand[axis] = (
+            acceleration[axis]
+            + _VELOCITY_GAIN * (velocity[axis] - motion.velocity[axis])
+            + _POSITION_GAIN * (position[axis] - motion.position[axis])
+        )
+        for body in range(3):
+            demand[axis] -= rotation[axis, body] * controls.disturbance[body] / vehicle.mass
+    demand[2] -= vehicle.gravity
+    # Upward thrust has a tilt limit and never vanishes: the attitude would be undefined.
+    horizontal = np.sqrt(demand[0] ** 2 + demand[1] ** 2)
+    demand[2] = min(demand[2], -_LEAST_SPECIFIC_FORCE)
+    limit = -demand[2] * _SIN_TILT_MAX / _COS_TILT_MAX
+    if horizontal > limit:
+        demand[0] *= limit / horizontal
+        demand[1] *= limit / horizontal
+
+    target = _attitude_of(demand, yaw, tilt)
+    along = 0.0
+    for axis in range(3):
+        along -= demand[axis] * rotation[axis, 2]
+    specific_thrust = max(along, _LEAST_SPECIFIC_FORCE) + thrust * vehicle.gravity
+
+    # Rates of the target: from jerk (differential flatness) and the turn of the nose.
+    rates = np.zeros(3)
+    for axis in range(3):
+        rates[0] += jerk[axis] * rotation[axis, 1] / specific_thrust
+        rates[1] -= jerk[axis] * rotation[axis, 0] / specific_thrust
+    rates[2] = yaw_rate * rotation[2, 2]
+    # Twice the attitude error: the vector of R_targetᵀ R − Rᵀ R_target, in body axes.
+    error = np.zeros(3)
+    for axis in range(3):
+        error[0] += rotation[axis, 1] * target[axis, 2] - rotation[axis, 2] * target[axis, 1]
+        error[1] += rotation[axis, 2] * target[axis, 0] - rotation[axis, 0] * target[axis, 2]
+        error[2] += rotation[axis, 0] * target[axis, 1] - rotation[axis, 1] * target[axis, 0]
+    turn = np.empty(3)
+    for axis in range(3):
+        attitude_gain = _TILT_GAIN if axis < 2 else _YAW_GAIN
+        rate_gain = _RATE_GAIN if axis < 2 else _YAW_RATE_GAIN
+        demanded = rates[axis] - 0.5 * attitude_gain * error[axis]
+        turn[axis] = rate_gain * (demanded - motion.rates[axis])
+    precession = cross(motion.rates, product3(vehicle.inertia, motion.rates))
+    torque = product3(vehicle.inertia, turn)
+    moments = (
+        torque[0] + precession[0] - controls.disturbance[3],
+        torque[1] + precession[1] - controls.disturbance[4],
+        torque[2] + precession[2] - controls.disturbance[5],
+    )
+    _allocate(controls, vehicle, motion.rotor_speeds, vehicle.mass * specific_thrust, moments)
+
+
+@njit(cache=True, nogil=True)
+def _attitude_of(demand: Any, yaw: float, tilt: Any) -> Any:
+    """Rotation (3, 3) whose -z points along a specific force (3,), nose near the yaw, then tilted."""
+    size = np.sqrt(demand[0] ** 2 + demand[1] ** 2 + demand[2] ** 2)
+    z0, z1, z2 = -demand[0] / size, -demand[1] / size, -demand[2] / size
+    north, east = np.cos(yaw), np.sin(yaw)
+    # y = z × nose, x = y × z.
+    y0, y1, y2 = -z2 * east, z2 * north, z0 * east - z1 * north
+    size = np.sqrt(y0 * y0 + y1 * y1 + y2 * y2)
+    y0, y1, y2 = y0 / size, y1 / size, y2 / size
+    target = np.empty((3, 3))
+    target[0, 0], target[1, 0], target[2, 0] = y1 * z2 - y2 * z1, y2 * z0 - y0 * z2, y0 * z1 - y1 * z0
+    target[0, 1], target[1, 1], target[2, 1] = y0, y1, y2
+    target[0, 2], target[1, 2], target[2, 2] = z0, z1, z2
+    if tilt[0] == 0.0 and tilt[1] == 0.0:
+        return target
+    cos_roll, sin_roll = np.cos(tilt[0]), np.sin(tilt[0])
+    cos_pitch, sin_pitch = np.cos(tilt[1]), np.sin(tilt[1])
+    tilted = np.empty((3, 3))
+    for axis in range(3):
+        x, y, z = target[axis, 0], target[axis, 1], target[axis, 2]
+        pitched_z = sin_pitch * x + cos_pitch * z
+        tilted[axis, 0] = cos_pitch * x - sin_pitch * z
+        tilted[axis, 1] = cos_roll * y + sin_roll * pitched_z
+        tilted[axis, 2] = cos_roll * pitched_z - sin_roll * y
+    return tilted
+
+
+@njit(cache=True, nogil=True)
+def _allocate(controls: Controls, vehicle: Any, rotor_speeds: Any, thrust: float, moments: Any) -> None:
+    """Command rotor speeds for thrust and moments; where rotors saturate, yaw gives way first, then thrust."""
+    largest = vehicle.rotor_speed_max**2
+    lift, turn = np.empty(ROTORS), np.empty(ROTORS)
+    for rotor in range(ROTORS):
+        row = controls.allocation[rotor]
+        lift[rotor] = row[0] * thrust + row[1] * moments[0] + row[2] * moments[1]
+        turn[rotor] = row[3] * moments[2]
+    excess = lift.max() - largest
+    if excess > 0.0:
+        lift -= min(excess, max(lift.min(), 0.0))
+    share = 1.0
+    for rotor in range(ROTORS):
+        if turn[rotor] != 0.0:
+            bound = largest if turn[rotor] > 0.0 else 0.0
+            share = min(share, max(0.0, (bound - lift[rotor]) / turn[rotor]))
+    for rotor in range(ROTORS):
+        square = lift[rotor] + share * turn[rotor]
+        wanted = np.sqrt(min(max(square, 0.0), largest))
+        led = rotor_speeds[rotor] + _MOTOR_LEAD * (wanted - rotor_speeds[rotor])
+        controls.command[rotor] = min(max(led, 0.0), vehicle.rotor_speed_max)

@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A controlled quadrotor as a rigid body with first-order motors, by fourth-order Runge-Kutta at 1 kHz.
+
+The command is held and the wind is constant over a step. What is logged of an instant comes from one
+evaluation of the equations of motion at that instant's state.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
+from quadpi_core.signals import rotations
+from quadpi_core.simulation.controller import Controls, control, observe
+from quadpi_core.simulation.linear import cross, product3
+from quadpi_core.simulation.rotor_local import aerodynamics
+from quadpi_core.vehicle import ROTORS
+
+STEP_HZ = 1000
+
+# State and its derivative; velocity [m/s] in the world.
+MOTION = np.dtype(
+    [
+        ("position", "f8", (3,)),
+        ("velocity", "f8", (3,)),
+        ("attitude", "f8", (4,)),
+        ("rates", "f8", (3,)),
+        ("rotor_speeds", "f8", (4,)),
+    ],
+    align=True,
+)
+# One logged instant; acceleration [m/s²] in the world, velocity in body axes.
+LOGGED = np.dtype(
+    [
+        ("position", "f8", (3,)),
+        ("attitude", "f8", (4,)),
+        ("velocity", "f8", (3,)),
+        ("rates", "f8", (3,)),
+        ("acceleration", "f8", (3,)),
+        ("angular_acceleration", "f8", (3,)),
+        ("rotor_speeds", "f8", (4,)),
+        ("rotor_accelerations", "f8", (4,)),
+        ("wrench", "f8", (6,)),
+    ],
+    align=True,
+)
+
+# Beyond these a vehicle does not recover.
+_TILT_COSINE_MIN = -0.2
+_RATE_MAX_RAD_S = 40.0
+_POSITION_ERROR_MAX_M = 10.0
+
+
+class Demand(NamedTuple):
+    """The reference, its jerk (N, 3) m/s³, and the wind (N, 3) m/s in the world, at every step."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    yaw: Array
+    yaw_rate: Array
+    tilt: Array
+    thrust: Array
+    wind: Array
+
+
+@njit(cache=True, nogil=True)
+def fly(
+    vehicle: Any,
+    nominal: Any,
+    controls: Controls,
+    effects: Any,
+    parameters: Any,
+    demand: Demand,
+    motions: Any,
+    flat: Any,
+    state: Any,
+    log: Any,
+    done: Any,
+) -> None:
+    """Fly until the demand ends, or until the vehicle is out of control.
+
+    Args:
+        vehicle: record VEHICLE (1,) as it flies; one step lasts 1 / STEP_HZ.
+        nominal: record VEHICLE (1,) that the controller believes in.
+        controls: of the controller.
+        effects: composed effects, see `effects.compose`, with their `parameters` (K, P).
+        parameters: of the effects.
+        demand: N instants.
+        motions: records MOTION (7,); the first holds the initial state, the rest is room to work.
+        flat: the same memory as numbers (7, 17).
+        state: record STATE (1,), room to work.
+        log: records LOGGED (L,), filled with every (N - 1) / (L - 1)-th instant.
+        done: (1,) number of steps that were flown, written as the flight goes on; N - 1 at its end.
+    """
+    steps = len(demand.yaw)
+    every = (steps - 1) // (len(log) - 1)
+    step = 1.0 / STEP_HZ
+    motion = motions[0]
+    _differentiate(motion, controls.command, demand.wind[0], vehicle, effects, parameters, state, motions[2])
+    observe(controls, motion.rotor_speeds, state[0].wrench)
+    for k in range(steps):
+        control(
+            controls,
+            nominal[0],
+            motion,
+            demand.position[k],
+            demand.velocity[k],
+            demand.acceleration[k],
+            demand.jerk[k],
+            demand.yaw[k],
+            demand.yaw_rate[k],
+            demand.tilt[k],
+            demand.thrust[k],
+        )
+        wind, command = demand.wind[k], controls.command
+        _differentiate(motion, command, wind, vehicle, effects, parameters, state, motions[2])
+        observe(controls, motion.rotor_speeds, state[0].wrench)
+        if k % every == 0:
+            _record(motion, motions[2], state[0], log[k // every])
+        done[0] = k
+        if k == steps - 1 or _is_lost(motion, demand.position[k]):
+            return
+        for stage in range(3):
+            ahead = step if stage == 2 else 0.5 * step
+            for j in range(flat.shape[1]):
+                flat[1, j] = flat[0, j] + ahead * flat[2 + stage, j]
+            _differentiate(
+                motions[1], command, wind, vehicle, effects, parameters, state, motions[3 + stage]
+            )
+        for j in range(flat.shape[1]):
+            flat[0, j] += step / 6.0 * (flat[2, j] + 2.0 * flat[3, j] + 2.0 * flat[4, j] + flat[5, j])
+        _normalise(motion.attitude)
+
+
+@njit(cache=True, nogil=True)
+def _differentiate(
+    motion: Any,
+    command: Any,
+    wind: Any,
+    vehicles: Any,
+    effects: Any,
+    parameters: Any,
+    states: Any,
+    slope: Any,
+) -> None:
+    """Equations of motion: m (v̇ − g) = R F, I Ω̇ = M − Ω × IΩ, q̇ = ½ q (0, Ω), ω̇ = (ω_c − ω)/τ."""
+    vehicle, state = vehicles[0], states[0]
+    rotation = rotations.matrix(motion.attitude)
+    for axis in range(3):
+        slope.position[axis] = motion.velocity[axis]
+        state.position[axis] = motion.position[axis]
+        state.rates[axis] = motion.rates[axis]
+        state.velocity_air[axis] = 0.0
+        for world in range(3):
+            state.velocity_air[axis] += rotation[world, axis] * (motion.velocity[world] - wind[world])
+    for component in range(4):
+        state.attitude[component] = motion.attitude[component]
+    for rotor in range(ROTORS):
+        slope.rotor_speeds[rotor] = (command[rotor] - motion.rotor_speeds[rotor]) / vehicle.motor_time_constant
+        state.rotor_speeds[rotor] = motion.rotor_speeds[rotor]
+        state.rotor_accelerations[rotor] = slope.rotor_speeds[rotor]
+    aerodynamics(state, vehicle)
+    effects(state, vehicle, parameters)
+
+    wrench = state.wrench
+    for world in range(3):
+        slope.velocity[world] = 0.0
+        for axis in range(3):
+            slope.velocity[world] += rotation[world, axis] * wrench[axis] / vehicle.mass
+    slope.velocity[2] += vehicle.gravity
+    precession = cross(motion.rates, product3(vehicle.inertia, motion.rates))
+    moment = (wrench[3] - precession[0], wrench[4] - precession[1], wrench[5] - precession[2])
+    slope.rates[0], slope.rates[1], slope.rates[2] = product3(vehicle.inverse_inertia, moment)
+    p, q, r = motion.rates[0], motion.rates[1], motion.rates[2]
+    w, x, y, z = motion.attitude[0], motion.attitude[1], motion.attitude[2], motion.attitude[3]
+    slope.attitude[0] = 0.5 * (-x * p - y * q - z * r)
+    slope.attitude[1] = 0.5 * (w * p + y * r - z * q)
+    slope.attitude[2] = 0.5 * (w * q + z * p - x * r)
+    slope.attitude[3] = 0.5 * (w * r + x * q - y * p)
+
+
+@njit(cache=True, nogil=True)
+def _record(motion: Any, slope: Any, state: Any, row: Any) -> None:
+    rotation = rotations.matrix(motion.attitude)
+    for axis in range(3):
+        row.position[axis] = motion.position[axis]
+        row.rates[axis] = motion.rates[axis]
+        row.acceleration[axis] = slope.velocity[axis]
+        row.angular_acceleration[axis] = slope.rates[axis]
+        row.velocity[axis] = 0.0
+        for world in range(3):
+            row.velocity[axis] += rotation[world, axis] * motion.velocity[world]
+    for component in range(4):
+        row.attitude[component] = motion.attitude[component]
+    for rotor in range(ROTORS):
+        row.rotor_speeds[rotor] = motion.rotor_speeds[rotor]
+        row.rotor_accelerations[rotor] = slope.rotor_speeds[rotor]
+    row.wrench[:] = state.wrench
+
+
+@njit(cache=True, nogil=True)
+def _is_lost(motion: Any, position: Any) -> bool:
+    """Whether the vehicle is upside down, spins, has left its reference, or is no longer a number."""
+    cos_tilt = 1.0 - 2.0 * (motion.attitude[1] ** 2 + motion.attitude[2] ** 2)
+    spin, error = 0.0, 0.0
+    for axis in range(3):
+        spin += motion.rates[axis] ** 2
+        error += (motion.position[axis] - position[axis]) ** 2
+    controlled = (
+        cos_tilt > _TILT_COSINE_MIN and spin < _RATE_MAX_RAD_S**2 and error < _POSITION_ERROR_MAX_M**2
+    )
+    return not controlled
+
+
+@njit(cache=True, nogil=True)
+def _normalise(attitude: Any) -> None:
+    norm = 0.0
+    for component in range(4):
+        norm += attitude[component] ** 2
+    norm = np.sqrt(norm)
+    for component in range(4):
+        attitude[component] /= norm

@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""One simulated flight: a vehicle, its effects and a reference in, the truth out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from quadpi_core.errors import SimulationError
+from quadpi_core.flight import Stamps
+from quadpi_core.frames import Array
+from quadpi_core.signals import rotations
+from quadpi_core.simulation.controller import Controls
+from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, Demand, fly
+from quadpi_core.simulation.effects import Effects, WrenchTerm, added_wind, altered_vehicle, compose
+from quadpi_core.simulation.records import STATE
+from quadpi_core.simulation.reference import Reference
+from quadpi_core.simulation.trim import trim
+from quadpi_core.simulation.truth import Truth
+from quadpi_core.simulation.vehicle import SimulatedVehicle
+
+LOG_HZ = 500
+# Stamps of every simulated flight begin here; a fixed one, for equal plans give equal bytes.
+START_NS = 1_700_000_000_000_000_000
+_NO_EFFECTS: Effects = {}
+
+
+def simulate_flight(
+    name: str,
+    vehicle: SimulatedVehicle,
+    reference: Reference,
+    *,
+    known_wind: Array | None = None,
+    effects: Effects = _NO_EFFECTS,
+    extra: Sequence[WrenchTerm] = (),
+    seed: int = 0,
+    done: Stamps | None = None,
+) -> Truth:
+    """Fly a vehicle along a reference, from trim at its first instant.
+
+    The controller knows the vehicle as in its file: effects that alter it come as a surprise, as on a real one.
+
+    Args:
+        name: of the flight.
+        vehicle: to fly.
+        reference: N instants at STEP_HZ; the flight lasts (N - 1) / STEP_HZ seconds.
+        known_wind: (3,) m/s of the world, steady, as an anemometer measures it; None for still air without one.
+        effects: switched on; those of kind "sensor" do not alter the flight.
+        extra: further wrench functions with their parameters, see `effects.compose`.
+        seed: of gusts.
+        done: (1,) written with the number of steps flown, for a progress bar in another thread.
+
+    Raises:
+        SimulationError: naming flight, time and state, if the vehicle gets out of control; and if it cannot stand
+            still in the wind at the start.
+    """
+    steps = len(reference)
+    every = STEP_HZ // LOG_HZ
+    samples = (steps - 1) // every + 1
+    if samples < 2:
+        raise SimulationError(f"flight {name}: lasts no longer than one sample")
+    time = np.arange(steps) / STEP_HZ
+    still = np.zeros(3) if known_wind is None else known_wind
+    wind = still + added_wind(effects, time, np.random.default_rng(seed))
+    flown = vehicle.altered(altered_vehicle(effects, vehicle.vehicle))
+    function, parameters = compose(effects, extra)
+
+    start = trim(vehicle.aerodynamics, still, float(reference.yaw[0]))
+    motions = np.zeros(7, dtype=MOTION)
+    motions[0]["position"], motions[0]["velocity"] = reference.position[0], reference.velocity[0]
+    motions[0]["attitude"], motions[0]["rotor_speeds"] = start
+    nominal = vehicle.record()
+    controls = Controls.of(nominal)
+    controls.command[:] = start.rotor_speeds
+    log = np.zeros(samples, dtype=LOGGED)
+    done = np.zeros(1, dtype=np.int64) if done is None else done
+    fly(
+        flown.record(),
+        nominal,
+        controls,
+        function,
+        parameters,
+        _demand(reference, wind, last=(samples - 1) * every),
+        motions,
+        motions.view(np.float64).reshape(len(motions), -1),
+        np.zeros(1, dtype=STATE),
+        log,
+        done,
+    )
+    if done[0] < (samples - 1) * every:
+        raise SimulationError(f"flight {name}: {_lost(motions[0], reference.position[done[0]], done[0])}")
+    return Truth(
+        name=name,
+        vehicle=flown.vehicle,
+        time_ns=START_NS + np.arange(samples) * (1_000_000_000 // LOG_HZ),
+        position=log["position"].copy(),
+        attitude=log["attitude"].copy(),
+        velocity=log["velocity"].copy(),
+        rates=log["rates"].copy(),
+        acceleration=log["acceleration"].copy(),
+        angular_acceleration=log["angular_acceleration"].copy(),
+        rotor_speeds=log["rotor_speeds"].copy(),
+        rotor_accelerations=log["rotor_accelerations"].copy(),
+        wrench=log["wrench"].copy(),
+        wind=wind[::every][:samples].copy(),
+        known_wind=None if known_wind is None else np.tile(known_wind, (samples, 1)),
+        reference=reference.every(every),
+    )
+
+
+def _demand(reference: Reference, wind: Array, last: int) -> Demand:
+    """What the compiled flight follows, up to the instant `last`."""
+    jerk = np.zeros_like(reference.acceleration)
+    jerk[:-1] = np.diff(reference.acceleration, axis=0) * STEP_HZ
+    columns = (
+        reference.position,
+        reference.velocity,
+        reference.acceleration,
+        jerk,
+        reference.yaw,
+        reference.yaw_rate,
+        reference.tilt,
+        reference.thrust,
+        wind,
+    )
+    return Demand(*(np.ascontiguousarray(column[: last + 1]) for column in columns))
+
+
+def _lost(motion: np.void, position: Array, step: int) -> str:
+    """Time and state at which the vehicle got out of control, in words."""
+    rotation = rotations.matrix(motion["attitude"])
+    tilt = np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
+    rates = ", ".join(f"{rate:.1f}" for rate in motion["rates"])
+    speeds = ", ".join(f"{speed:.0f}" for speed in motion["rotor_speeds"])
+    return (
+        f"the vehicle is out of control after {step / STEP_HZ:.3f} s: tilt {tilt:.0f} degrees, "
+        f"rates {rates} rad/s, speed {np.linalg.norm(motion['velocity']):.1f} m/s, "
+        f"{np.linalg.norm(motion['position'] - position):.1f} m off its reference, rotors {speeds} rad/s"
+    )

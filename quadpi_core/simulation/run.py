@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""From flight plans to bags: fly each, sense it, write all or none."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from quadpi_core.errors import OutputError
+from quadpi_core.flight import Stamps
+from quadpi_core.simulation.bags import write_simulated_bag
+from quadpi_core.simulation.dynamics import STEP_HZ
+from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.noise import SensorSuite
+from quadpi_core.simulation.scenario import FlightPlan, require_reachable
+from quadpi_core.simulation.sensors import sense
+from quadpi_core.simulation.truth import Truth
+from quadpi_core.simulation.vehicle import SimulatedVehicle
+
+Progress = Callable[[str, float], None]
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True)
+class SimulatedFlight:
+    """A flight that was flown and written as a bag."""
+
+    plan: FlightPlan
+    truth: Truth
+    bag: Path
+
+
+def simulate(
+    plans: Sequence[FlightPlan],
+    output: Path,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[SimulatedFlight]:
+    """Fly the plans, several at a time, and write a bag for each into a folder: all of them or none.
+
+    Args:
+        plans: with different names.
+        output: folder; bags of the same names in it are replaced.
+        workers: flights at a time; default: one per core.
+        progress: called now and then with the name of a flight and how many seconds of it are flown.
+
+    Returns:
+        The flights in the order of the plans.
+
+    Raises:
+        SimulationError: naming flight, time and state, for a reference that the vehicle cannot follow and a
+            vehicle out of control; and for sensors that are not possible.
+        VehicleError: for a vehicle that cannot be simulated.
+        OutputError: if a bag cannot be written.
+    """
+    vehicles = {plan.vehicle: SimulatedVehicle.load(plan.vehicle) for plan in plans}
+    suites = {plan.noise: SensorSuite.load(plan.noise) for plan in plans}
+    steps = [np.zeros(1, dtype=np.int64) for _ in plans]
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".simulate.", dir=output) as staging:
+            # Threads suffice: flight, random numbers and compression run outside the interpreter's lock.
+            with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+                futures = [
+                    pool.submit(_one, plan, vehicles[plan.vehicle], suites[plan.noise], Path(staging), done)
+                    for plan, done in zip(plans, steps, strict=True)
+                ]
+                try:
+                    _watch(plans, steps, futures, progress)
+                finally:
+                    pool.shutdown(wait=False, cancel_futures=True)
+            flights = [future.result() for future in futures]
+            return [replace(flight, bag=flight.bag.replace(output / flight.bag.name)) for flight in flights]
+    except OSError as error:
+        raise OutputError(f"{output}: cannot be written: {error.strerror or error}") from error
+
+
+def _one(
+    plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite, folder: Path, done: Stamps
+) -> SimulatedFlight:
+    reference = plan.reference(STEP_HZ)
+    require_reachable(plan, vehicle, reference)
+    truth = simulate_flight(
+        plan.name,
+        vehicle,
+        reference,
+        known_wind=plan.known_wind,
+        effects=plan.effects,
+        seed=plan.seed,
+        done=done,
+    )
+    bag = folder / f"{plan.name}.mcap"
+    sensed = sense(truth, vehicle.vehicle, suite, plan.effects, plan.faults, plan.seed)
+    write_simulated_bag(bag, plan, truth, sensed)
+    return SimulatedFlight(plan, truth, bag)
+
+
+def _watch(
+    plans: Sequence[FlightPlan],
+    steps: Sequence[Stamps],
+    futures: Sequence[Future[SimulatedFlight]],
+    progress: Progress | None,
+) -> None:
+    """Report progress until all flights are written; raise what the first that fails raises."""
+    waiting = set(futures)
+    while waiting:
+        finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_EXCEPTION)
+        for plan, done in zip(plans, steps, strict=True):
+            if progress is not None:
+                progress(plan.name, float(done[0]) / STEP_HZ)
+        for future in finished:
+            future.result()

@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A vehicle that can be simulated: the section `simulation` of its vehicle file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.config import nearest, read_config
+from quadpi_core.errors import VehicleError
+from quadpi_core.simulation.rotor_local import RotorLocalModel
+from quadpi_core.vehicle import Vehicle
+
+_KNOWN = ("motor_time_constant_s", "rotor_local")
+
+
+@dataclass(frozen=True)
+class SimulatedVehicle:
+    """Aerodynamics and motors of a vehicle.
+
+    Attributes:
+        aerodynamics: its rotor-local model; holds the vehicle.
+        motor_time_constant: s, of the first-order answer of a rotor's speed to its command.
+    """
+
+    aerodynamics: RotorLocalModel
+    motor_time_constant: float
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> SimulatedVehicle:
+        """Read a vehicle by the name of a file in config/vehicles, or by path.
+
+        Raises:
+            VehicleError: naming the file and the key that is missing, unknown or impossible.
+        """
+        path, data = read_config("vehicle", name_or_path, VehicleError)
+        aerodynamics = RotorLocalModel.load(path)
+        section = data["simulation"]
+        for key in section:
+            if key not in _KNOWN:
+                raise VehicleError(f"{path}: unknown key `simulation.{key}`{nearest(str(key), _KNOWN)}")
+        time_constant = section.get("motor_time_constant_s")
+        is_number = isinstance(time_constant, (int, float)) and not isinstance(time_constant, bool)
+        if not is_number or not 0.001 <= time_constant <= 1.0:
+            raise VehicleError(
+                f"{path}: `simulation.motor_time_constant_s` must be a time from 0.001 to 1 s, "
+                f"found {time_constant!r}"
+            )
+        return cls(aerodynamics, float(time_constant))
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """Mass, inertia, rotors and sensors."""
+        return self.aerodynamics.vehicle
+
+    @property
+    def greatest_thrust(self) -> float:
+        """Thrust [N] of four rotors at their greatest speed, in still air."""
+        vehicle = self.vehicle
+        ratio = vehicle.rotor_speed_max_rad_s / self.aerodynamics.hover_rotor_speed
+        return float(vehicle.mass_kg * vehicle.gravity_m_s2 * ratio**2)
+
+    def altered(self, vehicle: Vehicle) -> SimulatedVehicle:
+        """The same aerodynamics and motors under another mass and inertia."""
+        return replace(self, aerodynamics=replace(self.aerodynamics, vehicle=vehicle))
+
+    def record(self) -> npt.NDArray[np.void]:
+        """Record VEHICLE (1,) for the compiled physics."""
+        return self.aerodynamics.record(self.motor_time_constant)
