@@ -28,7 +28,8 @@ format: environment ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format
 	@$(BIN)/ruff check --fix
 
-bench: environment ## every benchmark, each against its baseline, into out/bench.json (ONLY=name for one)
+bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=name for one)
+	@sh tools/bootstrap.sh --bench
 	@$(BIN)/python -m benchmarks $(if $(ONLY),--only $(ONLY))
 
 environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)

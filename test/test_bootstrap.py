@@ -18,7 +18,7 @@ TOOLS = Path(__file__).resolve().parents[1] / "tools"
 
 @pytest.fixture
 def bootstrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The module on an empty checkout, with two steps that only record that they were made."""
+    """The module on an empty checkout, with steps that only record that they were made."""
     spec = importlib.util.spec_from_file_location("bootstrap", TOOLS / "bootstrap.py")
     assert spec is not None
     assert spec.loader is not None
@@ -29,18 +29,19 @@ def bootstrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module.ENVIRONMENT_INPUTS = (tmp_path / "pins",)
     module.VENV.mkdir()
     module.made = []
-    for name in ("pins", "first", "second"):
+    for name in ("pins", "first", "second", "baselines"):
         (tmp_path / name).write_text(name)
-    module.STEPS = tuple(
+    first, second, baselines = (
         module.Step(name, name, (tmp_path / name,), lambda _, name=name: module.made.append(name))
-        for name in ("first", "second")
+        for name in ("first", "second", "baselines")
     )
+    module.STEPS, module.BENCH_STEPS = (first, second), (baselines,)
     return module
 
 
-def made_again(bootstrap: ModuleType) -> list[str]:
+def made_again(bootstrap: ModuleType, *arguments: str) -> list[str]:
     bootstrap.made.clear()
-    assert bootstrap.main() == 0
+    assert bootstrap.main(arguments) == 0
     return list(bootstrap.made)
 
 
@@ -59,6 +60,13 @@ def test_only_what_follows_from_a_change_is_made_again(
     made_again(bootstrap)
     (bootstrap.ROOT / changed).write_text("changed")
     assert made_again(bootstrap) == expected
+
+
+def test_only_benchmarks_pay_for_what_they_measure_against(bootstrap: ModuleType) -> None:
+    assert made_again(bootstrap) == ["first", "second"]
+    assert made_again(bootstrap, "--bench") == ["baselines"]
+    assert made_again(bootstrap, "--bench") == []
+    assert made_again(bootstrap) == []
 
 
 def test_failed_step_is_made_again(bootstrap: ModuleType, capfd: pytest.CaptureFixture[str]) -> None:

@@ -4,11 +4,12 @@
 
 A step is redone when one of its inputs, or the interpreter, differs from what its stamp in `.venv` says;
 the first step starts from nothing. A stamp is written when its step has succeeded, so an interrupted step
-is redone.
+is redone. What only benchmarks need comes with `--bench`.
 """
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import hashlib
 import os
@@ -18,7 +19,7 @@ import subprocess
 import sys
 import sysconfig
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,6 +100,11 @@ def install_packages(log: Path) -> None:
     pip_install(log, "--no-build-isolation", "--editable", ".[ros,test,dev]")
 
 
+def install_baselines(log: Path) -> None:
+    """Packages of others that benchmarks measure against."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[bench]")
+
+
 def build_messages(log: Path) -> None:
     """Generate, compile and install the Python package `quadpi` with quadpi.msg."""
     point_wheels_at_this_python()
@@ -177,18 +183,19 @@ STEPS = (
         build_messages,
     ),
 )
+BENCH_STEPS = (Step("bench", "Packages to measure against", (ROOT / "pyproject.toml",), install_baselines),)
 
 
-def bootstrap() -> None:
+def bootstrap(steps: Sequence[Step]) -> None:
     """Redo the steps whose stamps do not match, in order."""
     basis = digest(f"{sys.version} {sys.base_prefix} {VENV}", ENVIRONMENT_INPUTS)
-    for number, step in enumerate(STEPS, start=1):
+    for number, step in enumerate(steps, start=1):
         current = digest(basis, step.inputs)
         stamp = VENV / f"{step.name}.stamp"
         if stamp.is_file() and stamp.read_text() == current:
             continue
         require_build_tools()
-        print(f"[{number}/{len(STEPS)}] {step.title} ...", end="", flush=True)
+        print(f"[{number}/{len(steps)}] {step.title} ...", end="", flush=True)
         started = time.monotonic()
         log = LOGS / f"{step.name}.log"
         log.unlink(missing_ok=True)
@@ -198,13 +205,16 @@ def bootstrap() -> None:
         print(f" {time.monotonic() - started:.0f} s", flush=True)
 
 
-def main() -> int:
+def main(arguments: Sequence[str] = ()) -> int:
     """Bootstrap once at a time; report a failure in plain words."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bench", action="store_true", help="also what benchmarks measure against")
+    steps = STEPS + BENCH_STEPS if parser.parse_args(arguments).bench else STEPS
     LOGS.mkdir(exist_ok=True)
     with (LOGS / "bootstrap.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
-            bootstrap()
+            bootstrap(steps)
         except (BootstrapError, OSError) as error:
             print(f"\n{error}", file=sys.stderr)
             return 1
@@ -215,4 +225,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
