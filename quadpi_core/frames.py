@@ -88,6 +88,20 @@ def quaternion_from_roll_pitch_yaw(angles: Array) -> Array:
     return quaternion
 
 
+def roll_pitch_yaw_from_quaternion(quaternion: Array) -> Array:
+    """Angles (..., 3) rad of unit quaternions (..., 4), w first: pitch within ±π/2, the others ±π."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    angles: Array = np.stack(
+        (
+            np.arctan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+            np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0)),
+            np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)),
+        ),
+        axis=-1,
+    )
+    return angles
+
+
 def rotation_matrix(quaternion: Array) -> Array:
     """Rotation matrices (..., 3, 3), body to world, of unit quaternions (..., 4), w first."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)

@@ -11,6 +11,13 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array
 
+_FEWEST_BINS, _MOST_BINS = 150, 1000
+
+
+def bins_within(samples: int, lines: int) -> int:
+    """Parts to cut each flight into so that `lines` lines draw about so many samples; enough to be read."""
+    return max(_FEWEST_BINS, min(_MOST_BINS, samples // (2 * max(1, lines))))
+
 
 def extreme_samples(low: Array, high: Array, bins: int) -> npt.NDArray[np.intp]:
     """Indices to draw of a band (N,): in each of `bins` equal parts where it is lowest and highest.

@@ -14,6 +14,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.intervals.evaluate import FlightResult
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.report import sections
+from quadpi_core.report.decimation import bins_within
 from quadpi_core.report.distributions import envelope_figure, residual_figure
 from quadpi_core.report.figures import coverage_figure, time_history_figure
 from quadpi_core.report.live import LiveReplay, alarm_figure
@@ -23,7 +24,6 @@ from quadpi_core.report.style import group_colours
 # All time histories together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 240_000
 _LINES_PER_AXIS = 4
-_FEWEST_BINS, _MOST_BINS = 150, 1000
 _UNGROUPED = "flights in no group"
 
 
@@ -51,7 +51,7 @@ def write_report(
     rest = [result for result in results if result.name not in grouped]
     if rest:
         groups[_UNGROUPED] = rest
-    bins = _history_bins(results)
+    bins = bins_within(_DRAWN_SAMPLES, _LINES_PER_AXIS * sum(len(result.axes) for result in results))
 
     parts = [sections.header(evaluation, model), sections.coverage(evaluation)]
     figures = {"coverage": coverage_figure(evaluation)} if evaluation["groups"] else {}
@@ -87,9 +87,3 @@ def _histories(
 
 def _common_axes(results: Sequence[FlightResult]) -> list[str]:
     return [axis for axis in AXES if all(axis in result.axes for result in results)]
-
-
-def _history_bins(results: Sequence[FlightResult]) -> int:
-    """Parts to cut each flight into; fewer for many flights, so that the page stays small."""
-    lines = _LINES_PER_AXIS * sum(len(result.axes) for result in results)
-    return max(_FEWEST_BINS, min(_MOST_BINS, _DRAWN_SAMPLES // (2 * max(1, lines))))

@@ -80,6 +80,14 @@ def test_level_and_north_is_the_identity_in_both_conventions():
     np.testing.assert_allclose(np.abs(ned), [1.0, 0.0, 0.0, 0.0], atol=1e-12)
 
 
+def test_roll_pitch_yaw_and_back():
+    limits = np.array([np.pi, np.pi / 2, np.pi])
+    angles = np.random.default_rng(14).uniform(-limits, limits, size=(100, 3))
+    quaternion = frames.quaternion_from_roll_pitch_yaw(angles)
+    np.testing.assert_allclose(frames.roll_pitch_yaw_from_quaternion(quaternion), angles, atol=1e-9)
+    np.testing.assert_allclose(frames.roll_pitch_yaw_from_quaternion(-quaternion), angles, atol=1e-9)
+
+
 def test_roll_pitch_yaw_is_scipys():
     angles = np.random.default_rng(13).uniform(-3.0, 3.0, size=(100, 3))
     expected = Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()

@@ -1,7 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Three synthetic flights, a model that knows two of them, and their evaluation."""
+"""Three synthetic flights, a model that knows two of them, and their evaluation; a reader of pages."""
 
+import re
+from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +18,49 @@ from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.report.live import LiveReplay
+
+VOID = {"meta", "br", "link", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Collects tags, text outside scripts and the content of scripts; refuses tags that do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.scripts, self.text = [], [], [], ""
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script":
+            self.scripts[-1] += data
+        else:
+            self.text += data
+
+    def assert_needs_nothing_from_outside(self):
+        for tag, attributes in self.tags:
+            assert tag not in {"link", "img", "iframe"}
+            assert not {"src", "href"} & set(attributes)
+        bundle, *own = self.scripts
+        assert "plotly" in bundle[:200]
+        assert not any("://" in text for text in (*own, self.text))
+        assert not re.search(r"url\(|@import", self.text)
+
+
+@pytest.fixture
+def read_page():
+    """read_page(path) → Page."""
+    return lambda path: Page(path.read_text(encoding="utf-8"))
 
 
 def flight_result(name, speed, seed, samples=3000):
