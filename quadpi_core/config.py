@@ -31,7 +31,7 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
     if path.suffix not in {".yaml", ".yml"}:
         path = own / f"{name_or_path}.yaml"
     try:
-        return path, yaml.safe_load(path.read_text())
+        return path, yaml.load(path.read_text(), _Loader)
     except FileNotFoundError:
         known = sorted(file.stem for file in own.glob("*.yaml"))
         raise error(
@@ -40,6 +40,20 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
         ) from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as reason:
         raise error(f"{path}: not a readable YAML file: {one_line(reason)}") from reason
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses a key that stands twice, of which YAML would silently take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """See SafeLoader."""
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                problem = f"the key `{key.value}` stands twice"
+                raise yaml.constructor.ConstructorError(problem=problem, problem_mark=key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
