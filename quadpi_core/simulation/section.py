@@ -47,6 +47,36 @@ class Section:
             )
         return float(value)
 
+    def whole(self, key: str, default: int | None = None, *, lowest: int = 0, highest: int = 2**32) -> int:
+        """A whole number within bounds, inclusive; without a default the key is required."""
+        value = self._value(key, default)
+        if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
+            raise SimulationError(
+                f"{self.where}: `{key}` must be a whole number{_bounds(lowest, highest)}, found {value!r}"
+            )
+        return value
+
+    def numbers(self, key: str) -> tuple[float, ...]:
+        """Finite numbers, as many as are listed; required."""
+        value = self._value(key, None)
+        if not isinstance(value, list | tuple) or not all(map(_is_number, value)):
+            raise SimulationError(f"{self.where}: `{key}` must be a list of numbers, found {value!r}")
+        return tuple(map(float, value))
+
+    def switch(self, key: str) -> bool:
+        """True or false; required."""
+        value = self._value(key, None)
+        if not isinstance(value, bool):
+            raise SimulationError(f"{self.where}: `{key}` must be true or false, found {value!r}")
+        return value
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Some text; without a default the key is required."""
+        value = self._value(key, default)
+        if not isinstance(value, str) or not value:
+            raise SimulationError(f"{self.where}: `{key}` must be text, found {value!r}")
+        return value
+
     def vector(self, key: str, default: Vector) -> Vector:
         """Three finite numbers."""
         value = self._value(key, default)
