@@ -54,12 +54,15 @@ def inverse(matrix: Array) -> Array:
         for other in range(size):
             left[column, other], left[pivot, other] = left[pivot, other], left[column, other]
             right[column, other], right[pivot, other] = right[pivot, other], right[column, other]
+        # Element by element: arithmetic on whole rows takes numba four times as long to compile.
         scale = left[column, column]
-        left[column] /= scale
-        right[column] /= scale
+        for other in range(size):
+            left[column, other] /= scale
+            right[column, other] /= scale
         for row in range(size):
             if row != column:
                 factor = left[row, column]
-                left[row] -= factor * left[column]
-                right[row] -= factor * right[column]
+                for other in range(size):
+                    left[row, other] -= factor * left[column, other]
+                    right[row, other] -= factor * right[column, other]
     return right
