@@ -75,7 +75,8 @@ class Controls(NamedTuple):
 def observe(controls: Controls, rotor_speeds: Any, wrench: Any) -> None:
     """Remember which part of the wrench at an instant the rotors in hover do not explain."""
     disturbance, effectiveness = controls.disturbance, controls.effectiveness
-    disturbance[:] = wrench
+    for axis in range(6):
+        disturbance[axis] = wrench[axis]
     for rotor in range(ROTORS):
         square = rotor_speeds[rotor] ** 2
         disturbance[2] += effectiveness[0, rotor] * square

@@ -201,7 +201,8 @@ def _record(motion: Any, slope: Any, state: Any, row: Any) -> None:
     for rotor in range(ROTORS):
         row.rotor_speeds[rotor] = motion.rotor_speeds[rotor]
         row.rotor_accelerations[rotor] = slope.rotor_speeds[rotor]
-    row.wrench[:] = state.wrench
+    for axis in range(6):
+        row.wrench[axis] = state.wrench[axis]
 
 
 @njit(cache=True, nogil=True)
