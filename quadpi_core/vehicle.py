@@ -144,6 +144,12 @@ def _positive(path: Path, data: dict[str, Any], key: str) -> float:
     return float(value)
 
 
+def is_rigid_body(inertia: Array) -> bool:
+    """Whether a body has this inertia (3, 3): symmetric, positive, no moment above the sum of the others."""
+    moments = np.linalg.eigvalsh(inertia)
+    return bool(np.allclose(inertia, inertia.T) and moments[0] > 0 and moments[0] + moments[1] >= moments[2])
+
+
 def _inertia(path: Path, value: Any) -> Array:
     """Full (3, 3) matrix from three diagonal numbers or three rows; must be a real body's inertia."""
     try:
@@ -154,8 +160,7 @@ def _inertia(path: Path, value: Any) -> Array:
         inertia = np.diag(inertia)
     if inertia.shape != (3, 3) or not np.all(np.isfinite(inertia)):
         raise VehicleError(f"{path}: `inertia_kg_m2` must be 3 numbers or a 3x3 matrix")
-    moments = np.linalg.eigvalsh(inertia)
-    if not np.allclose(inertia, inertia.T) or moments[0] <= 0 or moments[0] + moments[1] < moments[2]:
+    if not is_rigid_body(inertia):
         raise VehicleError(
             f"{path}: `inertia_kg_m2` is not the inertia of a rigid body "
             f"(symmetric, principal moments positive and obeying the triangle inequality)"

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects on the body as a whole: drag, damping, tether, biases, centre of gravity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effects.definition import Parameter, Wrench, effect, three
+from quadpi_core.simulation.effects.kernels import NO_WRENCH, world_to_body
+
+
+@effect(
+    "wrench",
+    "Fx Fy Fz",
+    Parameter("x_n_s2_m2", "N s²/m²", 0.0015, 0.0, 0.1),
+    Parameter("y_n_s2_m2", "N s²/m²", 0.0027, 0.0, 0.1),
+    Parameter("z_n_s2_m2", "N s²/m²", 0.0027, 0.0, 0.1),
+)
+@njit(cache=True)
+def body_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+    """Parasitic drag of the airframe, with the square of the airspeed.
+
+    F = −|V| (k_x u, k_y v, k_z w), each k = ½ ρ C_D S. Sizes in x and y: Bebop 2 in the wind tunnel; z as y.
+    """
+    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
+    airspeed = np.sqrt(u * u + v * v + w * w)
+    return -p[0] * airspeed * u, -p[1] * airspeed * v, -p[2] * airspeed * w, 0.0, 0.0, 0.0
+
+
+@effect("wrench", "Fx Fy", Parameter("drag_n_s3_m3", "N s³/m³", 7.5e-5, 0.0, 0.01))
+@njit(cache=True)
+def cubic_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+    """In-plane drag with the cube of the airspeed, as where induced and profile power grow in a dash.
+
+    (Fx, Fy) = −k |V|² (u, v). Size: 0.075 N at 10 m/s.
+    """
+    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
+    factor = -p[0] * (u * u + v * v + w * w)
+    return factor * u, factor * v, 0.0, 0.0, 0.0, 0.0
+
+
+@effect("wrench", "Mx My Mz", *three("nm_s", "Nm s", 2.3e-3, 0.1, lowest=0.0))
+@njit(cache=True)
+def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+    """Moment against the body rates.
+
+    M = −(k_x p, k_y q, k_z r). Size: yaw of the Bebop 2.
+    """
+    return 0.0, 0.0, 0.0, -p[0] * state.rates[0], -p[1] * state.rates[1], -p[2] * state.rates[2]
+
+
+@effect(
+    "wrench",
+    "Fx Fy Fz",
+    Parameter("stiffness_n_m", "N/m", 0.6, 0.0, 100.0),
+    Parameter("length_m", "m", 2.0, 0.0, 100.0),
+    Parameter("north_m", "m", 0.0, -1000.0, 1000.0),
+    Parameter("east_m", "m", 0.0, -1000.0, 1000.0),
+    Parameter("height_m", "m", 0.0, 0.0, 1000.0),
+)
+@njit(cache=True)
+def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+    """Elastic tether from a point of the world to the centre of gravity.
+
+    F = −k (L − L0) n where L > L0, else 0; L and n are distance and direction from the anchor. Size: 0.6 N at
+    3 m over an anchor on the ground.
+    """
+    north, east, down = state.position[0] - p[2], state.position[1] - p[3], state.position[2] + p[4]
+    distance = np.sqrt(north * north + east * east + down * down)
+    if distance <= p[1]:
+        return NO_WRENCH
+    pull = -p[0] * (distance - p[1]) / distance
+    fx, fy, fz = world_to_body(state.attitude, pull * north, pull * east, pull * down)
+    return fx, fy, fz, 0.0, 0.0, 0.0
+
+
+@effect("wrench", "Fx Fy Fz", *three("n", "N", 0.1, 5.0))
+@njit(cache=True)
+def force_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+    """Constant force in body axes.
+
+    Size: that of an accelerometer's bias of 0.2 m/s² on 0.5 kg.
+    """
+    return p[0], p[1], p[2], 0.0, 0.0, 0.0
+
+
+@effect(
+    "wrench",
+    "Mx My Mz",
+    Parameter("x_nm", "Nm", 0.005, -0.5, 0.5),
+    Parameter("y_nm", "Nm", 0.005, -0.5, 0.5),
+    Parameter("z_nm", "Nm", 0.002, -0.5, 0.5),
+)
+@njit(cache=True)
+def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+    """Constant moment in body axes.
+
+    Size: that of a slightly bent frame, a quarter of the moment of a rotor that lost 10 %.
+    """
+    return 0.0, 0.0, 0.0, p[0], p[1], p[2]
+
+
+@effect(
+    "wrench",
+    "Mx My Mz",
+    Parameter("x_m", "m", 0.0035, -0.1, 0.1),
+    Parameter("y_m", "m", 0.0035, -0.1, 0.1),
+    Parameter("z_m", "m", 0.0, -0.1, 0.1),
+)
+@njit(cache=True)
+def cg_offset(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+    """Centre of gravity away from where the vehicle file has it.
+
+    M = −d × F with the force of the aerodynamics and of every effect before, d from the nominal centre to the
+    true one. First order in d: inertia and hub velocities are those about the nominal centre. Size: 5 mm.
+    """
+    fx, fy, fz = state.wrench[0], state.wrench[1], state.wrench[2]
+    return 0.0, 0.0, 0.0, p[2] * fy - p[1] * fz, p[0] * fz - p[2] * fx, p[1] * fx - p[0] * fy

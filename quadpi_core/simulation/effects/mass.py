@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects on mass and inertia: the vehicle that flies is not the one of the file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from quadpi_core.errors import SimulationError
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effects.definition import Parameter, effect
+from quadpi_core.vehicle import Vehicle, is_rigid_body
+
+
+@effect("vehicle", "Fx Fy Fz", Parameter("mass_kg", "kg", 0.05, 0.0, 5.0))
+def payload(vehicle: Vehicle, p: Array) -> Vehicle:
+    """A mass carried at the centre of gravity.
+
+    The inertia stays. Size: 50 g, 0.5 N.
+    """
+    return replace(vehicle, mass_kg=vehicle.mass_kg + float(p[0]))
+
+
+@effect("vehicle", "Mx My Mz", *(Parameter(f"{axis}_change", "", 0.2, -0.5, 1.0) for axis in "xyz"))
+def inertia(vehicle: Vehicle, p: Array) -> Vehicle:
+    """Moments of inertia other than the file's.
+
+    I_ij grows to I_ij √((1 + k_i)(1 + k_j)), which keeps the matrix positive. Size: 20 %.
+
+    Raises:
+        SimulationError: where no rigid body has such moments: each is at most the sum of the other two.
+    """
+    scale = np.sqrt(1.0 + p)
+    changed = vehicle.inertia * scale[:, None] * scale
+    if not is_rigid_body(changed):
+        raise SimulationError(
+            f"vehicle {vehicle.name}: effect `inertia`: changes of {p[0]:g}, {p[1]:g} and {p[2]:g} leave "
+            "moments that no rigid body has (each is at most the sum of the other two)"
+        )
+    return replace(vehicle, inertia=changed)

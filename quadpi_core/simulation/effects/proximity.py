@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects of surfaces near the rotors: the ground below, a ceiling above."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effects.definition import Parameter, Wrench, effect
+from quadpi_core.simulation.effects.kernels import NO_WRENCH, hub_height, in_plane_speed, with_hub_force
+from quadpi_core.vehicle import ROTORS
+
+# Of the rotor radius: nearer to a surface than this the formulas are not valid, and the effect grows no more.
+NEAREST = 0.5
+
+
+@effect("wrench", "Fz Mx My", Parameter("strength", "", 1.0, 0.0, 10.0))
+@njit(cache=True)
+def ground_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """Thrust gained near the ground, at each rotor by its own height.
+
+    T_i grows by k T_i [1/(1 − (R/4h_i)²/(1 + (V_i/v_h)²)) − 1], V_i being the speed in the rotor's plane, and
+    grows no more below h = R/2. Source: Cheeseman and Bennett, ARC R&M 3021, 1955, for which k = 1: 6.7 % at
+    h = R. Whole vehicles gain several times more.
+    """
+    wrench = NO_WRENCH
+    for rotor in range(ROTORS):
+        height = max(hub_height(state, vehicle, rotor), NEAREST * vehicle.rotor_radius)
+        ratio = vehicle.rotor_radius / (4.0 * height)
+        across = in_plane_speed(state, rotor) / vehicle.hover_induced_velocity
+        gain = 1.0 / (1.0 - ratio * ratio / (1.0 + across * across)) - 1.0
+        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -p[0] * gain * state.thrusts[rotor])
+    return wrench
+
+
+@effect(
+    "wrench",
+    "Fz Mx My",
+    Parameter("strength", "", 0.2, 0.0, 1.0),
+    Parameter("ceiling_m", "m", 4.0, 0.1, 1000.0),
+)
+@njit(cache=True)
+def ceiling_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """Thrust gained below a ceiling, at each rotor by its own distance.
+
+    T_i grows by k T_i (R/d_i)², and grows no more below d = R/2. Source: leading term of Hsiao and
+    Chirarattananon, "Ceiling effects for hybrid aerial–surface locomotion of small rotorcraft", 2019. Size:
+    literature has 10 to 30 % at d = R.
+    """
+    wrench = NO_WRENCH
+    for rotor in range(ROTORS):
+        distance = max(p[1] - hub_height(state, vehicle, rotor), NEAREST * vehicle.rotor_radius)
+        ratio = vehicle.rotor_radius / distance
+        gain = p[0] * ratio * ratio
+        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -gain * state.thrusts[rotor])
+    return wrench

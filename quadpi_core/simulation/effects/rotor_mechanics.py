@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects of the rotors as built: their inertia, their coefficient, how they are mounted, damage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effects.definition import Parameter, Wrench, effect
+from quadpi_core.simulation.effects.kernels import NO_WRENCH, with_hub_force
+from quadpi_core.vehicle import ROTORS
+
+_WHICH = Parameter("rotor", "", 1.0, 1.0, float(ROTORS), whole=True)
+_INERTIA = Parameter("rotor_inertia_kg_m2", "kg m²", 8e-6, 0.0, 1e-3)
+
+
+@effect("wrench", "Mx My", _INERTIA)
+@njit(cache=True)
+def gyroscopic(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """Precession of the rotors when the body turns; does no work.
+
+    M = −Ω × h z = (−q h, p h, 0) with h = I_r Σ s_i ω_i: a rotor that turns clockwise seen from above (s = 1)
+    has its angular momentum along z, down. Size: a rotor of the Bebop 2 with its motor's bell.
+    """
+    momentum = 0.0
+    for rotor in range(ROTORS):
+        momentum += p[0] * vehicle.rotor_spins[rotor] * state.rotor_speeds[rotor]
+    return 0.0, 0.0, 0.0, -state.rates[1] * momentum, state.rates[0] * momentum, 0.0
+
+
+@effect("wrench", "Mz", _INERTIA)
+@njit(cache=True)
+def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """Reaction of the body to rotors that change their speed.
+
+    Mz = −I_r Σ s_i dω_i/dt. Size: 0.096 Nm when the rotors of the Bebop 2 begin a step of 100 rad/s.
+    """
+    torque = 0.0
+    for rotor in range(ROTORS):
+        torque -= p[0] * vehicle.rotor_spins[rotor] * state.rotor_accelerations[rotor]
+    return 0.0, 0.0, 0.0, 0.0, 0.0, torque
+
+
+@effect("wrench", "Fz Mx My Mz", Parameter("change", "", 0.1, -0.9, 1.0))
+@njit(cache=True)
+def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """Another thrust and torque coefficient of all rotors, or another air density.
+
+    T_i and the torque of rotor i grow by the share k. Size: 10 %.
+    """
+    wrench = NO_WRENCH
+    for rotor in range(ROTORS):
+        wrench = _with_share(wrench, state, vehicle, rotor, p[0])
+    return wrench
+
+
+@effect("wrench", "Fz Mx My Mz", _WHICH, Parameter("loss", "", 0.1, 0.0, 1.0))
+@njit(cache=True)
+def weak_rotor(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """One rotor is damaged and gives less thrust and torque than its speed promises.
+
+    T_i and the torque of that rotor fall by the share k. Size: 10 %.
+    """
+    return _with_share(NO_WRENCH, state, vehicle, int(p[0]) - 1, -p[1])
+
+
+@njit(cache=True)
+def _with_share(wrench: Wrench, state: Any, vehicle: Any, rotor: int, share: float) -> Wrench:
+    fx, fy, fz, mx, my, mz = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -share * state.thrusts[rotor])
+    return fx, fy, fz, mx, my, mz + share * state.torques[rotor]
+
+
+@effect(
+    "wrench",
+    "Fx Fy Mx My Mz",
+    _WHICH,
+    Parameter("forward_deg", "deg", 1.4, -15.0, 15.0),
+    Parameter("right_deg", "deg", 1.4, -15.0, 15.0),
+)
+@njit(cache=True)
+def rotor_tilt(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """One rotor is mounted askew.
+
+    F = T_i (sin α, sin β, 0) at its hub, to first order in the angles forward and right. Size: 2° together.
+    """
+    rotor = int(p[0]) - 1
+    thrust = state.thrusts[rotor]
+    forward, right = thrust * np.sin(np.radians(p[1])), thrust * np.sin(np.radians(p[2]))
+    return with_hub_force(NO_WRENCH, vehicle, rotor, forward, right, 0.0)

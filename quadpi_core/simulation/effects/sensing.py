@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects of the sensors: what they report is not what happens.
+
+In the order of the registry, that of the signal: where the IMU sits, how it is turned, scale, bias, stamps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from quadpi_core.compiled import njit
+from quadpi_core.flight import Recording, Stamps, Stream
+from quadpi_core.frames import Array
+from quadpi_core.signals.rotations import from_rotation_vector, matrix
+from quadpi_core.simulation.effects.definition import Parameter, effect, three
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+_Late = TypeVar("_Late", bound=Stream)
+
+
+@effect("sensor", "Fx Fy Fz", *three("m", "m", 0.01, 0.2))
+def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
+    """The IMU sits away from the centre of gravity.
+
+    f grows by dΩ/dt × r + Ω × (Ω × r), dΩ/dt being the central difference of the recorded rates. Size: 2 cm.
+    """
+    imu = recording.imu
+    shifted = _at_lever_arm(imu.time_ns, imu.angular_velocity, imu.specific_force, p)
+    return replace(recording, imu=replace(imu, specific_force=shifted))
+
+
+@effect("sensor", "Fx Fy Fz Mx My Mz", *three("deg", "deg", 1.2, 45.0))
+def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
+    """The IMU is turned in the body: accelerometer and gyro alike.
+
+    It reports Rᵀf and RᵀΩ, R being the rotation by the vector p from its axes to the body's; to first order
+    f + f × p. Size: 2° together.
+    """
+    imu = recording.imu
+    turned = replace(
+        imu,
+        angular_velocity=_in_turned_axes(imu.angular_velocity, p),
+        specific_force=_in_turned_axes(imu.specific_force, p),
+    )
+    return replace(recording, imu=turned)
+
+
+@effect("sensor", "Fx Fy Fz", *(Parameter(f"{axis}_change", "", 0.02, -0.5, 1.0) for axis in "xyz"))
+def accelerometer_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
+    """Scale of the accelerometer.
+
+    f_j grows by the share k_j. Size: 2 %.
+    """
+    imu = recording.imu
+    return replace(recording, imu=replace(imu, specific_force=imu.specific_force * (1.0 + p)))
+
+
+@effect("sensor", "Fx Fy Fz", *three("m_s2", "m/s²", 0.2, 10.0))
+def accelerometer_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
+    """Bias of the accelerometer.
+
+    f grows by p. Size: 0.2 m/s².
+    """
+    imu = recording.imu
+    return replace(recording, imu=replace(imu, specific_force=imu.specific_force + p))
+
+
+@effect("sensor", "Fx Fy Fz Mx My Mz", *three("rad_s", "rad/s", 0.02, 1.0))
+def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
+    """Bias of the gyro.
+
+    Ω grows by p. Size: 1 °/s.
+    """
+    imu = recording.imu
+    return replace(recording, imu=replace(imu, angular_velocity=imu.angular_velocity + p))
+
+
+@effect(
+    "sensor",
+    "Fx Fy Fz Mx My Mz",
+    Parameter("rotor", "", 0.0, 0.0, float(ROTORS), whole=True),
+    Parameter("change", "", 0.02, -0.9, 1.0),
+)
+def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
+    """Scale of the measured rotor speeds, of one rotor or (rotor 0) of all.
+
+    ω grows by the share k; −0.5 is a sensor that reads half, as real ones do. Size: 2 %.
+    """
+    stream = recording.rotor_speeds
+    if stream is None:
+        return recording
+    scale = np.ones(ROTORS)
+    scale[slice(None) if p[0] == 0 else int(p[0]) - 1] += p[1]
+    return replace(recording, rotor_speeds=replace(stream, speeds=stream.speeds * scale))
+
+
+@effect(
+    "sensor",
+    "Fx Fy Fz Mx My Mz",
+    Parameter("rotor_speeds_s", "s", 0.01, 0.0, 0.5),
+    Parameter("mocap_s", "s", 0.01, 0.0, 0.5),
+)
+def sensor_delay(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
+    """Rotor speeds and motion capture (or a fused state) are stamped late, relative to the IMU.
+
+    Their stamps move later by the delays; no value changes. Size: 10 ms.
+    """
+    rotor_speeds_ns, mocap_ns = (round(1e9 * delay) for delay in p)
+    return replace(
+        recording,
+        rotor_speeds=_stamped_later(recording.rotor_speeds, rotor_speeds_ns),
+        pose=_stamped_later(recording.pose, mocap_ns),
+        odometry=_stamped_later(recording.odometry, mocap_ns),
+    )
+
+
+def _stamped_later(stream: _Late | None, delay_ns: int) -> _Late | None:
+    return None if stream is None else replace(stream, time_ns=stream.time_ns + delay_ns)
+
+
+@njit(cache=True)
+def _at_lever_arm(time_ns: Stamps, rates: Array, specific_force: Array, arm: Array) -> Array:
+    x, y, z = arm[0], arm[1], arm[2]
+    shifted = specific_force.copy()
+    last = len(rates) - 1
+    for i in range(len(rates)):
+        before, after = max(i - 1, 0), min(i + 1, last)
+        step = 1e-9 * max(time_ns[after] - time_ns[before], 1)
+        p, q, r = rates[i, 0], rates[i, 1], rates[i, 2]
+        dp = (rates[after, 0] - rates[before, 0]) / step
+        dq = (rates[after, 1] - rates[before, 1]) / step
+        dr = (rates[after, 2] - rates[before, 2]) / step
+        along = p * x + q * y + r * z
+        square = p * p + q * q + r * r
+        shifted[i, 0] += dq * z - dr * y + p * along - x * square
+        shifted[i, 1] += dr * x - dp * z + q * along - y * square
+        shifted[i, 2] += dp * y - dq * x + r * along - z * square
+    return shifted
+
+
+@njit(cache=True)
+def _in_turned_axes(vectors: Array, angles_deg: Array) -> Array:
+    rotation = matrix(from_rotation_vector(np.radians(angles_deg)))
+    turned = np.empty_like(vectors)
+    for i in range(len(vectors)):
+        for j in range(3):
+            turned[i, j] = (
+                rotation[0, j] * vectors[i, 0]
+                + rotation[1, j] * vectors[i, 1]
+                + rotation[2, j] * vectors[i, 2]
+            )
+    return turned
