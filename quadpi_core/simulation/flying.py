@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.simulation.controller import Controls
 from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, Demand, fly
-from quadpi_core.simulation.effects import Effects, WrenchTerm, added_wind, altered_vehicle, compose
+from quadpi_core.simulation.effects import Effects, added_wind, altered_vehicle, compose
 from quadpi_core.simulation.records import STATE
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.trim import trim
@@ -34,7 +35,7 @@ def simulate_flight(
     *,
     known_wind: Array | None = None,
     effects: Effects = _NO_EFFECTS,
-    extra: Sequence[WrenchTerm] = (),
+    extra: Sequence[tuple[Any, Sequence[float]]] = (),
     seed: int = 0,
     done: Stamps | None = None,
 ) -> Truth:
