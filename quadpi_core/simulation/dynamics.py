@@ -8,15 +8,19 @@ evaluation of the equations of motion at that instant's state.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from functools import cache
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numba import from_dtype, types
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.simulation.controller import Controls, control, observe
+from quadpi_core.simulation.effects import FUNCTION_TYPE
 from quadpi_core.simulation.linear import cross, product3
+from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
 from quadpi_core.simulation.rotor_local import aerodynamics
 from quadpi_core.vehicle import ROTORS
 
@@ -130,12 +134,33 @@ def fly(
             ahead = step if stage == 2 else 0.5 * step
             for j in range(flat.shape[1]):
                 flat[1, j] = flat[0, j] + ahead * flat[2 + stage, j]
-            _differentiate(
-                motions[1], command, wind, vehicle, effects, parameters, state, motions[3 + stage]
-            )
+            _differentiate(motions[1], command, wind, vehicle, effects, parameters, state, motions[3 + stage])
         for j in range(flat.shape[1]):
             flat[0, j] += step / 6.0 * (flat[2, j] + 2.0 * flat[3, j] + 2.0 * flat[4, j] + flat[5, j])
         _normalise(motion.attitude)
+
+
+@cache
+def flight_kernel() -> Any:
+    """:func:`fly`, compiled once and cached on disk for every function that `effects.compose` gives.
+
+    Left to itself, numba compiles it anew for each of these functions and in each process.
+    """
+    series, vectors, named_tuple = types.float64[::1], types.float64[:, ::1], cast(Any, types.NamedTuple)
+    controls = named_tuple((types.float64, vectors, vectors, series, series), Controls)
+    demand = named_tuple(
+        (vectors, vectors, vectors, vectors, series, series, vectors, series, vectors), Demand
+    )
+    vehicle, state = VEHICLE_TYPE[::1], STATE_TYPE[::1]
+    motion, log = from_dtype(MOTION)[::1], from_dtype(LOGGED)[::1]
+    fly.compile(
+        types.void(
+            *(vehicle, vehicle, controls, FUNCTION_TYPE, vectors, demand),
+            *(motion, vectors, state, log, types.int64[::1]),
+        )
+    )
+    fly.disable_compile()
+    return fly
 
 
 @njit(cache=True, nogil=True)
@@ -162,7 +187,8 @@ def _differentiate(
     for component in range(4):
         state.attitude[component] = motion.attitude[component]
     for rotor in range(ROTORS):
-        slope.rotor_speeds[rotor] = (command[rotor] - motion.rotor_speeds[rotor]) / vehicle.motor_time_constant
+        lag = command[rotor] - motion.rotor_speeds[rotor]
+        slope.rotor_speeds[rotor] = lag / vehicle.motor_time_constant
         state.rotor_speeds[rotor] = motion.rotor_speeds[rotor]
         state.rotor_accelerations[rotor] = slope.rotor_speeds[rotor]
     aerodynamics(state, vehicle)

@@ -14,7 +14,7 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.simulation.controller import Controls
-from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, Demand, fly
+from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, Demand, flight_kernel
 from quadpi_core.simulation.effects import Effects, added_wind, altered_vehicle, compose
 from quadpi_core.simulation.records import STATE
 from quadpi_core.simulation.reference import Reference
@@ -77,7 +77,7 @@ def simulate_flight(
     controls.command[:] = start.rotor_speeds
     log = np.zeros(samples, dtype=LOGGED)
     done = np.zeros(1, dtype=np.int64) if done is None else done
-    fly(
+    flight_kernel()(
         flown.record(),
         nominal,
         controls,
@@ -126,7 +126,7 @@ def _demand(reference: Reference, wind: Array, last: int) -> Demand:
         reference.thrust,
         wind,
     )
-    return Demand(*(np.ascontiguousarray(column[: last + 1]) for column in columns))
+    return Demand(*(np.array(column[: last + 1], dtype=float, order="C") for column in columns))
 
 
 def _lost(motion: np.void, position: Array, step: int) -> str:
