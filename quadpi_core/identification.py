@@ -20,8 +20,8 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
-from quadpi_core.models.kernel import CompiledPolynomials
-from quadpi_core.models.polynomial import FittedPolynomial, StepwisePolynomial
+from quadpi_core.models.methods import METHODS, FittedAxis
+from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.selection import StopRule
 from quadpi_core.monitor.envelope import Envelope
@@ -130,7 +130,7 @@ def identify(
     inputs = np.concatenate([flight.inputs for flight in flights])
     wrench = np.concatenate([flight.wrench for flight in flights])
     labels = np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights])
-    polynomials: dict[str, FittedPolynomial] = {}
+    fitted: dict[str, FittedAxis] = {}
     selection, training_range, held_out_coverage = {}, {}, {}
     for axis in (axis for axis in AXES if axis in pools):
         progress(axis)
@@ -141,15 +141,15 @@ def identify(
         target = wrench[:, AXES.index(axis)]
         try:
             regressor.fit(inputs, target, labels)
-            regressor.fitted_.noise.factor(confidence)
+            regressor.fitted_.rule.factor(confidence)
         except ModelError as error:
             raise ModelError(f"{axis}: {error}") from error
-        polynomials[axis] = regressor.fitted_
+        fitted[axis] = regressor.fitted_
         selection[axis] = regressor.selection_log()
         coverage = regressor.held_out_coverage(confidence)
         held_out_coverage[axis] = [] if coverage is None else coverage.tolist()
         training_range[axis] = float(np.ptp(target))
-    compiled = CompiledPolynomials.pack(polynomials)
+    compiled = METHODS["polynomial"].compile(fitted)
     evidence = compiled.evaluate(inputs, compiled.factors(confidence))
     return AerodynamicModel(
         name="",
@@ -158,7 +158,7 @@ def identify(
         settings=settings,
         cutoff_hz=cutoff_hz,
         confidence=confidence,
-        polynomials=polynomials,
+        fitted=fitted,
         envelope=Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
         training_range=training_range,
         flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),

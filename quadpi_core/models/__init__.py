@@ -3,7 +3,7 @@
 """Aerodynamic models with prediction intervals."""
 
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
-from quadpi_core.models.kernel import Evaluation
+from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.polynomial import FittedPolynomial, StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool, load_pools
 

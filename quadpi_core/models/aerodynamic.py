@@ -12,9 +12,8 @@ from typing import Any
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.kernel import CompiledPolynomials, Evaluation
-from quadpi_core.models.noise import ResidualNoise
-from quadpi_core.models.polynomial import FittedPolynomial
+from quadpi_core.models.methods import METHODS, CompiledAxes, Evaluation, FittedAxis
+from quadpi_core.models.rules import HeldOutRule
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.vehicle import Vehicle
 
@@ -39,7 +38,7 @@ class AerodynamicModel:
         settings: "default" or "paper".
         cutoff_hz: of the low-pass that every signal passed before identification, and must pass before use.
         confidence: nominal coverage that the monitor uses unless told otherwise.
-        polynomials: fitted axes by name, in the order of `AXES`.
+        fitted: axes by name, in the order of `AXES`, all of one method.
         envelope: what the training flights showed.
         training_range: per axis, range (max − min) of the measured training data, the denominator of NMPIW.
         flights: that the model was identified on.
@@ -55,7 +54,7 @@ class AerodynamicModel:
     settings: str
     cutoff_hz: float
     confidence: float
-    polynomials: dict[str, FittedPolynomial]
+    fitted: dict[str, FittedAxis]
     envelope: Envelope
     training_range: dict[str, float]
     flights: tuple[TrainingFlight, ...]
@@ -66,7 +65,12 @@ class AerodynamicModel:
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes held, in the order of `AXES`."""
-        return tuple(axis for axis in AXES if axis in self.polynomials)
+        return tuple(axis for axis in AXES if axis in self.fitted)
+
+    @property
+    def method(self) -> str:
+        """Name of the method, one of `methods.METHODS`."""
+        return next(iter(self.fitted.values())).method
 
     def require(self, vehicle: Vehicle) -> None:
         """Refuse a vehicle other than the one that the model was identified for.
@@ -84,12 +88,13 @@ class AerodynamicModel:
 
     def calibration(self) -> str:
         """What the width of the intervals rests on, in a sentence."""
-        noise = next(iter(self.polynomials.values())).noise
-        if isinstance(noise, ResidualNoise):
+        rule = next(iter(self.fitted.values())).rule
+        if not isinstance(rule, HeldOutRule):
             return (
-                "intervals from the training residuals, as in the paper: expect less coverage on new flights"
+                f"intervals by the {rule.kind} rule, as in the paper, not calibrated on held-out flights: expect "
+                f"less coverage on new flights"
             )
-        total, inside = len(noise.flight_factors), noise.flights_inside
+        total, inside = len(rule.flight_factors), rule.flights_inside
         if inside == 0:
             return (
                 f"no flight of {total} lies in the envelope of the others: intervals from the training "
@@ -99,8 +104,8 @@ class AerodynamicModel:
         return f"intervals calibrated on {inside} of {total} flights, each left out in turn{rest}"
 
     @cached_property
-    def _compiled(self) -> CompiledPolynomials:
-        return CompiledPolynomials.pack(self.polynomials)
+    def _compiled(self) -> CompiledAxes:
+        return METHODS[self.method].compile(self.fitted)
 
     @cached_property
     def _factors(self) -> Any:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,25 +14,9 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, check_inputs, rows_kernel
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """What a model says of N samples; columns Fx … Mz, zero for axes that the model does not hold.
-
-    Attributes:
-        predicted, lower, upper: (N, 6) N and Nm, body forward-right-down.
-        leverage: (N, 6) h = z (ZᵀZ)⁻¹ zᵀ.
-        relative_width: (N, 6) interval width over its root mean square on the training flights.
-    """
-
-    predicted: Array
-    lower: Array
-    upper: Array
-    leverage: Array
-    relative_width: Array
 
 
 @dataclass(frozen=True)
@@ -45,10 +30,10 @@ class CompiledPolynomials:
     whitening: Array
     inflation: Array
     rms_spread: Array
-    polynomials: dict[str, FittedPolynomial]
+    polynomials: Mapping[str, FittedPolynomial]
 
     @classmethod
-    def pack(cls, polynomials: dict[str, FittedPolynomial]) -> CompiledPolynomials:
+    def pack(cls, polynomials: Mapping[str, FittedPolynomial]) -> CompiledPolynomials:
         """Pack the axes held; common products of all axes are computed once."""
         longest = max(len(p.regressors) for p in polynomials.values())
         program = RegressorProgram.compile(r for p in polynomials.values() for r in p.regressors)
@@ -65,7 +50,7 @@ class CompiledPolynomials:
             count[k] = size
             coefficients[k, :size] = polynomial.coefficients
             whitening[k, :size, :size] = polynomial.whitening
-            inflation[k] = polynomial.noise.inflation
+            inflation[k] = polynomial.inflation
             rms_spread[k] = polynomial.rms_spread
         return cls(program, terms, count, coefficients, whitening, inflation, rms_spread, polynomials)
 
@@ -73,7 +58,7 @@ class CompiledPolynomials:
         """Half width (6,) of each axis' interval at zero leverage."""
         factors = np.zeros(len(AXES))
         for axis, polynomial in self.polynomials.items():
-            factors[AXES.index(axis)] = polynomial.noise.factor(confidence)
+            factors[AXES.index(axis)] = polynomial.rule.factor(confidence)
         return factors
 
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:

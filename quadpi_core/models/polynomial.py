@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,17 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.gram import Gram, flight_grams, sum_grams
-from quadpi_core.models.noise import FlightErrors, HeldOutNoise, ResidualNoise, calibrate
+from quadpi_core.models.leverage import LeveragedErrors, fit_inflation, leverage_of, spread_of
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
+from quadpi_core.models.rules import (
+    AnyRule,
+    HeldOutRule,
+    ResidualRule,
+    calibrate,
+    inside_range,
+    rule_from_json,
+)
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, fit_coefficients, select
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]
@@ -34,15 +42,18 @@ class FittedPolynomial:
         regressors: s terms, the bias first, the fixed ones before the selected.
         coefficients: (s,), SI units.
         whitening: (s, s) lower triangular W with leverage h = |W z|².
-        noise: interval rule.
+        inflation: weight κ of the leverage in the spread √(1 + κ h).
+        rule: gives the interval's factor on the spread.
         rms_spread: root mean square over the training samples of √(1 + inflation · h), the unit of relative
             width; the leverages of N samples add up to s, so it is √(1 + inflation · s / N).
     """
 
+    method: ClassVar[str] = "polynomial"
     regressors: tuple[Regressor, ...]
     coefficients: Array
     whitening: Array
-    noise: ResidualNoise | HeldOutNoise
+    inflation: float
+    rule: AnyRule
     rms_spread: float
 
     @cached_property
@@ -52,12 +63,45 @@ class FittedPolynomial:
 
     def leverage(self, inputs: Array) -> Array:
         """Leverage h (N,) of input vectors (N, 19)."""
-        return _leverage(self.program.evaluate(inputs), self.whitening)
+        return leverage_of(self.program.evaluate(inputs), self.whitening)
 
     def spread(self, inputs: Array) -> Array:
         """√(1 + inflation · h) (N,): the shape of the interval over the inputs."""
-        spread: Array = np.sqrt(1.0 + self.noise.inflation * self.leverage(inputs))
-        return spread
+        return spread_of(self.leverage(inputs), self.inflation)
+
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+        return {"coefficients": self.coefficients, "whitening": np.ascontiguousarray(self.whitening)}
+
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+        return {
+            "regressors": self.terms,
+            "inflation": self.inflation,
+            "rule": self.rule.to_json(),
+            "rms_spread": self.rms_spread,
+        }
+
+    @classmethod
+    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives.
+        """
+        regressors = tuple(Regressor.parse(text) for text in data["regressors"])
+        coefficients, whitening, size = arrays["coefficients"], arrays["whitening"], len(regressors)
+        if coefficients.shape != (size,) or whitening.shape != (size, size):
+            raise ModelError(f"shapes do not fit the {size} regressors")
+        inflation, rms_spread = float(data["inflation"]), float(data["rms_spread"])
+        if not inflation >= 0.0 or not rms_spread >= 1.0:
+            raise ModelError(f"inflation {inflation} or rms_spread {rms_spread} is impossible")
+        return cls(regressors, coefficients, whitening, inflation, rule_from_json(data["rule"]), rms_spread)
+
+    @property
+    def terms(self) -> list[str]:
+        """What the prediction is made of, in words."""
+        return [str(regressor) for regressor in self.regressors]
 
 
 class StepwisePolynomial:
@@ -159,19 +203,22 @@ class StepwisePolynomial:
         gram = sum_grams(grams)
         coefficients, whitening = fit_coefficients(gram, active)
         chosen = tuple(regressors[k] for k in active)
-        noise: ResidualNoise | HeldOutNoise
+        rule: AnyRule
         if self.noise == "residual":
             freedom = float(len(y) - 2)
             std = float(np.sqrt(gram.residual_square(active, coefficients) / freedom))
-            noise, self.held_out_ = ResidualNoise(std, freedom), None
+            inflation, rule, self.held_out_ = 1.0, ResidualRule(std, freedom), None
         else:
-            self.held_out_ = self._held_out_errors(grams, X, y, flights)
+            held_out = self._held_out_errors(grams, X, y, flights)
+            # κ = N says that all training samples are worth a single one.
+            inflation = fit_inflation(held_out, highest=len(y))
             error, leverage = _errors(chosen, coefficients, whitening, X, y)
             members = [flights == k for k in range(len(grams))]
-            trained = [FlightErrors(error[m], leverage[m], np.ones(m.sum(), dtype=bool)) for m in members]
-            noise = calibrate(self.held_out_, trained)
-        rms_spread = float(np.sqrt(1.0 + noise.inflation * len(chosen) / len(y)))
-        self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, noise, rms_spread)
+            trained = [LeveragedErrors(error[m], leverage[m], np.ones(m.sum(), dtype=bool)) for m in members]
+            self.held_out_ = [flight.spread(inflation) for flight in held_out]
+            rule = calibrate(self.held_out_, [flight.spread(inflation) for flight in trained])
+        rms_spread = float(np.sqrt(1.0 + inflation * len(chosen) / len(y)))
+        self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, inflation, rule, rms_spread)
         self.n_features_in_ = X.shape[1]
         return self
 
@@ -192,7 +239,7 @@ class StepwisePolynomial:
             ModelError: for a confidence that the calibration cannot support.
         """
         predicted = self.predict(X)
-        half = self._fitted.noise.factor(confidence) * self._fitted.spread(_finite_inputs(X))
+        half = self._fitted.rule.factor(confidence) * self._fitted.spread(_finite_inputs(X))
         return predicted - half, predicted + half
 
     def score(self, X: Array, y: Array) -> float:
@@ -202,10 +249,10 @@ class StepwisePolynomial:
 
     def held_out_coverage(self, confidence: float = 0.95) -> Array | None:
         """Coverage (F,) of each flight by model and intervals of the others; None under "residual"."""
-        noise = self._fitted.noise
-        if isinstance(noise, ResidualNoise) or self.held_out_ is None:
+        rule = self._fitted.rule
+        if not isinstance(rule, HeldOutRule) or self.held_out_ is None:
             return None
-        return noise.held_out_coverage(self.held_out_, confidence)
+        return rule.held_out_coverage(self.held_out_, confidence)
 
     def selection_log(self) -> list[dict[str, Any]]:
         """The steps as in the paper's tables: term, coefficient in the final model, R², criterion.
@@ -241,7 +288,7 @@ class StepwisePolynomial:
 
     def _held_out_errors(
         self, grams: list[Gram], X: Array, y: Array, flights: npt.NDArray[np.int64]
-    ) -> list[FlightErrors]:
+    ) -> list[LeveragedErrors]:
         """Errors on each flight of a model selected and fitted without it."""
         if len(grams) < 2:
             raise ModelError("intervals from held-out flights need two flights or more, or noise='residual'")
@@ -256,9 +303,8 @@ class StepwisePolynomial:
             chosen = tuple(regressors[k] for k in active)
             error, leverage = _errors(chosen, *fit_coefficients(sum_grams(rest), active), X, y)
             mine = flights == left_out
-            low, high = X[~mine].min(axis=0), X[~mine].max(axis=0)
-            inside = np.all((X[mine] >= low) & (X[mine] <= high), axis=1)
-            held_out.append(FlightErrors(error[mine], leverage[mine], inside))
+            inside = inside_range(X[mine], of=X[~mine])
+            held_out.append(LeveragedErrors(error[mine], leverage[mine], inside))
         return held_out
 
 
@@ -293,13 +339,7 @@ def _errors(
 ) -> tuple[Array, Array]:
     """Errors (N,) and leverages (N,)."""
     Z = RegressorProgram.compile(regressors).evaluate(X)
-    return y - Z @ coefficients, _leverage(Z, whitening)
-
-
-def _leverage(regressors: Array, whitening: Array) -> Array:
-    """Leverage h (N,) = |W z|² for each row z of the regressors (N, s)."""
-    leverage: Array = np.square(regressors @ whitening.T).sum(axis=1)
-    return leverage
+    return y - Z @ coefficients, leverage_of(Z, whitening)
 
 
 def _fit_columns(step: SelectionStep) -> dict[str, float]:

@@ -25,16 +25,13 @@ from quadpi_core.errors import ModelError, OutputError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
-from quadpi_core.models.noise import noise_from_json
-from quadpi_core.models.polynomial import FittedPolynomial
-from quadpi_core.models.regressors import Regressor
+from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.paths import whole_output
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
-FORMAT = 1
-METHOD = "polynomial"
+FORMAT = 2
 
 
 def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
@@ -44,15 +41,11 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
         OutputError: if the folder cannot be written, or holds what is not part of a model and would be lost.
     """
     _refuse_other_content(folder)
-    arrays = {}
+    arrays: dict[str, Array] = {}
     axes: dict[str, Any] = {}
-    for axis, polynomial in model.polynomials.items():
-        arrays[f"{axis}.coefficients"] = polynomial.coefficients
-        arrays[f"{axis}.whitening"] = np.ascontiguousarray(polynomial.whitening)
-        axes[axis] = {
-            "regressors": [str(regressor) for regressor in polynomial.regressors],
-            "noise": polynomial.noise.to_json(),
-            "rms_spread": polynomial.rms_spread,
+    for axis, fitted in model.fitted.items():
+        arrays |= {f"{axis}.{name}": values for name, values in fitted.arrays().items()}
+        axes[axis] = fitted.to_json() | {
             "training_range": model.training_range[axis],
             "selection": model.selection[axis],
             "held_out_coverage": model.held_out_coverage[axis],
@@ -60,7 +53,7 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
     array_bytes = save_arrays(arrays)
     content = {
         "format": FORMAT,
-        "method": METHOD,
+        "method": model.method,
         "settings": model.settings,
         "vehicle": model.vehicle,
         "vehicle_fingerprint": model.vehicle_fingerprint,
@@ -95,9 +88,10 @@ def load_model(folder: Path) -> AerodynamicModel:
             raise ModelError(
                 f"{MODEL_FILE}: format {content['format']!r} is not known to this version ({FORMAT})"
             )
-        if content["method"] != METHOD:
+        if content["method"] not in METHODS:
+            known = ", ".join(METHODS)
             raise ModelError(
-                f"{MODEL_FILE}: method {content['method']!r} is not known to this version ({METHOD})"
+                f"{MODEL_FILE}: method {content['method']!r} is not known to this version ({known})"
             )
         if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
             raise ModelError(f"{ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered")
@@ -119,7 +113,7 @@ def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identit
         settings=str(content["settings"]),
         cutoff_hz=float(content["cutoff_hz"]),
         confidence=float(content["confidence"]),
-        polynomials={axis: _polynomial(axis, entry, arrays) for axis, entry in axes.items()},
+        fitted={axis: _axis(content["method"], axis, entry, arrays) for axis, entry in axes.items()},
         envelope=Envelope.from_json(content["envelope"]),
         training_range={axis: float(entry["training_range"]) for axis, entry in axes.items()},
         flights=tuple(TrainingFlight(**flight) for flight in content["flights"]),
@@ -131,18 +125,15 @@ def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identit
     )
 
 
-def _polynomial(axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
-    regressors = tuple(Regressor.parse(text) for text in entry["regressors"])
-    coefficients, whitening = arrays[f"{axis}.coefficients"], arrays[f"{axis}.whitening"]
-    size = len(regressors)
-    if coefficients.shape != (size,) or whitening.shape != (size, size):
-        raise ModelError(f"{ARRAYS_FILE}: {axis}: shapes do not fit the {size} regressors")
-    if not (np.all(np.isfinite(coefficients)) and np.all(np.isfinite(whitening))):
+def _axis(method: str, axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedAxis:
+    prefix = f"{axis}."
+    own = {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
+    if not all(np.all(np.isfinite(values)) for values in own.values()):
         raise ModelError(f"{ARRAYS_FILE}: {axis}: numbers that are not finite")
-    rms_spread = float(entry["rms_spread"])
-    if rms_spread < 1.0:
-        raise ModelError(f"{MODEL_FILE}: {axis}: rms_spread {rms_spread} is below 1")
-    return FittedPolynomial(regressors, coefficients, whitening, noise_from_json(entry["noise"]), rms_spread)
+    try:
+        return METHODS[method].stored(entry, own)
+    except ModelError as error:
+        raise ModelError(f"{axis}: {error}") from error
 
 
 def _refuse_other_content(folder: Path) -> None:

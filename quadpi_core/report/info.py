@@ -119,7 +119,7 @@ def model_tables(model: AerodynamicModel) -> list[Table]:
     axes.add_column("axis")
     axes.add_column("regressors")
     for axis in model.axes:
-        axes.add_row(axis, Text(", ".join(str(r) for r in model.polynomials[axis].regressors)))
+        axes.add_row(axis, Text(", ".join(model.fitted[axis].terms)))
     flights = Table(title="identified on", box=box.SIMPLE_HEAD)
     flights.add_column("flight")
     flights.add_column("samples", justify="right")
@@ -144,7 +144,7 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
         "settings": model.settings,
         "cutoff_hz": model.cutoff_hz,
         "confidence": model.confidence,
-        "axes": {axis: [str(r) for r in model.polynomials[axis].regressors] for axis in model.axes},
+        "axes": {axis: model.fitted[axis].terms for axis in model.axes},
         "flights": [asdict(flight) for flight in model.flights],
         "envelope": {
             name: [float(lower), float(upper)]

@@ -52,7 +52,7 @@ def model(flights, vehicle):
 
 
 def coefficient(model, axis, term):
-    polynomial = model.polynomials[axis]
+    polynomial = model.fitted[axis]
     return dict(zip(map(str, polynomial.regressors), polynomial.coefficients, strict=True))[term]
 
 
@@ -86,7 +86,7 @@ def test_model_remembers_what_it_came_from(model, flights):
 def test_settings_of_the_paper(flights, vehicle):
     model = identify(flights[:1], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, settings="paper")
     assert model.settings == "paper"
-    assert model.polynomials["Fx"].noise.to_json()["kind"] == "residual"
+    assert model.fitted["Fx"].rule.to_json()["kind"] == "residual"
 
 
 def test_stop_rule_can_be_chosen(flights, vehicle):

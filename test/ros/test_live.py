@@ -18,7 +18,7 @@ from quadpi_core.flight import AXES, ImuStream, PoseStream, Recording, RotorSpee
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
-from quadpi_core.models.noise import ResidualNoise
+from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.monitor.alarm import LEVEL_ALARM
 from quadpi_core.monitor.envelope import Envelope
@@ -83,8 +83,8 @@ def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
         regressors = tuple(Regressor.parse(term) for term in terms)
         z = RegressorProgram.compile(regressors).evaluate(inputs)
         whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
-        noise = ResidualNoise(0.2, 500.0)
-        polynomials[axis] = FittedPolynomial(regressors, np.array([0.1, 0.01]), whitening, noise, 1.0)
+        rule = ResidualRule(0.2, 500.0)
+        polynomials[axis] = FittedPolynomial(regressors, np.array([0.1, 0.01]), whitening, 1.0, rule, 1.0)
     leverage, width = np.zeros((count, len(AXES))), np.zeros((count, len(AXES)))
     for axis, polynomial in polynomials.items():
         leverage[:, AXES.index(axis)] = polynomial.leverage(inputs)
@@ -96,7 +96,7 @@ def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
         settings="default",
         cutoff_hz=30.0,
         confidence=0.95,
-        polynomials=polynomials,
+        fitted=polynomials,
         envelope=Envelope.fit(inputs, np.zeros(count), leverage, width),
         training_range=dict.fromkeys(polynomials, 1.0),
         flights=(),

@@ -52,7 +52,7 @@ def identified(pools: dict[str, CandidatePool], paper_axes: tuple[str, ...] = ()
         settings="default",
         cutoff_hz=25.0,
         confidence=0.95,
-        polynomials={axis: fit.fitted_ for axis, fit in fits.items()},
+        fitted={axis: fit.fitted_ for axis, fit in fits.items()},
         envelope=Envelope.fit(X, groups, np.zeros((2400, 6)), np.zeros((2400, 6))),
         training_range=ranges,
         flights=(TrainingFlight("first", "ab" * 32, 1200), TrainingFlight("second", "cd" * 32, 1200)),
@@ -93,7 +93,7 @@ def test_compiled_evaluation_equals_that_of_each_axis(
     evaluation = model.evaluate(inputs, confidence)
     for axis, pool in POOLS.items():
         single = StepwisePolynomial(pool)
-        single.fitted_ = model.polynomials[axis]
+        single.fitted_ = model.fitted[axis]
         k = AXES.index(axis)
         lower, upper = single.predict_interval(inputs, confidence)
         spread = single.fitted_.spread(inputs)
@@ -163,7 +163,7 @@ def test_saving_twice_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None
 
 
 def test_saving_replaces_an_older_model_whole(model: AerodynamicModel, folder: Path) -> None:
-    replace(model, polynomials={"Mz": model.polynomials["Mz"]}).save(folder)
+    replace(model, fitted={"Mz": model.fitted["Mz"]}).save(folder)
     assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
     assert AerodynamicModel.load(folder).axes == ("Mz",)
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
@@ -220,17 +220,17 @@ def test_altered_description_shows_in_the_identity(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("keys", "value"),
     [
-        (["format"], 2),
+        (["format"], 99),
         (["method"], "ensemble"),
         (["axes"], {}),
         (["axes", "Fw"], {}),
         (["axes", "Fx"], None),
         (["axes", "Fx", "regressors"], ["bias", "mu_x"]),
         (["axes", "Fx", "regressors", 1], "zeta"),
-        (["axes", "Fx", "noise"], {"kind": "magic"}),
-        (["axes", "Fx", "noise", "inflation"], -1.0),
-        (["axes", "Fx", "noise", "inflation"], float("nan")),
-        (["axes", "Fx", "noise", "flight_factors"], [[1.0, 2.0]]),
+        (["axes", "Fx", "rule"], {"kind": "magic"}),
+        (["axes", "Fx", "inflation"], -1.0),
+        (["axes", "Fx", "inflation"], float("nan")),
+        (["axes", "Fx", "rule", "flight_factors"], [[1.0, 2.0]]),
         (["axes", "Fx", "rms_spread"], 0.0),
         (["axes", "Fx", "training_range"], "wide"),
         (["confidence"], "high"),

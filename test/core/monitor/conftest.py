@@ -11,7 +11,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
-from quadpi_core.models.noise import ResidualNoise
+from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.monitor.pairing import PairedSamples
@@ -75,7 +75,7 @@ def model(vehicle) -> AerodynamicModel:
         z = RegressorProgram.compile(regressors).evaluate(inputs)
         whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
         polynomials[axis] = FittedPolynomial(
-            regressors, np.linspace(0.1, 0.01, len(terms)), whitening, ResidualNoise(0.2, 1000.0), 1.0
+            regressors, np.linspace(0.1, 0.01, len(terms)), whitening, 1.0, ResidualRule(0.2, 1000.0), 1.0
         )
     leverage, width = np.zeros((len(inputs), 6)), np.zeros((len(inputs), 6))
     for axis, polynomial in polynomials.items():
@@ -88,7 +88,7 @@ def model(vehicle) -> AerodynamicModel:
         settings="default",
         cutoff_hz=CUTOFF_HZ,
         confidence=0.95,
-        polynomials=polynomials,
+        fitted=polynomials,
         envelope=Envelope.fit(inputs, np.zeros(len(inputs)), leverage, width),
         training_range=dict.fromkeys(polynomials, 1.0),
         flights=(),

@@ -13,7 +13,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.intervals.evaluate import FlightResult, evaluate_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
-from quadpi_core.models.noise import LEVELS, HeldOutNoise
+from quadpi_core.models.rules import LEVELS, HeldOutRule
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.monitor.envelope import Envelope
@@ -93,8 +93,8 @@ def case():
     step = {"term": "mu_x * omega_avg", "coefficient": 1.5, "r2": 0.9, "fixed": False, "criterion": 0.1}
     out = {"term": "p", "coefficient": None, "r2": 0.95, "fixed": False, "criterion": 0.2}
     bias = {"term": "1", "coefficient": -0.2, "r2": None, "fixed": True}
-    noise = HeldOutNoise(1.0, np.ones((2, len(LEVELS))), flights_inside=1)
-    polynomial = FittedPolynomial((Regressor.parse("bias"),), np.zeros(1), np.eye(1), noise, 1.0)
+    rule = HeldOutRule(np.ones((2, len(LEVELS))), flights_inside=1)
+    polynomial = FittedPolynomial((Regressor.parse("bias"),), np.zeros(1), np.eye(1), 1.0, rule, 1.0)
     model = AerodynamicModel(
         name="m",
         vehicle="v",
@@ -102,7 +102,7 @@ def case():
         settings="default",
         cutoff_hz=15.0,
         confidence=0.95,
-        polynomials=dict.fromkeys(AXES, polynomial),
+        fitted=dict.fromkeys(AXES, polynomial),
         envelope=Envelope.fit(inputs, labels, ones, ones),
         training_range=dict.fromkeys(AXES, 2.0),
         flights=tuple(TrainingFlight(result.name, "0" * 64, len(result)) for result in training),

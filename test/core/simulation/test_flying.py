@@ -97,7 +97,9 @@ def test_motors_are_first_order_within_their_limits():
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_tracks_sines_up_to_fourteen_metres_per_second(name):
-    truth = simulate_flight("dash", SimulatedVehicle.load(name), swing([20.0, 0.0, 0.0], [0.11, 0.1, 0.1], 20.0, 0.0))
+    truth = simulate_flight(
+        "dash", SimulatedVehicle.load(name), swing([20.0, 0.0, 0.0], [0.11, 0.1, 0.1], 20.0, 0.0)
+    )
     assert np.linalg.norm(truth.velocity, axis=1).max() > 13.5
     assert np.sqrt(np.mean(truth.position_error**2)) < 0.5
     coupled = simulate_flight("coupled", SimulatedVehicle.load(name), COUPLED)
@@ -180,7 +182,9 @@ def test_same_seed_same_flight_other_seed_other_gusts():
 def test_effects_come_as_a_surprise_to_the_controller():
     """It is told the nominal mass: a payload shows as a position error that it has to fight."""
     vehicle = SimulatedVehicle.load("bebop2")
-    loaded = simulate_flight("loaded", vehicle, COUPLED, effects=read_effects({"payload": {"mass_kg": 0.05}}, "test"))
+    loaded = simulate_flight(
+        "loaded", vehicle, COUPLED, effects=read_effects({"payload": {"mass_kg": 0.05}}, "test")
+    )
     assert loaded.vehicle.mass_kg == pytest.approx(vehicle.vehicle.mass_kg + 0.05)
     assert loaded.rotor_speeds.mean() > simulate_flight("bare", vehicle, COUPLED).rotor_speeds.mean() + 20.0
     assert loaded.position_error.max() < 1.0

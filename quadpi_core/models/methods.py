@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The methods that a model can be identified with, and what each has to provide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from quadpi_core.frames import Array
+from quadpi_core.models.evaluation import Evaluation
+from quadpi_core.models.kernel import CompiledPolynomials
+from quadpi_core.models.polynomial import FittedPolynomial
+from quadpi_core.models.rules import AnyRule
+
+__all__ = ["METHODS", "CompiledAxes", "Evaluation", "FittedAxis", "Method"]
+
+
+class FittedAxis(Protocol):
+    """One fitted axis: numbers that a compiled kernel can evaluate, and that can be stored.
+
+    Its interval is centre ± rule.factor(confidence) · spread (see `rules`).
+    """
+
+    method: ClassVar[str]
+
+    @property
+    def rule(self) -> AnyRule:
+        """Gives the interval's factor on the spread."""
+
+    @property
+    def terms(self) -> list[str]:
+        """What the prediction is made of, in words."""
+
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+
+
+class CompiledAxes(Protocol):
+    """The fitted axes of a model packed for compiled evaluation."""
+
+    def factors(self, confidence: float) -> Array:
+        """Factor (6,) of each axis' interval on its spread."""
+
+    def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
+        """Evaluate input vectors (N, 19) with what :meth:`factors` gave."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a method's axes are read from a stored model, and packed for evaluation.
+
+    Attributes:
+        stored: gives a fitted axis from what its `to_json` and `arrays` gave.
+        compile: packs the axes of a model, by name.
+    """
+
+    stored: Callable[[dict[str, Any], dict[str, Array]], FittedAxis]
+    compile: Callable[[Mapping[str, Any]], CompiledAxes]
+
+
+METHODS: dict[str, Method] = {
+    FittedPolynomial.method: Method(FittedPolynomial.stored, CompiledPolynomials.pack),
+}

@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How wide an interval must be: rules that turn a confidence into a factor on a method's own spread.
+
+Every method gives a centre and a spread at each input, and the interval is centre ± factor(confidence) · spread.
+A polynomial's spread is √(1 + κ h) with its leverage h, a bootstrap ensemble's the standard deviation of model and
+noise, a quality-driven ensemble's half the distance of its bounds. :class:`HeldOutRule` is the default for
+all of them; the others are the textbook rules that the paper uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import norm
+from scipy.stats import t as student_t
+
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+
+# Share of new flights whose coverage should reach the nominal one, given enough flights to tell.
+FLIGHT_SHARE = 0.9
+# Least share of a flight inside the envelope of the others for its held-out errors to count: the corner of a
+# flight that the others happen to touch is no sample of flying inside the envelope.
+FEWEST_INSIDE = 0.5
+# Confidence levels at which the held-out flights' quantiles are stored.
+LEVELS: Array = np.concatenate((np.arange(0.50, 0.99, 0.01), np.arange(0.99, 0.9991, 0.001)))
+
+
+class Rule(Protocol):
+    """What every rule can do."""
+
+    kind: ClassVar[str]
+
+    def factor(self, confidence: float) -> float:
+        """Half width of the interval per spread.
+
+        Raises:
+            ModelError: for a confidence that the rule cannot support.
+        """
+        ...
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, as stored with a model."""
+        ...
+
+
+@dataclass(frozen=True)
+class ResidualRule:
+    """Noise of the training residuals, taken as independent (van Beers and de Visser, Eq. 13, 16, 17)."""
+
+    kind: ClassVar[str] = "residual"
+    std: float
+    freedom: float
+
+    def __post_init__(self) -> None:
+        if self.std < 0.0 or self.freedom <= 0.0:
+            raise ModelError(
+                f"noise with standard deviation {self.std} and {self.freedom} degrees of freedom"
+            )
+
+    def factor(self, confidence: float) -> float:
+        """Standard deviation times the quantile of Student's distribution."""
+        _check_confidence(confidence, 0.0, 1.0)
+        return self.std * float(student_t.ppf(0.5 + confidence / 2.0, self.freedom))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, as stored with a model."""
+        return {"kind": self.kind, **asdict(self)}
+
+
+@dataclass(frozen=True)
+class NormalRule:
+    """Errors are normal with the spread as standard deviation (van Beers and de Visser, Eq. 20)."""
+
+    kind: ClassVar[str] = "normal"
+
+    def factor(self, confidence: float) -> float:
+        """Quantile of the standard normal distribution."""
+        _check_confidence(confidence, 0.0, 1.0)
+        return float(norm.ppf(0.5 + confidence / 2.0))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, as stored with a model."""
+        return {"kind": self.kind}
+
+
+@dataclass(frozen=True)
+class TrainedRule:
+    """Bounds that were trained for one confidence, and say nothing of any other."""
+
+    kind: ClassVar[str] = "trained"
+    confidence: float
+
+    def factor(self, confidence: float) -> float:
+        """One, at the confidence of training."""
+        _check_confidence(confidence, 0.0, 1.0)
+        if abs(confidence - self.confidence) > 1e-9:
+            raise ModelError(
+                f"these bounds were trained for a confidence of {self.confidence:g}, not {confidence:g}; identify "
+                f"again for another"
+            )
+        return 1.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, as stored with a model."""
+        return {"kind": self.kind, **asdict(self)}
+
+
+@dataclass(frozen=True)
+class HeldOutRule:
+    """Calibration on flights that the model never saw, each left out in turn.
+
+    Errors of flight data are autocorrelated, so neither their training variance nor N − p degrees of
+    freedom say how wide an honest interval is. The exchangeable unit is the flight: per flight, the quantile
+    of |error| / spread is an interval factor that would have covered that flight. Of the F flights' factors
+    the ⌈0.9 (F + 1)⌉-th smallest is used, or the largest while F is too small for that rank (split conformal
+    prediction by group).
+
+    Only errors inside the envelope of the other flights, where every input lies in their range, count for
+    the factor, and only of flights that lie mostly inside. Outside, the interval widens by its spread,
+    and the alarm, not the interval, is what to go by. A flight's factor also covers its errors in the
+    final fit, whose spread is smaller than that of the model without the flight.
+
+    Attributes:
+        flight_factors: (F, len(LEVELS)), each flight's own, at the confidence :data:`LEVELS`.
+        flights_inside: how many flights lie mostly inside the envelope of the others, so that their errors
+            count; 0 means that the factors rest on the training residuals alone.
+    """
+
+    kind: ClassVar[str] = "held-out"
+    flight_factors: Array
+    flights_inside: int
+
+    def factor(self, confidence: float) -> float:
+        """The factor that covers FLIGHT_SHARE of the flights, or all while there are too few to tell."""
+        _check_confidence(confidence, float(LEVELS[0]), float(LEVELS[-1]))
+        return _ranked_factor(self.flight_factors, confidence)
+
+    def held_out_coverage(self, held_out: Sequence[FlightErrors], confidence: float) -> Array:
+        """Share (F,) of each flight's errors, when it was left out, that the others' factors cover.
+
+        Outside the envelope of the others too: what a flight unlike them can expect.
+        """
+        factors = [
+            _ranked_factor(np.delete(self.flight_factors, k, axis=0), confidence)
+            for k in range(len(held_out))
+        ]
+        return np.array(
+            [np.mean(flight.scores() <= factor) for flight, factor in zip(held_out, factors, strict=True)]
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, as stored with a model."""
+        return {
+            "kind": self.kind,
+            "flight_factors": self.flight_factors.tolist(),
+            "flights_inside": self.flights_inside,
+        }
+
+
+AnyRule: TypeAlias = ResidualRule | NormalRule | TrainedRule | HeldOutRule
+
+
+def rule_from_json(data: dict[str, Any]) -> AnyRule:
+    """Read what `to_json` gave.
+
+    Raises:
+        ModelError: for an unknown kind, or numbers that no fit gives.
+        KeyError, TypeError, ValueError: for missing or malformed numbers.
+    """
+    kind = data["kind"]
+    if kind == ResidualRule.kind:
+        return ResidualRule(float(data["std"]), float(data["freedom"]))
+    if kind == NormalRule.kind:
+        return NormalRule()
+    if kind == TrainedRule.kind:
+        return TrainedRule(float(data["confidence"]))
+    if kind == HeldOutRule.kind:
+        factors = np.array(data["flight_factors"], dtype=float)
+        if factors.ndim != 2 or factors.shape[1] != len(LEVELS) or len(factors) == 0:
+            raise ModelError(f"flight factors of shape {factors.shape}")
+        return HeldOutRule(factors, int(data["flights_inside"]))
+    raise ModelError(f"unknown kind of interval rule {kind!r}")
+
+
+@dataclass(frozen=True)
+class FlightErrors:
+    """Errors of a model on one flight.
+
+    Attributes:
+        error: (N,) measured − centre of the interval.
+        spread: (N,) of that model, positive.
+        inside: (N,) whether every input lies in the range of the samples that the model was fitted to.
+    """
+
+    error: Array
+    spread: Array
+    inside: npt.NDArray[np.bool_]
+
+    def factors(self) -> Array:
+        """Factors (len(LEVELS),) whose intervals would have covered the errors inside."""
+        factors: Array = np.quantile(self.scores()[self.inside], LEVELS, method="higher")
+        return factors
+
+    def scores(self) -> Array:
+        """Factors (N,) whose intervals would just have covered each error."""
+        scores: Array = np.abs(self.error) / self.spread
+        return scores
+
+
+def calibrate(held_out: Sequence[FlightErrors], trained: Sequence[FlightErrors]) -> HeldOutRule:
+    """Rule from the errors of each flight, left out and in the final fit.
+
+    Args:
+        held_out: per flight, under the model fitted without it.
+        trained: per flight, under the final model.
+    """
+    factors = [flight.factors() for flight in trained]
+    inside = [k for k, flight in enumerate(held_out) if np.mean(flight.inside) >= FEWEST_INSIDE]
+    for k in inside:
+        factors[k] = np.maximum(factors[k], held_out[k].factors())
+    return HeldOutRule(np.stack(factors), len(inside))
+
+
+def inside_range(inputs: Array, of: Array) -> npt.NDArray[np.bool_]:
+    """Which samples (N,) of inputs (N, D) lie in the range of others (M, D) in every input."""
+    inside: npt.NDArray[np.bool_] = np.all((inputs >= of.min(axis=0)) & (inputs <= of.max(axis=0)), axis=1)
+    return inside
+
+
+def _ranked_factor(flight_factors: Array, confidence: float) -> float:
+    factors = np.sort([np.interp(confidence, LEVELS, row) for row in flight_factors])
+    rank = int(np.ceil(FLIGHT_SHARE * (len(factors) + 1)))
+    return float(factors[min(rank, len(factors)) - 1])
+
+
+def _check_confidence(confidence: float, lowest: float, highest: float) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise ModelError(f"confidence {confidence} is not between 0 and 1")
+    if not lowest <= confidence <= highest:
+        raise ModelError(
+            f"confidence {confidence} is outside {lowest:g} to {highest:g}, which can be calibrated"
+        )
