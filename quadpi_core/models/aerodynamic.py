@@ -91,8 +91,8 @@ class AerodynamicModel:
         rule = next(iter(self.fitted.values())).rule
         if not isinstance(rule, HeldOutRule):
             return (
-                f"intervals by the {rule.kind} rule, as in the paper, not calibrated on held-out flights: expect "
-                f"less coverage on new flights"
+                f"intervals by the {rule.kind} rule, as in the paper, not calibrated on held-out flights: "
+                f"expect less coverage on new flights"
             )
         total, inside = len(rule.flight_factors), rule.flights_inside
         if inside == 0:

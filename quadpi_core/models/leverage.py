@@ -17,7 +17,7 @@ from quadpi_core.models.rules import FlightErrors
 
 @dataclass(frozen=True)
 class LeveragedErrors:
-    """Errors (N,) of a polynomial on one flight, its leverages (N,), and which samples lie inside the others."""
+    """Errors (N,) of a polynomial on one flight, its leverages (N,), and what lies inside the others."""
 
     error: Array
     leverage: Array

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How wide an interval must be: rules that turn a confidence into a factor on a method's own spread.
 
-Every method gives a centre and a spread at each input, and the interval is centre ± factor(confidence) · spread.
-A polynomial's spread is √(1 + κ h) with its leverage h, a bootstrap ensemble's the standard deviation of model and
-noise, a quality-driven ensemble's half the distance of its bounds. :class:`HeldOutRule` is the default for
-all of them; the others are the textbook rules that the paper uses.
+Every method gives a centre and a spread at each input; the interval is centre ± factor(confidence) · spread.
+A polynomial's spread is √(1 + κ h) with its leverage h, a bootstrap ensemble's the standard deviation of
+model and noise, a quality-driven ensemble's half the distance of its bounds. :class:`HeldOutRule` is the
+default for all of them; the others are the textbook rules that the paper uses.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ class TrainedRule:
         _check_confidence(confidence, 0.0, 1.0)
         if abs(confidence - self.confidence) > 1e-9:
             raise ModelError(
-                f"these bounds were trained for a confidence of {self.confidence:g}, not {confidence:g}; identify "
-                f"again for another"
+                f"these bounds were trained for a confidence of {self.confidence:g}, not {confidence:g}; "
+                f"identify again for another"
             )
         return 1.0
 
