@@ -177,6 +177,16 @@ def has_topic(path: Path | str, topic: str) -> bool:
         return find_topic(bag, topic) is not None
 
 
+def bag_vehicle(path: Path | str) -> str:
+    """Name of the vehicle that a bag says it is of; empty where it does not say.
+
+    Raises:
+        LogError: for a bag that cannot be read.
+    """
+    with Bag(Path(path)) as bag:
+        return bag.metadata.get("vehicle", "")
+
+
 def bag_topics(path: Path | str) -> list[TopicSummary]:
     """Summarise every topic of any bag, whatever its types, ordered by name.
 

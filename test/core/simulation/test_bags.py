@@ -119,6 +119,24 @@ def test_newton_and_euler_hold_in_the_bag_alone(bag):
     np.testing.assert_allclose(found.wrench[:, 3:], moment, rtol=0.0, atol=1e-12)
 
 
+def test_info_knows_the_vehicle_of_the_bag(bag, quadpi):
+    outcome = quadpi("info", bag)
+    assert outcome.status == 0, outcome.errors
+    assert "vehicle bebop2" in outcome.output
+    findings = [line for line in outcome.output.splitlines() if "▲" in line]
+    assert ["topic mocap/pose: gaps" in line for line in findings] == [True], (
+        "markers are hidden, else all is well"
+    )
+
+
+def test_noise_of_rotors_at_their_limit_is_no_spike(tmp_path, plan, truth):
+    limit = np.full_like(truth.rotor_speeds, BEBOP.rotor_speed_max_rad_s)
+    sent = sensed_of(plan, replace(truth, rotor_speeds=limit))
+    assert sent.recording.rotor_speeds.speeds.max() > BEBOP.rotor_speed_max_rad_s
+    write_simulated_bag(tmp_path / "fast.mcap", plan, truth, sent)
+    assert len(read_recording(tmp_path / "fast.mcap", BEBOP).rotor_speeds) == len(truth)
+
+
 def test_truth_names_the_vehicle_that_truly_flew(tmp_path, plan, truth, sensed):
     heavy = replace(truth, vehicle=replace(truth.vehicle, mass_kg=0.424))
     write_simulated_bag(tmp_path / "swing.mcap", plan, heavy, sensed)
