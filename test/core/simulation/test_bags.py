@@ -14,9 +14,11 @@ from quadpi_core.logs.bags import TOPIC_TYPES, bag_topics, has_topic, read_bag, 
 from quadpi_core.logs.mcap import Bag
 from quadpi_core.simulation.bags import read_truth, write_simulated_bag
 from quadpi_core.simulation.faults import read_faults
+from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.sensors import sense
+from quadpi_core.simulation.vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 
 BEBOP = Vehicle.load("bebop2")
@@ -110,7 +112,26 @@ def test_truth_comes_back(bag, truth):
 
 
 def test_newton_and_euler_hold_in_the_bag_alone(bag):
-    found = read_truth(bag)
+    assert_newton_and_euler(read_truth(bag))
+
+
+def test_newton_and_euler_hold_in_the_bag_of_an_altered_vehicle(tmp_path, plan):
+    altered = plan.overridden(
+        duration_s=3.0,
+        head_wind_m_s=5.0,
+        motion={"x": [{"sine": {"amplitude_m": 0.5, "frequency_hz": 0.7, "start_s": 0.0}}]},
+        effects={"payload": {"mass_kg": 0.05}, "gyroscopic": None, "inertia": None},
+    )
+    vehicle = SimulatedVehicle.load("bebop2")
+    reference, wind = altered.reference(1000.0), altered.known_wind
+    flown = simulate_flight("swing", vehicle, reference, known_wind=wind, effects=altered.effects)
+    write_simulated_bag(tmp_path / "heavy.mcap", altered, flown, sensed_of(altered, flown))
+    found = read_truth(tmp_path / "heavy.mcap")
+    assert found.mass == pytest.approx(BEBOP.mass_kg + 0.05)
+    assert_newton_and_euler(found)
+
+
+def assert_newton_and_euler(found):
     weight = np.broadcast_to([0.0, 0.0, found.mass * found.gravity], found.acceleration.shape)
     force = rotate_world_to_body(found.odometry.attitude, found.mass * found.acceleration - weight)
     np.testing.assert_allclose(found.wrench[:, :3], force, rtol=0.0, atol=1e-12)
