@@ -212,7 +212,9 @@ def turned(attitude: Array, rotation: Array) -> Array:
     """Attitudes (N, 4) turned by rotation vectors (N, 3) rad, body axes."""
     result = np.empty_like(attitude)
     for row in range(len(attitude)):
-        result[row] = product(attitude[row], from_rotation_vector(rotation[row]))
+        quaternion = product(attitude[row], from_rotation_vector(rotation[row]))
+        for component in range(4):
+            result[row, component] = quaternion[component]
     return result
 
 
