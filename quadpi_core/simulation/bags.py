@@ -152,7 +152,9 @@ def _headings(yaw: Array) -> Array:
     """Level attitudes (N, 4) of headings (N,) rad."""
     attitude = np.empty((len(yaw), 4))
     for row in range(len(yaw)):
-        attitude[row] = from_rotation_vector((0.0, 0.0, yaw[row]))
+        quaternion = from_rotation_vector((0.0, 0.0, yaw[row]))
+        for component in range(4):
+            attitude[row, component] = quaternion[component]
     return attitude
 
 
