@@ -9,15 +9,14 @@ evaluation of the equations of motion at that instant's state.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from numba import from_dtype, types
 
 from quadpi_core.compiled import njit
-from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
-from quadpi_core.simulation.controller import Controls, control, observe
+from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.effects import FUNCTION_TYPE
 from quadpi_core.simulation.linear import cross, product3
 from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
@@ -59,20 +58,6 @@ _RATE_MAX_RAD_S = 40.0
 _POSITION_ERROR_MAX_M = 10.0
 
 
-class Demand(NamedTuple):
-    """The reference, its jerk (N, 3) m/s³, and the wind (N, 3) m/s in the world, at every step."""
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    yaw: Array
-    yaw_rate: Array
-    tilt: Array
-    thrust: Array
-    wind: Array
-
-
 @njit(cache=True, nogil=True)
 def fly(
     vehicle: Any,
@@ -109,19 +94,7 @@ def fly(
     _differentiate(motion, controls.command, demand.wind[0], vehicle, effects, parameters, state, motions[2])
     observe(controls, motion.rotor_speeds, state[0].wrench)
     for k in range(steps):
-        control(
-            controls,
-            nominal[0],
-            motion,
-            demand.position[k],
-            demand.velocity[k],
-            demand.acceleration[k],
-            demand.jerk[k],
-            demand.yaw[k],
-            demand.yaw_rate[k],
-            demand.tilt[k],
-            demand.thrust[k],
-        )
+        control(controls, nominal[0], motion, demand, k)
         wind, command = demand.wind[k], controls.command
         _differentiate(motion, command, wind, vehicle, effects, parameters, state, motions[2])
         observe(controls, motion.rotor_speeds, state[0].wrench)

@@ -13,8 +13,8 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
-from quadpi_core.simulation.controller import Controls
-from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, Demand, flight_kernel
+from quadpi_core.simulation.controller import Controls, Demand
+from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, flight_kernel
 from quadpi_core.simulation.effects import Effects, added_wind, altered_vehicle, compose
 from quadpi_core.simulation.records import STATE
 from quadpi_core.simulation.reference import Reference
@@ -41,21 +41,21 @@ def simulate_flight(
 ) -> Truth:
     """Fly a vehicle along a reference, from trim at its first instant.
 
-    The controller knows the vehicle as in its file: effects that alter it come as a surprise, as on a real one.
+    The controller knows the vehicle as in its file: effects that alter it come as a surprise.
 
     Args:
         name: of the flight.
         vehicle: to fly.
         reference: N instants at STEP_HZ; the flight lasts (N - 1) / STEP_HZ seconds.
-        known_wind: (3,) m/s of the world, steady, as an anemometer measures it; None for still air without one.
+        known_wind: (3,) m/s of the world, steady, that an anemometer measures; None for still air.
         effects: switched on; those of kind "sensor" do not alter the flight.
         extra: further wrench functions with their parameters, see `effects.compose`.
         seed: of gusts.
         done: (1,) written with the number of steps flown, for a progress bar in another thread.
 
     Raises:
-        SimulationError: naming flight, time and state, if the vehicle gets out of control; and if it cannot stand
-            still in the wind at the start.
+        SimulationError: naming flight, time and state, if the vehicle gets out of control; and if it cannot
+            stand still in the wind at the start.
     """
     steps = len(reference)
     every = STEP_HZ // LOG_HZ

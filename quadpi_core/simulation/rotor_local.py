@@ -64,7 +64,7 @@ class RotorLocalCoefficients:
         where = f"{path}: `simulation.rotor_local"
         known = [column.name for column in fields(cls)]
         if not isinstance(data, Mapping):
-            raise VehicleError(f"{where}` must be coefficients, or `{_SCALED_FROM}` with the name of a vehicle")
+            raise VehicleError(f"{where}` must be coefficients, or `{_SCALED_FROM}` and a vehicle")
         for key in data:
             if key not in known:
                 raise VehicleError(f"{where}.{key}`: unknown key{nearest(str(key), known)}")
@@ -127,8 +127,8 @@ class RotorLocalModel:
         simulation = data.get("simulation")
         if not isinstance(simulation, Mapping) or "rotor_local" not in simulation:
             raise VehicleError(
-                f"{path}: cannot be simulated: `simulation.rotor_local` is missing; give its coefficients, or "
-                f"`{_SCALED_FROM}: bebop2`"
+                f"{path}: cannot be simulated: `simulation.rotor_local` is missing; give its coefficients, "
+                f"or `{_SCALED_FROM}: bebop2`"
             )
         section = simulation["rotor_local"]
         if not isinstance(section, Mapping) or _SCALED_FROM not in section:
@@ -205,7 +205,9 @@ class RotorLocalModel:
             if values is None:
                 continue
             if np.shape(values) != states[name].shape:
-                raise SimulationError(f"{name}: expected shape {states[name].shape}, found {np.shape(values)}")
+                raise SimulationError(
+                    f"{name}: expected shape {states[name].shape}, found {np.shape(values)}"
+                )
             if not np.all(np.isfinite(values)):
                 raise SimulationError(f"{name}: holds values that are not finite")
             states[name] = values
@@ -231,7 +233,9 @@ class RotorLocalModel:
             "rotor_speed_max": vehicle.rotor_speed_max_rad_s,
             "airframe_area": airframe_area(vehicle),
         }
-        values |= {column.name: getattr(self.coefficients, column.name) for column in fields(self.coefficients)}
+        values |= {
+            column.name: getattr(self.coefficients, column.name) for column in fields(self.coefficients)
+        }
         for name, value in values.items():
             record[name] = value
         return record
@@ -274,7 +278,9 @@ def aerodynamics(state: Any, vehicle: Any) -> None:
         disc_angle = np.arctan2(w, in_plane)
 
         thrust = _coefficient(vehicle.thrust, advance_ratio, disc_angle) * disc * speed * speed
-        torque = spin * _coefficient(vehicle.torque, advance_ratio, disc_angle) * disc * radius * speed * speed
+        torque = (
+            spin * _coefficient(vehicle.torque, advance_ratio, disc_angle) * disc * radius * speed * speed
+        )
         force_x = speed * (vehicle.rotor_force_along * u + spin * vehicle.rotor_force_across * v)
         force_y = speed * (vehicle.rotor_force_along * v - spin * vehicle.rotor_force_across * u)
         hub_x = speed * (spin * vehicle.rotor_moment_across * u - vehicle.rotor_moment_along * v)
@@ -298,7 +304,8 @@ def _coefficient(c: Any, m: float, a: float) -> float:
     first = m * (c[6] + m * (c[7] + m * (c[8] + m * c[9])))
     second = m * (c[10] + m * (c[11] + m * c[12]))
     third = m * (c[13] + m * c[14])
-    return free + a * (first + a * (second + a * (third + a * m * c[15])))
+    coefficient: float = free + a * (first + a * (second + a * (third + a * m * c[15])))
+    return coefficient
 
 
 @njit(cache=True, nogil=True)

@@ -72,7 +72,7 @@ def derivative(values):
 
 
 def test_logged_derivatives_are_those_of_the_logged_states():
-    """Commands change every step, so that derivatives of accelerations jump: a bound, not machine precision."""
+    """Commands change every step, so that accelerations have corners: bounds, not machine precision."""
     truth = simulate_flight("swing", SimulatedVehicle.load("bebop2"), COUPLED)
     world = rotate_body_to_world(truth.attitude, truth.velocity)
     rotation = rotation_matrix(truth.attitude)
@@ -97,7 +97,9 @@ def test_motors_are_first_order_within_their_limits():
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_tracks_sines_up_to_fourteen_metres_per_second(name):
-    truth = simulate_flight("dash", SimulatedVehicle.load(name), swing([20.0, 0.0, 0.0], [0.11, 0.1, 0.1], 20.0, 0.0))
+    truth = simulate_flight(
+        "dash", SimulatedVehicle.load(name), swing([20.0, 0.0, 0.0], [0.11, 0.1, 0.1], 20.0, 0.0)
+    )
     assert np.linalg.norm(truth.velocity, axis=1).max() > 13.5
     assert np.sqrt(np.mean(truth.position_error**2)) < 0.5
     coupled = simulate_flight("coupled", SimulatedVehicle.load(name), COUPLED)
@@ -124,7 +126,7 @@ def test_trim_balances_the_weight(name):
         velocity = rotate_world_to_body(state.attitude, -wind)[None]
         wrench = model.wrench(velocity, np.zeros((1, 3)), state.rotor_speeds[None])
         weight = model.vehicle.mass_kg * model.vehicle.gravity_m_s2
-        force = rotate_body_to_world(state.attitude, wrench[0, :3]) + [0.0, 0.0, weight]
+        force = rotate_body_to_world(state.attitude, wrench[0, :3]) + np.array([0.0, 0.0, weight])
         np.testing.assert_allclose(force, 0.0, atol=1e-8)
         np.testing.assert_allclose(wrench[0, 3:], 0.0, atol=1e-8)
 
@@ -180,7 +182,9 @@ def test_same_seed_same_flight_other_seed_other_gusts():
 def test_effects_come_as_a_surprise_to_the_controller():
     """It is told the nominal mass: a payload shows as a position error that it has to fight."""
     vehicle = SimulatedVehicle.load("bebop2")
-    loaded = simulate_flight("loaded", vehicle, COUPLED, effects=read_effects({"payload": {"mass_kg": 0.05}}, "test"))
+    loaded = simulate_flight(
+        "loaded", vehicle, COUPLED, effects=read_effects({"payload": {"mass_kg": 0.05}}, "test")
+    )
     assert loaded.vehicle.mass_kg == pytest.approx(vehicle.vehicle.mass_kg + 0.05)
     assert loaded.rotor_speeds.mean() > simulate_flight("bare", vehicle, COUPLED).rotor_speeds.mean() + 20.0
     assert loaded.position_error.max() < 1.0
