@@ -141,7 +141,12 @@ def control(controls: Controls, vehicle: Any, motion: Any, demand: Demand, step:
     for axis in range(3):
         rates[0] += jerk[axis] * rotation[axis, 1] / specific_thrust
         rates[1] -= jerk[axis] * rotation[axis, 0] / specific_thrust
-    rates[2] = demand.yaw_rate[step] * rotation[2, 2]
+    # The nose stays in the vertical plane of the heading while the vehicle tilts.
+    north, east = np.cos(demand.yaw[step]), np.sin(demand.yaw[step])
+    ahead = rotation[0, 0] * north + rotation[1, 0] * east
+    side = rotation[1, 1] * north - rotation[0, 1] * east
+    tilted_side = rotation[1, 2] * north - rotation[0, 2] * east
+    rates[2] = (demand.yaw_rate[step] * ahead + rates[1] * tilted_side) / max(side, 0.3)
     # Twice the attitude error: the vector of R_targetᵀ R − Rᵀ R_target, in body axes.
     error = np.zeros(3)
     for axis in range(3):
@@ -170,13 +175,13 @@ def _attitude_of(force: Any, yaw: float, tilt: Any) -> Any:
     size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     z0, z1, z2 = -force[0] / size, -force[1] / size, -force[2] / size
     north, east = np.cos(yaw), np.sin(yaw)
-    # y = z × nose, x = y × z.
-    y0, y1, y2 = -z2 * east, z2 * north, z0 * east - z1 * north
-    size = np.sqrt(y0 * y0 + y1 * y1 + y2 * y2)
-    y0, y1, y2 = y0 / size, y1 / size, y2 / size
+    # x = side × z in the vertical plane of the heading, y = z × x.
+    x0, x1, x2 = north * z2, east * z2, -east * z1 - north * z0
+    size = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+    x0, x1, x2 = x0 / size, x1 / size, x2 / size
     target = np.empty((3, 3))
-    target[0, 0], target[1, 0], target[2, 0] = y1 * z2 - y2 * z1, y2 * z0 - y0 * z2, y0 * z1 - y1 * z0
-    target[0, 1], target[1, 1], target[2, 1] = y0, y1, y2
+    target[0, 0], target[1, 0], target[2, 0] = x0, x1, x2
+    target[0, 1], target[1, 1], target[2, 1] = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
     target[0, 2], target[1, 2], target[2, 2] = z0, z1, z2
     if tilt[0] == 0.0 and tilt[1] == 0.0:
         return target
