@@ -296,13 +296,16 @@ def simulate(
 
 @app.command()
 def demo(
-    data: Annotated[Path | None, typer.Option(help="Folder of real flights; default: $QUADPI_DATA.")] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(envvar="QUADPI_DATA", help="Folder of real flights; default: the bundled ones."),
+    ] = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for all that the demo makes.")
     ] = Path("out/demo"),
     rate: Annotated[float, typer.Option(help="Speed of the live replay; 1 is real time.")] = 1.0,
 ) -> None:
-    """Run the whole story: identify on real flights, evaluate, replay one through the live nodes, report."""
+    """Run the whole story: identify, evaluate, replay a flight through the live nodes, report."""
     try:
         # The one place where the command line reaches for ROS: the demo starts the live nodes.
         from quadpi_ros.demo import run_demo
