@@ -66,8 +66,9 @@ def simulate(
     vehicles = {plan.vehicle: SimulatedVehicle.load(plan.vehicle) for plan in plans}
     suites = {plan.noise: SensorSuite.load(plan.noise) for plan in plans}
     steps = [np.zeros(1, dtype=np.int64) for _ in plans]
-    # Compiled before any thread asks: two that ask at the same time would both compile.
-    compose({})
+    # Compiled before any thread asks: of two that ask at the same time, numba refuses one.
+    for plan in plans:
+        compose(plan.effects)
     flight_kernel()
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
