@@ -45,9 +45,12 @@ def cross(left: Array | Vector, right: Array | Vector) -> Vector:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def inverse(matrix: Array) -> Array:
-    """Inverse of a regular matrix (N, N), by Gauss and Jordan with the largest pivot of each column."""
+    """Inverse of a matrix (N, N), by Gauss and Jordan with the largest pivot of each column.
+
+    Of a singular matrix it is not finite.
+    """
     size = matrix.shape[0]
     left, right = matrix.copy(), np.eye(size)
     for column in range(size):

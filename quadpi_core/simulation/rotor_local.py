@@ -135,6 +135,8 @@ class RotorLocalModel:
             return cls(vehicle, RotorLocalCoefficients.parse(path, section))
         if set(section) != {_SCALED_FROM}:
             raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` stands alone")
+        if not isinstance(section[_SCALED_FROM], str):
+            raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` must name a vehicle")
         source_path, source_data = read_config("vehicle", section[_SCALED_FROM], VehicleError)
         # One step only: the vehicle that others are scaled from has coefficients of its own.
         source = (source_data.get("simulation") or {}).get("rotor_local")

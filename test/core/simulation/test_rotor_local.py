@@ -131,7 +131,7 @@ def test_order_of_rotors_in_the_vehicle_file_does_not_matter(tmp_path):
 
 
 def test_scaled_vehicle_has_the_same_wrench_without_dimension():
-    """Lengths halved at the same advance ratio and tip speed: a quarter of the force, an eighth of the moment."""
+    """Lengths halved at the same advance ratio and tip speed: ¼ of the force, ⅛ of the moment."""
     bebop = RotorLocalModel.load("bebop2")
     _, data = read_config("vehicle", "bebop2", VehicleError)
     small = bebop.vehicle.__class__(
@@ -178,6 +178,7 @@ def test_wrong_shapes_and_values_are_refused():
             r"hdbeetle.yaml: `simulation.rotor_local",
         ),
         (lambda s: s["rotor_local"].update(scaled_from="bebop2"), r"scaled_from` stands alone"),
+        (lambda s: s.update(rotor_local={"scaled_from": 3}), r"scaled_from` must name a vehicle"),
         (lambda s: s.update(rotor_local=3), r"must be coefficients, or `scaled_from`"),
     ],
 )
