@@ -13,7 +13,7 @@ help: ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
 	    printf 'make %-12s %s\n' "$$target" "$$text"; done
 
-demo: environment ## real flights: identify, predict, replay through live nodes, report (DEMO_ARGS="--rate 4")
+demo: environment ## identify, predict, replay through live nodes, report (DEMO_ARGS="--data FOLDER --rate 4")
 	@$(BIN)/quadpi demo $(DEMO_ARGS)
 
 test: environment ## all tests (TEST_ARGS="-k intervals -x")

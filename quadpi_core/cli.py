@@ -223,15 +223,89 @@ def replay(
     _write_json(json_file, summary)
 
 
+def _print_catalogue(wanted: bool) -> None:
+    if wanted:
+        from quadpi_core.report.catalogue import catalogue
+
+        console = _console()
+        for table in catalogue():
+            console.print(table)
+        raise typer.Exit
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="Scenario in config/scenarios, or a YAML file.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],
+    flight: Annotated[
+        list[str] | None, typer.Option(help="Only this flight of the scenario; may be repeated.")
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle in config/vehicles, or a YAML file; default: the scenario's.")
+    ] = None,
+    noise: Annotated[
+        str | None, typer.Option(help="Sensors in config/noise, or a YAML file; default: the scenario's.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Other noise and gusts; default: the scenario's seed.")
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(help="Switch on an effect: NAME, or NAME:PARAMETER=VALUE[,…]; may be repeated."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Flights at a time; default: one per core.")
+    ] = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+    _list: Annotated[
+        bool,
+        typer.Option("--list", callback=_print_catalogue, is_eager=True, help="Show scenarios and effects."),
+    ] = False,
+) -> None:
+    """Fly a scenario in the rotor-local simulation: a bag per flight, with its truth on /truth/…."""
+    from quadpi_core.report.flights import flight_json, flight_table, summarise
+    from quadpi_core.report.progress import flying
+    from quadpi_core.simulation.choice import choose_flights, parse_effects
+    from quadpi_core.simulation.run import simulate as fly
+    from quadpi_core.simulation.scenario import load_scenario
+
+    the_scenario = load_scenario(scenario)
+    plans = choose_flights(
+        the_scenario,
+        flight or (),
+        vehicle=vehicle,
+        noise=noise,
+        seed=seed,
+        effects=parse_effects(effect or ()),
+    )
+    files = [Path(name) for name in (scenario, vehicle, noise) if name and name.endswith((".yaml", ".yml"))]
+    _check_outputs(files, *(output / f"{plan.name}.mcap" for plan in plans), json_file, html_file)
+    console = _console()
+    with flying(console, {plan.name: plan.duration_s for plan in plans}) as progress:
+        flights = fly(plans, output, workers=workers, progress=progress)
+    summaries = [summarise(flown.plan, flown.truth) for flown in flights]
+    bags = [flown.bag for flown in flights]
+    console.print(flight_table(summaries, bags))
+    _write_json(json_file, flight_json(the_scenario.name, summaries, bags))
+    if html_file is not None:
+        from quadpi_core.report.simulation import write_simulation_page
+
+        write_simulation_page(html_file, [(flown.plan, flown.truth) for flown in flights])
+
+
 @app.command()
 def demo(
-    data: Annotated[Path | None, typer.Option(help="Folder of real flights; default: $QUADPI_DATA.")] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(envvar="QUADPI_DATA", help="Folder of real flights; default: the bundled ones."),
+    ] = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for all that the demo makes.")
     ] = Path("out/demo"),
     rate: Annotated[float, typer.Option(help="Speed of the live replay; 1 is real time.")] = 1.0,
 ) -> None:
-    """Run the whole story: identify on real flights, evaluate, replay one through the live nodes, report."""
+    """Run the whole story: identify, evaluate, replay a flight through the live nodes, report."""
     try:
         # The one place where the command line reaches for ROS: the demo starts the live nodes.
         from quadpi_ros.demo import run_demo

@@ -26,6 +26,11 @@ def message_directory() -> Path:
     return _share_directory() / "msg"
 
 
+def bags_directory() -> Path:
+    """The folder of the bundled bags."""
+    return _share_directory() / "bags"
+
+
 def _share_directory() -> Path:
     """The checkout, or share/quadpi of the prefix that pip or colcon installed the package below."""
     package = Path(__file__).resolve().parent

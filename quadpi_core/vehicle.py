@@ -17,6 +17,7 @@ from quadpi_core.errors import VehicleError
 from quadpi_core.frames import Array
 
 ROTORS = 4
+_SPIKE_MARGIN = 1.1
 SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
 
 
@@ -74,6 +75,11 @@ class Vehicle:
         disc_area = ROTORS * np.pi * self.rotor_radius_m**2
         weight = self.mass_kg * self.gravity_m_s2
         return float(np.sqrt(weight / (2.0 * self.air_density_kg_m3 * disc_area)))
+
+    @property
+    def rotor_speed_spike_rad_s(self) -> float:
+        """Beyond which a measured speed is a spike: a rotor at its largest, read with noise, is none."""
+        return _SPIKE_MARGIN * self.rotor_speed_max_rad_s
 
     @cached_property
     def fingerprint(self) -> str:

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi demo`: the whole story on real flights, the live nodes included."""
+"""`quadpi demo`: the whole story on bundled or real flights, the live nodes included."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from quadpi_core.identification import CUTOFF_HZ, identify, predict_flight, prep
 from quadpi_core.intervals.evaluate import evaluate_flights
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
-from quadpi_core.paths import data_directory, write_json
+from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.report.html import write_report
 from quadpi_core.report.live import LiveReplay
 from quadpi_core.report.tables import evaluation_table, held_out_table
@@ -24,48 +25,93 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import AlarmChange
 from quadpi_ros.session import SessionResult, run_session
 
-VEHICLE = "neurobem"
 CONFIDENCE = 0.95
-# The flight above this speed is kept from identification: the model has to extrapolate on it.
+# A NeuroBEM flight above this speed is kept from identification: the model has to extrapolate on it.
 FASTEST_IDENTIFIED_M_S = 12.0
 
 _LEVEL_STYLES = ("green", "yellow", "bold red")
 
-NO_DATA = """{directory}: the demo needs NeuroBEM flights there (University of Zurich, 2021: merged test \
-flights bemnn*.mat, one N x 41 matrix each), two or more below and one above {fastest:g} m/s; name the \
-folder that holds neurobem/ with --data or $QUADPI_DATA"""
+NO_DATA = """{directory}: the demo on real flights needs those of NeuroBEM there (University of Zurich, \
+2021: merged test flights bemnn*.mat, one N x 41 matrix each), two or more below and one above {fastest:g} \
+m/s; name the folder that holds neurobem/ with --data or $QUADPI_DATA, or neither for the bundled flights"""
+
+
+@dataclass(frozen=True)
+class DemoFlights:
+    """What the demo runs on.
+
+    Attributes:
+        vehicle: that flew.
+        groups: bags by group; the model is identified on the first.
+        replayed: the bag that goes through the live nodes.
+    """
+
+    vehicle: Vehicle
+    groups: dict[str, list[Path]]
+    replayed: Path
+
+    @property
+    def identified(self) -> list[Path]:
+        """The bags of the first group."""
+        return next(iter(self.groups.values()))
 
 
 def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> None:
     """Identify, evaluate, replay live and report; all files go to `output`.
+
+    Args:
+        data: folder of real flights; None for the bundled ones.
+        output: folder for all that the demo makes.
+        rate: speed of the live replay; 1 is real time.
+        console: to tell the story on.
 
     Raises:
         QuadpiError: saying what to provide where the flights are absent.
     """
     if not 0.0 < rate < np.inf:
         raise QuadpiError(f"--rate must be positive, found {rate:g}")
-    directory = (data or data_directory()) / "neurobem"
+    flights = _bundled_flights(console) if data is None else _real_flights(data, output, console)
+    _tell(flights, output, rate, console)
+
+
+def _bundled_flights(console: Console) -> DemoFlights:
+    folder = bags_directory()
+    groups = {
+        "identification": [folder / f"train_{number}.mcap" for number in (1, 2, 3, 4)],
+        "interpolation": [folder / "interpolation.mcap"],
+        "extrapolation": [folder / "extrapolation.mcap"],
+    }
+    console.rule("1  Flights: bags of quadpi's own simulation")
+    for group, bags in groups.items():
+        console.print(f"{group}: {', '.join(bag.name for bag in bags)}")
+    return DemoFlights(Vehicle.load("bebop2"), groups, groups["extrapolation"][0])
+
+
+def _real_flights(data: Path, output: Path, console: Console) -> DemoFlights:
+    directory = data / "neurobem"
     logs = sorted(directory.glob("*.mat"))
     what_to_provide = NO_DATA.format(directory=directory, fastest=FASTEST_IDENTIFIED_M_S)
     if not logs:
         raise QuadpiError(what_to_provide)
-    vehicle = Vehicle.load(VEHICLE)
-
+    vehicle = Vehicle.load("neurobem")
     console.rule("1  Import: flight logs to MCAP bags")
-    identified: list[Path] = []
-    extrapolated: list[Path] = []
+    groups: dict[str, list[Path]] = {"identification": [], "extrapolation": []}
     for bag, recording, _ in import_logs(logs, vehicle, output / "bags"):
         speed = float(np.linalg.norm(recording.odometry.velocity, axis=1).max())
-        (identified if speed < FASTEST_IDENTIFIED_M_S else extrapolated).append(bag)
+        groups["identification" if speed < FASTEST_IDENTIFIED_M_S else "extrapolation"].append(bag)
         console.print(f"{bag}: {len(recording.imu)} IMU samples, up to {speed:.1f} m/s")
-    if len(identified) < 2 or not extrapolated:
+    if len(groups["identification"]) < 2 or not groups["extrapolation"]:
         raise QuadpiError(what_to_provide)
+    return DemoFlights(vehicle, groups, groups["extrapolation"][0])
 
+
+def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> None:
+    vehicle = flights.vehicle
     console.rule("2  Identify: stepwise polynomials on the slower flights")
     with console.status("Estimating states") as status:
-        flights = prepare_flights(identified, vehicle, CUTOFF_HZ["default"])
+        prepared = prepare_flights(flights.identified, vehicle, CUTOFF_HZ["default"])
         model = identify(
-            flights,
+            prepared,
             vehicle,
             load_pools("quadrotor"),
             cutoff_hz=CUTOFF_HZ["default"],
@@ -81,25 +127,23 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
     console.print(held_out_table(model))
 
     console.rule("3  Evaluate: does the interval cover?")
-    flights += prepare_flights(extrapolated, vehicle, CUTOFF_HZ["default"])
-    results = [predict_flight(model, flight, CONFIDENCE) for flight in flights]
-    groups = {
-        "identification": [bag.stem for bag in identified],
-        "extrapolation": [bag.stem for bag in extrapolated],
-    }
+    others = [bag for bags in list(flights.groups.values())[1:] for bag in bags]
+    prepared += prepare_flights(others, vehicle, CUTOFF_HZ["default"])
+    results = [predict_flight(model, flight, CONFIDENCE) for flight in prepared]
+    groups = {name: [bag.stem for bag in bags] for name, bags in flights.groups.items()}
     evaluation = evaluate_flights(
         results, groups, model.training_range, CONFIDENCE, model=model.identity, vehicle=vehicle.name
     )
     console.print(evaluation_table(evaluation))
 
-    console.rule(f"4  Live: {extrapolated[0].name} through the ROS 2 nodes at {rate:g} x real time")
+    console.rule(f"4  Live: {flights.replayed.name} through the ROS 2 nodes at {rate:g} x real time")
     console.print(
         "Alarm and inputs outside their training range, the farthest first, by a share of that range:"
     )
     session = run_session(
-        extrapolated[0],
+        flights.replayed,
         output / "model",
-        vehicle=VEHICLE,
+        vehicle=vehicle.name,
         rate=rate,
         on_alarm=lambda change: _show(console, change),
     )
@@ -113,9 +157,8 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
     console.rule("5  Report")
     summary = evaluation | {"live": live}
     write_json(output / "summary.json", summary)
-    write_report(
-        output / "report.html", evaluation, results, model, _replay(extrapolated[0].stem, session, live)
-    )
+    replay = _replay(flights.replayed.stem, session, live)
+    write_report(output / "report.html", evaluation, results, model, replay)
     console.print(f"Open {output / 'report.html'}; figures in {output / 'summary.json'}")
 
 

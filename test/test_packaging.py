@@ -18,7 +18,7 @@ import quadpi_core
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("quadpi_core", "quadpi_ros")
-SHARED = ("config", "msg")
+SHARED = ("bags", "config", "msg")
 BUILD_FILES = ("pyproject.toml", "package.xml", "README.md", "LICENSE")
 
 

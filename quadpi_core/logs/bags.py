@@ -33,6 +33,12 @@ TOPIC_TYPES = {
     "wind": messages.WIND,
     "prediction": messages.PREDICTION,
     "extrapolation_alarm": messages.ALARM,
+    "truth/odometry": messages.ODOMETRY,
+    "truth/wrench": messages.WRENCH,
+    "truth/acceleration": messages.ACCELERATION,
+    "truth/rotor_speeds": messages.ROTOR_SPEEDS,
+    "truth/wind": messages.WIND,
+    "truth/reference": messages.POSE,
 }
 _RECORDED = ("imu", "erpm", "rotor_speeds", "mocap/pose", "odometry", "wind")
 _STARTS_WITH_HEADER = re.compile(
@@ -58,7 +64,7 @@ class TopicSummary:
 
 
 def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
-    """Read the standard topics of a bag; topics may stand in a namespace.
+    """Read the standard topics of a bag; topics may stand in a namespace, but for `truth`: that is no sensor.
 
     The streams are as recorded: :meth:`Recording.check` judges them.
 
@@ -87,7 +93,7 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
         topics = bag.read(names.values())
 
     def unpacked(topic: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
-        return _unpacked(path, topics[names[topic]], unpack) if topic in names else None
+        return unpacked_topic(path, topics[names[topic]], unpack) if topic in names else None
 
     def unpack_erpm(payloads: Payloads) -> RotorSpeedStream:
         if vehicle is None:
@@ -98,7 +104,7 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
         name=path.stem,
         vehicle=vehicle_name,
         source=str(path),
-        imu=_unpacked(path, topics[names["imu"]], messages.unpack_imu),
+        imu=unpacked_topic(path, topics[names["imu"]], messages.unpack_imu),
         rotor_speeds=unpacked("rotor_speeds", messages.unpack_rotor_speeds) or unpacked("erpm", unpack_erpm),
         pose=unpacked("mocap/pose", messages.unpack_pose),
         odometry=unpacked("odometry", messages.unpack_odometry),
@@ -117,8 +123,8 @@ def read_outputs(path: Path | str) -> tuple[Predictions | None, messages.Reporte
         prediction, alarm = find_topic(bag, "prediction"), find_topic(bag, "extrapolation_alarm")
         topics = bag.read([connection.topic for connection in (prediction, alarm) if connection])
     return (
-        _unpacked(path, topics[prediction.topic], messages.unpack_predictions) if prediction else None,
-        _unpacked(path, topics[alarm.topic], messages.unpack_alarms) if alarm else None,
+        unpacked_topic(path, topics[prediction.topic], messages.unpack_predictions) if prediction else None,
+        unpacked_topic(path, topics[alarm.topic], messages.unpack_alarms) if alarm else None,
     )
 
 
@@ -171,6 +177,16 @@ def has_topic(path: Path | str, topic: str) -> bool:
         return find_topic(bag, topic) is not None
 
 
+def bag_vehicle(path: Path | str) -> str:
+    """Name of the vehicle that a bag says it is of; empty where it does not say.
+
+    Raises:
+        LogError: for a bag that cannot be read.
+    """
+    with Bag(Path(path)) as bag:
+        return bag.metadata.get("vehicle", "")
+
+
 def bag_topics(path: Path | str) -> list[TopicSummary]:
     """Summarise every topic of any bag, whatever its types, ordered by name.
 
@@ -186,7 +202,7 @@ def bag_topics(path: Path | str) -> list[TopicSummary]:
 
 def _summary(path: Path, connection: Connection, topic: Topic) -> TopicSummary:
     has_header = _has_header(connection)
-    stamps_ns = _unpacked(path, topic, messages.unpack_stamps) if has_header else topic.log_time_ns
+    stamps_ns = unpacked_topic(path, topic, messages.unpack_stamps) if has_header else topic.log_time_ns
     return TopicSummary(topic.name, topic.type_name, stamps_ns, has_header)
 
 
@@ -198,11 +214,14 @@ def _has_header(connection: Connection) -> bool:
 
 
 def find_topic(bag: Bag, topic: str) -> Connection | None:
-    """The topic of that name in any namespace, or None if it is absent or holds no messages."""
+    """The topic of that name in any namespace, or None if it is absent or holds no messages.
+
+    Below a namespace `truth` stands what a simulation knows, none of it measured: it is passed over.
+    """
     candidates = {
         connection.topic: connection
         for connection in bag.connections
-        if connection.msgcount and f"/{connection.topic}".endswith(f"/{topic}")
+        if connection.msgcount and _is_named(connection.topic, topic)
     }
     if len(candidates) > 1:
         raise LogError(f"{bag.path}: topic {topic}: ambiguous between {', '.join(sorted(candidates))}")
@@ -217,6 +236,24 @@ def find_topic(bag: Bag, topic: str) -> Connection | None:
     return None
 
 
+def _is_named(name: str, topic: str) -> bool:
+    whole = f"/{name}"
+    namespace = whole.removesuffix(f"/{topic}")
+    return namespace != whole and "truth" not in namespace.split("/")
+
+
+def unpacked_topic(path: Path, topic: Topic, unpack: Callable[[Payloads], _Content]) -> _Content:
+    """What `unpack` makes of the messages of a topic.
+
+    Raises:
+        LogError: as `unpack` does, naming bag and topic.
+    """
+    try:
+        return unpack(topic.payloads)
+    except (LogError, VehicleError) as error:
+        raise LogError(f"{path}: topic {topic.name}: {error}") from error
+
+
 def _vehicle_name(bag: Bag, vehicle: Vehicle | None) -> str:
     named = bag.metadata.get("vehicle", "")
     if vehicle is None:
@@ -224,13 +261,6 @@ def _vehicle_name(bag: Bag, vehicle: Vehicle | None) -> str:
     if named not in {"", vehicle.name}:
         raise LogError(f"{bag.path}: is a flight of vehicle {named}, not of {vehicle.name}")
     return vehicle.name
-
-
-def _unpacked(path: Path, topic: Topic, unpack: Callable[[Payloads], _Content]) -> _Content:
-    try:
-        return unpack(topic.payloads)
-    except (LogError, VehicleError) as error:
-        raise LogError(f"{path}: topic {topic.name}: {error}") from error
 
 
 def _provenance(source: Path) -> dict[str, str]:

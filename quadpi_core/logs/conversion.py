@@ -57,7 +57,7 @@ def unit_attitude(source: str, topic: str, attitude: Array) -> Array:
 
 def rotor_spikes(stream: RotorSpeedStream, vehicle: Vehicle) -> npt.NDArray[np.bool_]:
     """Samples (N,) in which a rotor is faster than the vehicle allows; infinite is no spike but no speed."""
-    fast = (stream.speeds > vehicle.rotor_speed_max_rad_s) & np.isfinite(stream.speeds)
+    fast = (stream.speeds > vehicle.rotor_speed_spike_rad_s) & np.isfinite(stream.speeds)
     spikes: npt.NDArray[np.bool_] = np.any(fast, axis=1)
     return spikes
 

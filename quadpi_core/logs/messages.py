@@ -50,6 +50,8 @@ ERPM = "quadpi/msg/Erpm"
 ROTOR_SPEEDS = "quadpi/msg/RotorSpeeds"
 PREDICTION = "quadpi/msg/WrenchPrediction"
 ALARM = "quadpi/msg/ExtrapolationAlarm"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+ACCELERATION = "geometry_msgs/msg/AccelStamped"
 
 TIME = "builtin_interfaces/msg/Time"
 STAMP_END = 12
@@ -57,10 +59,14 @@ STAMP_END = 12
 BODY_FRAME = "base_link"
 WORLD_FRAME = "map"
 
+_BODY_VECTORS = {
+    WRENCH: ("wrench.force", "wrench.torque"),
+    ACCELERATION: ("accel.linear", "accel.angular"),
+}
 _NANOSECONDS = 1_000_000_000
 _QUATERNION_NORM_TOLERANCE = 0.01
 _ABSENT = -1.0
-_WRENCH_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
+_FLU_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
 _NED_TO_ENU = np.kron(np.eye(2), world_ned_to_enu(np.eye(3)).T).astype(np.float64)
 _FRD_TO_FLU = np.kron(np.eye(2), body_frd_to_flu(np.eye(3)).T).astype(np.float64)
 _WXYZ, _XYZW = [3, 0, 1, 2], [1, 2, 3, 0]
@@ -213,6 +219,23 @@ def pack_erpm(time_ns: Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Paylo
     return codec(ERPM).encode(len(time_ns), {**_header(time_ns, frame_id), "erpm": erpm})
 
 
+def unpack_body_vectors(payloads: Payloads | bytes, type_name: str) -> tuple[Stamps, Array]:
+    """Decode :data:`WRENCH` or :data:`ACCELERATION` in body axes: stamps and (N, 6), linear then angular."""
+    columns = codec(type_name).decode(payloads)
+    linear, angular = (columns[field] for field in _BODY_VECTORS[type_name])
+    return _stamps(columns), _mirrored(np.concatenate((linear, angular), axis=1))
+
+
+def pack_body_vectors(
+    time_ns: Stamps, vectors: Array, type_name: str, frame_id: str = BODY_FRAME
+) -> Payloads:
+    """Encode vectors (N, 6) of body axes, linear then angular, as :data:`WRENCH` or :data:`ACCELERATION`."""
+    linear, angular = _BODY_VECTORS[type_name]
+    in_flu = _mirrored(vectors)
+    columns = {**_header(time_ns, frame_id), linear: in_flu[:, :3], angular: in_flu[:, 3:]}
+    return codec(type_name).encode(len(time_ns), columns)
+
+
 def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
     """Decode quadpi/WrenchPrediction."""
     columns = codec(PREDICTION).decode(payloads)
@@ -348,12 +371,12 @@ def _rotated(covariance: Array, rotation: Array) -> Array:
 
 
 def _mirrored(wrench: Array) -> Array:
-    """Wrenches (N, 6) between FRD and FLU; adding zero keeps -0.0 out of the messages."""
-    return wrench * _WRENCH_SIGNS + 0.0
+    """Pairs of body vectors (N, 6) between FRD and FLU; adding zero keeps -0.0 out of the messages."""
+    return wrench * _FLU_SIGNS + 0.0
 
 
 def _mirrored_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
     """Bounds (N, 6) between FRD and FLU: they swap on an axis that changes sign."""
     one, other = _mirrored(lower), _mirrored(upper)
-    swapped = _WRENCH_SIGNS < 0.0
+    swapped = _FLU_SIGNS < 0.0
     return np.where(swapped, other, one), np.where(swapped, one, other)

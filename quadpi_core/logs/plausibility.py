@@ -78,7 +78,7 @@ def thrust_coefficient(recording: Recording, vehicle: Vehicle) -> float | None:
     if rotors is None:
         return None
     measured = finite_rows(rotors.speeds)
-    measured[measured] = np.all(rotors.speeds[measured] <= vehicle.rotor_speed_max_rad_s, axis=1)
+    measured[measured] = np.all(rotors.speeds[measured] <= vehicle.rotor_speed_spike_rad_s, axis=1)
     speeds, time_ns = rotors.speeds[measured], rotors.time_ns[measured]
     known = finite_rows(imu.specific_force)
     if len(speeds) == 0 or not np.any(known):

@@ -79,7 +79,7 @@ class Monitor:
             AIRSPEED_MAX_M_S,
             RATE_MAX_RAD_S,
             SPECIFIC_FORCE_MAX_M_S2,
-            vehicle.rotor_speed_max_rad_s,
+            vehicle.rotor_speed_spike_rad_s,
             MAX_GAP_NS,
         )
         self._previous_ns = np.array([_NO_STAMP])

@@ -5,15 +5,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich import box
+from rich.table import Table
+from rich.text import Text
 
+from quadpi_core import __version__
+from quadpi_core.report.style import number
 from quadpi_core.simulation.truth import Truth
 
 if TYPE_CHECKING:
-    from quadpi_core.simulation.scenario import FlightPlan
+    from quadpi_core.simulation.plan import FlightPlan
 
 # A rotor within this share of its range from either end of it is at its limit.
 _AT_LIMIT = 0.001
@@ -26,7 +32,7 @@ class FlightSummary:
     Attributes:
         effects: parameters by the name of the effect.
         faults: of the sensors, as the scenario gives them.
-        wind_m_s: known wind, north, east, down.
+        head_wind_m_s: from the north, as an anemometer measures it; None where there is none.
         tracking_rms_m, tracking_max_m: of the distance from the reference position.
         tilt_max_deg: greatest angle between the thrust axis and the vertical.
         rotor_speed_range_rad_s: lowest and highest of all rotors.
@@ -40,7 +46,7 @@ class FlightSummary:
     noise: str
     effects: Mapping[str, Mapping[str, float]]
     faults: Sequence[Mapping[str, Any]]
-    wind_m_s: Sequence[float]
+    head_wind_m_s: float | None
     airspeed_max_m_s: float
     tracking_rms_m: float
     tracking_max_m: float
@@ -62,10 +68,10 @@ def summarise(plan: FlightPlan, truth: Truth) -> FlightSummary:
         duration_s=float(truth.time[-1]),
         seed=plan.seed,
         vehicle=truth.vehicle.name,
-        noise=str(plan.noise),
+        noise=plan.noise,
         effects=planned["effects"],
         faults=planned["faults"],
-        wind_m_s=[float(component) for component in plan.known_wind],
+        head_wind_m_s=plan.head_wind_m_s,
         airspeed_max_m_s=float(truth.speed.max()),
         tracking_rms_m=float(np.sqrt(np.mean(error**2))),
         tracking_max_m=float(error.max()),
@@ -89,3 +95,30 @@ def faults_text(faults: Sequence[Mapping[str, Any]]) -> str:
         f"{fault['kind']} {fault['topic']} {fault['at_s']:g}–{fault['at_s'] + fault['for_s']:g} s"
         for fault in faults
     )
+
+
+def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Table:
+    """A row per flight, with its bag and the size of it; fits a terminal of 80 characters."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("bag", no_wrap=True)
+    for heading in ("s", "airspeed m/s", "error rms m", "max m", "MB"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    sizes = [1e-6 * bag.stat().st_size for bag in bags]
+    for summary, bag, size in zip(summaries, bags, sizes, strict=True):
+        table.add_row(
+            Text(bag.name),
+            number(summary.duration_s),
+            number(summary.airspeed_max_m_s),
+            number(summary.tracking_rms_m),
+            number(summary.tracking_max_m),
+            number(size),
+        )
+    total = sum(summary.duration_s for summary in summaries)
+    table.caption = Text(f"{len(bags)} bags in {bags[0].parent}: {number(total)} s, {number(sum(sizes))} MB")
+    return table
+
+
+def flight_json(scenario: str, summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> dict[str, Any]:
+    """The same for a JSON file, and all that the summaries hold."""
+    flights = [asdict(summary) | {"bag": str(bag)} for summary, bag in zip(summaries, bags, strict=True)]
+    return {"quadpi_version": __version__, "scenario": scenario, "flights": flights}

@@ -15,7 +15,7 @@ from rich.text import Text
 from quadpi_core.errors import VehicleError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import FORMATS, decode_recording, identify_format
-from quadpi_core.logs.bags import has_topic
+from quadpi_core.logs.bags import bag_vehicle, has_topic
 from quadpi_core.logs.inspect import Inspection, inspect_recording, inspect_topics
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.storage import MODEL_FILE
@@ -35,12 +35,13 @@ def describe(path: Path, vehicle: str | None, mapping: str | None) -> tuple[list
     if (path / MODEL_FILE).is_file():
         model = AerodynamicModel.load(path)
         return model_tables(model), _model_json(model)
-    if identify_format(path) is FORMATS["bag"] and not has_topic(path, "imu"):
+    is_bag = identify_format(path) is FORMATS["bag"]
+    if is_bag and not has_topic(path, "imu"):
         inspection = inspect_topics(path)
         return [_topic_table(inspection), _finding_table(inspection)], _inspection_json(inspection)
-    known = Vehicle.load(vehicle) if vehicle else None
+    known = Vehicle.load(vehicle) if vehicle else _named_vehicle(bag_vehicle(path) if is_bag else "")
     recording = decode_recording(path, known, mapping)
-    inspection = inspect_recording(recording, known or _named_vehicle(recording.vehicle))
+    inspection = inspect_recording(recording, known)
     return inspection_tables(inspection), _inspection_json(inspection)
 
 

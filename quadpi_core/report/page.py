@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A self-contained page, no network, no other file; and the pieces of HTML that all pages are made of.
 
-A page may hold one menu of flights. Its figures either have a name and are always there, or are of a kind,
+A page holds one menu of flights. Its figures either have a name and are always there, or are of a kind,
 and show the flight that the menu says: `figures` then holds "KIND FLIGHT" for each flight of the menu.
 """
 

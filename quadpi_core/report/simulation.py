@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -28,7 +27,7 @@ from quadpi_core.report.trajectory import trajectory_figure
 from quadpi_core.simulation.truth import Truth
 
 if TYPE_CHECKING:
-    from quadpi_core.simulation.scenario import FlightPlan
+    from quadpi_core.simulation.plan import FlightPlan
 
 # All time histories together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 370_000
@@ -99,9 +98,8 @@ def _flights(summaries: Sequence[FlightSummary]) -> str:
         "at limit": [percent(s.saturated_fraction) for s in summaries],
         "seed": [str(s.seed) for s in summaries],
     }
-    wind = [math.hypot(*s.wind_m_s) for s in summaries]
-    if any(wind):
-        columns["wind [m/s]"] = [number(speed) if speed else "–" for speed in wind]
+    if any(s.head_wind_m_s for s in summaries):
+        columns["wind [m/s]"] = [number(s.head_wind_m_s) for s in summaries]
     texts = {
         "effects": [effects_text(s.effects) for s in summaries],
         "faults": [faults_text(s.faults) for s in summaries],

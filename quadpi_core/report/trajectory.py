@@ -21,7 +21,7 @@ _SAMPLES = 1500
 # Vehicles drawn at most, and the length of their arms over the longest side of the space shown.
 _VEHICLES, _ARM = 24, 0.035
 # No side of the space shown is shorter than this share of the longest, nor than this [m].
-_SIDE_SHARE, _SIDE_M = 0.3, 1.0
+_SIDE_SHARE, _SIDE_M = 0.2, 1.0
 _MARGIN = 1.08
 # Length of the longest side on the screen; with the camera below it fills the figure.
 _SCALE = 1.2
@@ -99,12 +99,13 @@ def _points(points: Array) -> dict[str, Any]:
 
 
 def _sides(points: Array) -> tuple[Array, Array]:
-    """Lowest and highest corner (3,) of the space to show, none of its sides too short to see."""
+    """Lowest and highest corner (3,) of the space to show, no side too short to see; not below the ground."""
     low, high = points.min(axis=0), points.max(axis=0)
     sides = _MARGIN * (high - low)
     sides = np.maximum(sides, max(_SIDE_M, _SIDE_SHARE * float(sides.max())))
     middle = 0.5 * (low + high)
-    return middle - 0.5 * sides, middle + 0.5 * sides
+    bottom = np.array([-np.inf, -np.inf, min(0.0, low[2])])
+    return np.maximum(middle - 0.5 * sides, bottom), middle + 0.5 * sides
 
 
 def _along(path: Array, longest: float) -> npt.NDArray[np.intp]:

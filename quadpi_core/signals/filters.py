@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import butter
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import SignalError
@@ -59,6 +58,9 @@ def design_low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
         raise SignalError(
             f"cut-off {cutoff_hz:g} Hz must lie between 0 and half the sample rate ({0.5 * rate_hz:g} Hz)"
         )
+    # Slow to import, and much that imports this module designs no filter.
+    from scipy.signal import butter
+
     first, second = (
         Section(gain=float(1.0 + a1 + a2) / 4.0, a1=float(a1), a2=float(a2))
         for _, _, _, _, a1, a2 in butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")

@@ -34,6 +34,20 @@ _COS_TILT_MAX, _SIN_TILT_MAX = 0.4226, 0.9063
 _LEAST_SPECIFIC_FORCE = 2.0
 
 
+class Demand(NamedTuple):
+    """The reference, its jerk (N, 3) m/s³, and the wind (N, 3) m/s in the world, at every step."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    yaw: Array
+    yaw_rate: Array
+    tilt: Array
+    thrust: Array
+    wind: Array
+
+
 class Controls(NamedTuple):
     """What the controller knows of the nominal vehicle, and what it remembers.
 
@@ -85,54 +99,41 @@ def observe(controls: Controls, rotor_speeds: Any, wrench: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def control(
-    controls: Controls,
-    vehicle: Any,
-    motion: Any,
-    position: Any,
-    velocity: Any,
-    acceleration: Any,
-    jerk: Any,
-    yaw: float,
-    yaw_rate: float,
-    tilt: Any,
-    thrust: float,
-) -> None:
+def control(controls: Controls, vehicle: Any, motion: Any, demand: Demand, step: int) -> None:
     """Set the commanded rotor speeds for one step.
 
     Args:
         controls: see :class:`Controls`; its `command` is replaced.
         vehicle: nominal record VEHICLE.
         motion: record MOTION of the true state.
-        position, velocity, acceleration, jerk: (3,) reference in the world.
-        yaw, yaw_rate: reference heading [rad] and its rate.
-        tilt: (2,) rad of roll and pitch on top of what the position needs.
-        thrust: share of the weight on top of it.
+        demand: what is to be followed.
+        step: at which instant.
     """
+    jerk, tilt, thrust = demand.jerk[step], demand.tilt[step], demand.thrust[step]
     rotation = rotations.matrix(motion.attitude)
     # Specific force that the rotors have to give, in the world: what is demanded less what the air gives.
-    demand = np.empty(3)
+    force = np.empty(3)
     for axis in range(3):
-        demand[axis] = (
-            acceleration[axis]
-            + _VELOCITY_GAIN * (velocity[axis] - motion.velocity[axis])
-            + _POSITION_GAIN * (position[axis] - motion.position[axis])
+        force[axis] = (
+            demand.acceleration[step, axis]
+            + _VELOCITY_GAIN * (demand.velocity[step, axis] - motion.velocity[axis])
+            + _POSITION_GAIN * (demand.position[step, axis] - motion.position[axis])
         )
         for body in range(3):
-            demand[axis] -= rotation[axis, body] * controls.disturbance[body] / vehicle.mass
-    demand[2] -= vehicle.gravity
+            force[axis] -= rotation[axis, body] * controls.disturbance[body] / vehicle.mass
+    force[2] -= vehicle.gravity
     # Upward thrust has a tilt limit and never vanishes: the attitude would be undefined.
-    horizontal = np.sqrt(demand[0] ** 2 + demand[1] ** 2)
-    demand[2] = min(demand[2], -_LEAST_SPECIFIC_FORCE)
-    limit = -demand[2] * _SIN_TILT_MAX / _COS_TILT_MAX
+    horizontal = np.sqrt(force[0] ** 2 + force[1] ** 2)
+    force[2] = min(force[2], -_LEAST_SPECIFIC_FORCE)
+    limit = -force[2] * _SIN_TILT_MAX / _COS_TILT_MAX
     if horizontal > limit:
-        demand[0] *= limit / horizontal
-        demand[1] *= limit / horizontal
+        force[0] *= limit / horizontal
+        force[1] *= limit / horizontal
 
-    target = _attitude_of(demand, yaw, tilt)
+    target = _attitude_of(force, demand.yaw[step], tilt)
     along = 0.0
     for axis in range(3):
-        along -= demand[axis] * rotation[axis, 2]
+        along -= force[axis] * rotation[axis, 2]
     specific_thrust = max(along, _LEAST_SPECIFIC_FORCE) + thrust * vehicle.gravity
 
     # Rates of the target: from jerk (differential flatness) and the turn of the nose.
@@ -140,7 +141,12 @@ def control(
     for axis in range(3):
         rates[0] += jerk[axis] * rotation[axis, 1] / specific_thrust
         rates[1] -= jerk[axis] * rotation[axis, 0] / specific_thrust
-    rates[2] = yaw_rate * rotation[2, 2]
+    # The nose stays in the vertical plane of the heading while the vehicle tilts.
+    north, east = np.cos(demand.yaw[step]), np.sin(demand.yaw[step])
+    ahead = rotation[0, 0] * north + rotation[1, 0] * east
+    side = rotation[1, 1] * north - rotation[0, 1] * east
+    tilted_side = rotation[1, 2] * north - rotation[0, 2] * east
+    rates[2] = (demand.yaw_rate[step] * ahead + rates[1] * tilted_side) / max(side, 0.3)
     # Twice the attitude error: the vector of R_targetᵀ R − Rᵀ R_target, in body axes.
     error = np.zeros(3)
     for axis in range(3):
@@ -151,8 +157,8 @@ def control(
     for axis in range(3):
         attitude_gain = _TILT_GAIN if axis < 2 else _YAW_GAIN
         rate_gain = _RATE_GAIN if axis < 2 else _YAW_RATE_GAIN
-        demanded = rates[axis] - 0.5 * attitude_gain * error[axis]
-        turn[axis] = rate_gain * (demanded - motion.rates[axis])
+        wanted = rates[axis] - 0.5 * attitude_gain * error[axis]
+        turn[axis] = rate_gain * (wanted - motion.rates[axis])
     precession = cross(motion.rates, product3(vehicle.inertia, motion.rates))
     torque = product3(vehicle.inertia, turn)
     moments = (
@@ -164,18 +170,18 @@ def control(
 
 
 @njit(cache=True, nogil=True)
-def _attitude_of(demand: Any, yaw: float, tilt: Any) -> Any:
+def _attitude_of(force: Any, yaw: float, tilt: Any) -> Any:
     """Rotation (3, 3) whose -z points along a specific force (3,), nose near the yaw, then tilted."""
-    size = np.sqrt(demand[0] ** 2 + demand[1] ** 2 + demand[2] ** 2)
-    z0, z1, z2 = -demand[0] / size, -demand[1] / size, -demand[2] / size
+    size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    z0, z1, z2 = -force[0] / size, -force[1] / size, -force[2] / size
     north, east = np.cos(yaw), np.sin(yaw)
-    # y = z × nose, x = y × z.
-    y0, y1, y2 = -z2 * east, z2 * north, z0 * east - z1 * north
-    size = np.sqrt(y0 * y0 + y1 * y1 + y2 * y2)
-    y0, y1, y2 = y0 / size, y1 / size, y2 / size
+    # x = side × z in the vertical plane of the heading, y = z × x.
+    x0, x1, x2 = north * z2, east * z2, -east * z1 - north * z0
+    size = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+    x0, x1, x2 = x0 / size, x1 / size, x2 / size
     target = np.empty((3, 3))
-    target[0, 0], target[1, 0], target[2, 0] = y1 * z2 - y2 * z1, y2 * z0 - y0 * z2, y0 * z1 - y1 * z0
-    target[0, 1], target[1, 1], target[2, 1] = y0, y1, y2
+    target[0, 0], target[1, 0], target[2, 0] = x0, x1, x2
+    target[0, 1], target[1, 1], target[2, 1] = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
     target[0, 2], target[1, 2], target[2, 2] = z0, z1, z2
     if tilt[0] == 0.0 and tilt[1] == 0.0:
         return target
@@ -193,7 +199,7 @@ def _attitude_of(demand: Any, yaw: float, tilt: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _allocate(controls: Controls, vehicle: Any, rotor_speeds: Any, thrust: float, moments: Any) -> None:
-    """Command rotor speeds for thrust and moments; where rotors saturate, yaw gives way first, then thrust."""
+    """Command rotor speeds for thrust and moments; where they saturate, yaw gives way first, then thrust."""
     largest = vehicle.rotor_speed_max**2
     lift, turn = np.empty(ROTORS), np.empty(ROTORS)
     for rotor in range(ROTORS):

@@ -9,15 +9,14 @@ evaluation of the equations of motion at that instant's state.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from numba import from_dtype, types
 
 from quadpi_core.compiled import njit
-from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
-from quadpi_core.simulation.controller import Controls, control, observe
+from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.effects import FUNCTION_TYPE
 from quadpi_core.simulation.linear import cross, product3
 from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
@@ -59,20 +58,6 @@ _RATE_MAX_RAD_S = 40.0
 _POSITION_ERROR_MAX_M = 10.0
 
 
-class Demand(NamedTuple):
-    """The reference, its jerk (N, 3) m/s³, and the wind (N, 3) m/s in the world, at every step."""
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    yaw: Array
-    yaw_rate: Array
-    tilt: Array
-    thrust: Array
-    wind: Array
-
-
 @njit(cache=True, nogil=True)
 def fly(
     vehicle: Any,
@@ -87,7 +72,7 @@ def fly(
     log: Any,
     done: Any,
 ) -> None:
-    """Fly until the demand ends, or until the vehicle is out of control.
+    """Fly until the demand ends, or until the vehicle is out of control or below the ground.
 
     Args:
         vehicle: record VEHICLE (1,) as it flies; one step lasts 1 / STEP_HZ.
@@ -96,8 +81,9 @@ def fly(
         effects: composed effects, see `effects.compose`, with their `parameters` (K, P).
         parameters: of the effects.
         demand: N instants.
-        motions: records MOTION (7,); the first holds the initial state, the rest is room to work.
-        flat: the same memory as numbers (7, 17).
+        motions: records MOTION (6,): the state, to begin with the initial one, and room for a state ahead of
+            it and the slopes of four stages.
+        flat: the same memory as numbers (6, 17).
         state: record STATE (1,), room to work.
         log: records LOGGED (L,), filled with every (N - 1) / (L - 1)-th instant.
         done: (1,) number of steps that were flown, written as the flight goes on; N - 1 at its end.
@@ -109,19 +95,7 @@ def fly(
     _differentiate(motion, controls.command, demand.wind[0], vehicle, effects, parameters, state, motions[2])
     observe(controls, motion.rotor_speeds, state[0].wrench)
     for k in range(steps):
-        control(
-            controls,
-            nominal[0],
-            motion,
-            demand.position[k],
-            demand.velocity[k],
-            demand.acceleration[k],
-            demand.jerk[k],
-            demand.yaw[k],
-            demand.yaw_rate[k],
-            demand.tilt[k],
-            demand.thrust[k],
-        )
+        control(controls, nominal[0], motion, demand, k)
         wind, command = demand.wind[k], controls.command
         _differentiate(motion, command, wind, vehicle, effects, parameters, state, motions[2])
         observe(controls, motion.rotor_speeds, state[0].wrench)
@@ -233,7 +207,7 @@ def _record(motion: Any, slope: Any, state: Any, row: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def _is_lost(motion: Any, position: Any) -> bool:
-    """Whether the vehicle is upside down, spins, has left its reference, or is no longer a number."""
+    """Whether the vehicle is upside down, spins, is below the ground, off its reference, or no number."""
     cos_tilt = 1.0 - 2.0 * (motion.attitude[1] ** 2 + motion.attitude[2] ** 2)
     spin, error = 0.0, 0.0
     for axis in range(3):
@@ -242,7 +216,7 @@ def _is_lost(motion: Any, position: Any) -> bool:
     controlled = (
         cos_tilt > _TILT_COSINE_MIN and spin < _RATE_MAX_RAD_S**2 and error < _POSITION_ERROR_MAX_M**2
     )
-    return not controlled
+    return not controlled or motion.position[2] > 0.0
 
 
 @njit(cache=True, nogil=True)

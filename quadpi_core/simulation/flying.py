@@ -13,8 +13,8 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
-from quadpi_core.simulation.controller import Controls
-from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, Demand, flight_kernel
+from quadpi_core.simulation.controller import Controls, Demand
+from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, flight_kernel
 from quadpi_core.simulation.effects import Effects, added_wind, altered_vehicle, compose
 from quadpi_core.simulation.records import STATE
 from quadpi_core.simulation.reference import Reference
@@ -41,21 +41,21 @@ def simulate_flight(
 ) -> Truth:
     """Fly a vehicle along a reference, from trim at its first instant.
 
-    The controller knows the vehicle as in its file: effects that alter it come as a surprise, as on a real one.
+    The controller knows the vehicle as in its file: effects that alter it come as a surprise.
 
     Args:
         name: of the flight.
         vehicle: to fly.
         reference: N instants at STEP_HZ; the flight lasts (N - 1) / STEP_HZ seconds.
-        known_wind: (3,) m/s of the world, steady, as an anemometer measures it; None for still air without one.
+        known_wind: (3,) m/s of the world, steady, that an anemometer measures; None for still air.
         effects: switched on; those of kind "sensor" do not alter the flight.
         extra: further wrench functions with their parameters, see `effects.compose`.
         seed: of gusts.
         done: (1,) written with the number of steps flown, for a progress bar in another thread.
 
     Raises:
-        SimulationError: naming flight, time and state, if the vehicle gets out of control; and if it cannot stand
-            still in the wind at the start.
+        SimulationError: naming flight, time and state, if the vehicle gets out of control or to the ground;
+            and if it cannot stand still in the wind at the start, or its rotors cannot turn it.
     """
     steps = len(reference)
     every = STEP_HZ // LOG_HZ
@@ -69,16 +69,21 @@ def simulate_flight(
     function, parameters = compose(effects, extra)
 
     start = trim(vehicle.aerodynamics, still, float(reference.yaw[0]))
-    motions = np.zeros(7, dtype=MOTION)
+    motions = np.zeros(6, dtype=MOTION)
     motions[0]["position"], motions[0]["velocity"] = reference.position[0], reference.velocity[0]
     motions[0]["attitude"], motions[0]["rotor_speeds"] = start
-    nominal = vehicle.record()
+    nominal, altered = vehicle.record(), flown.record()
+    # What the coefficients of effects refer to does not change with a payload.
+    for hover in ("hover_rotor_speed", "hover_induced_velocity"):
+        altered[hover] = nominal[hover]
     controls = Controls.of(nominal)
+    if not np.all(np.isfinite(controls.allocation)):
+        raise SimulationError(f"vehicle {vehicle.vehicle.name}: its rotors cannot turn it about every axis")
     controls.command[:] = start.rotor_speeds
     log = np.zeros(samples, dtype=LOGGED)
     done = np.zeros(1, dtype=np.int64) if done is None else done
     flight_kernel()(
-        flown.record(),
+        altered,
         nominal,
         controls,
         function,
@@ -130,13 +135,14 @@ def _demand(reference: Reference, wind: Array, last: int) -> Demand:
 
 
 def _lost(motion: np.void, position: Array, step: int) -> str:
-    """Time and state at which the vehicle got out of control, in words."""
+    """Time and state at which the vehicle got out of control or to the ground, in words."""
     rotation = rotations.matrix(motion["attitude"])
     tilt = np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
     rates = ", ".join(f"{rate:.1f}" for rate in motion["rates"])
     speeds = ", ".join(f"{speed:.0f}" for speed in motion["rotor_speeds"])
+    what = "hits the ground" if motion["position"][2] > 0.0 else "is out of control"
     return (
-        f"the vehicle is out of control after {step / STEP_HZ:.3f} s: tilt {tilt:.0f} degrees, "
+        f"the vehicle {what} after {step / STEP_HZ:.3f} s: tilt {tilt:.0f} degrees, "
         f"rates {rates} rad/s, speed {np.linalg.norm(motion['velocity']):.1f} m/s, "
         f"{np.linalg.norm(motion['position'] - position):.1f} m off its reference, rotors {speeds} rad/s"
     )

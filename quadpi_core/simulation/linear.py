@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
+
+Vector: TypeAlias = tuple[float, float, float]
 
 
 @njit(cache=True, nogil=True)
@@ -21,7 +25,7 @@ def matrix_times(matrix: Array, vector: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def product3(matrix: Array, vector: Array) -> tuple[float, float, float]:
+def product3(matrix: Array, vector: Array | Vector) -> Vector:
     """Product of a matrix (3, 3) and a vector (3,), without an array of its own."""
     x, y, z = vector[0], vector[1], vector[2]
     return (
@@ -32,7 +36,7 @@ def product3(matrix: Array, vector: Array) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def cross(left: Array, right: Array) -> tuple[float, float, float]:
+def cross(left: Array | Vector, right: Array | Vector) -> Vector:
     """Vector product of two vectors (3,)."""
     return (
         left[1] * right[2] - left[2] * right[1],
@@ -41,9 +45,12 @@ def cross(left: Array, right: Array) -> tuple[float, float, float]:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def inverse(matrix: Array) -> Array:
-    """Inverse of a regular matrix (N, N), by Gauss and Jordan with the largest pivot of each column."""
+    """Inverse of a matrix (N, N), by Gauss and Jordan with the largest pivot of each column.
+
+    Of a singular matrix it is not finite.
+    """
     size = matrix.shape[0]
     left, right = matrix.copy(), np.eye(size)
     for column in range(size):

@@ -15,13 +15,12 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effects import Effects, read_effects
 from quadpi_core.simulation.faults import Fault, read_faults
+from quadpi_core.simulation.flying import LOG_HZ
 from quadpi_core.simulation.motion import AXES, Motion, motion_as_dict, orbit_as_dict, read_motion, read_orbit
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.section import Section
 from quadpi_core.simulation.signals import Orbit
 
-# Truth in a bag is every so many-th of the samples of the sensors, which are as many per second.
-SENSOR_HZ = 500
 _LONGEST_S = 3600.0
 _HIGHEST_M = 1000.0
 _WIND_MAX_M_S = 100.0
@@ -61,7 +60,7 @@ class FlightPlan:
     orbit: Orbit | None = None
     effects: Effects = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
-    truth_rate_hz: int = SENSOR_HZ
+    truth_rate_hz: int = LOG_HZ
 
     @classmethod
     def from_dict(cls, data: Any, where: str) -> FlightPlan:
@@ -93,7 +92,7 @@ class FlightPlan:
             orbit=None if orbit is None else read_orbit(orbit, where, flight_s),
             effects=read_effects(section.get("effects", None), where),
             faults=read_faults(section.get("faults", None), where),
-            truth_rate_hz=section.whole("truth_rate_hz", cls.truth_rate_hz, lowest=1, highest=SENSOR_HZ),
+            truth_rate_hz=section.whole("truth_rate_hz", cls.truth_rate_hz, lowest=1, highest=LOG_HZ),
         )
         plan._check(where)
         return plan
@@ -152,9 +151,9 @@ class FlightPlan:
         """Refuse what no flight can be, whatever its vehicle."""
         if not _NAME.fullmatch(self.name):
             raise SimulationError(f"{where}: a flight's name has letters, digits, _ and - only")
-        if SENSOR_HZ % self.truth_rate_hz:
+        if LOG_HZ % self.truth_rate_hz:
             raise SimulationError(
-                f"{where}: `truth_rate_hz` must divide {SENSOR_HZ}, found {self.truth_rate_hz}"
+                f"{where}: `truth_rate_hz` must divide {LOG_HZ}, found {self.truth_rate_hz}"
             )
         moved = [axis for axis in ("x", "y") if axis in self.motion]
         if self.orbit is not None and moved:

@@ -50,8 +50,8 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
         if demanded[worst] > available:
             seconds = plan.duration_s * worst / (len(reference) - 1)
             raise SimulationError(
-                f"flight {plan.name}: unreachable reference: at {seconds:.2f} s it demands a {quantity} of "
-                f"{demanded[worst]:.1f} {unit}, and {nominal.name} has {available:.1f}"
+                f"flight {plan.name}: unreachable reference: at {seconds:.2f} s it demands "
+                f"{demanded[worst]:.1f} {unit} of {quantity}, and {nominal.name} has {available:.1f}"
             )
 
 

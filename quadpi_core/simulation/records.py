@@ -45,7 +45,7 @@ VEHICLE = np.dtype(
         # +1 where the rotor turns clockwise seen from above.
         ("rotor_spins", "f8", (4,)),
         ("rotor_radius", "f8"),
-        # Hover: induced velocity [m/s] and rotor speed [rad/s].
+        # Hover of the vehicle as in its file: induced velocity [m/s] and rotor speed [rad/s].
         ("hover_induced_velocity", "f8"),
         ("hover_rotor_speed", "f8"),
         ("motor_time_constant", "f8"),

@@ -64,9 +64,7 @@ class RotorLocalCoefficients:
         where = f"{path}: `simulation.rotor_local"
         known = [column.name for column in fields(cls)]
         if not isinstance(data, Mapping):
-            raise VehicleError(
-                f"{where}` must be coefficients, or `{_SCALED_FROM}` with the name of a vehicle"
-            )
+            raise VehicleError(f"{where}` must be coefficients, or `{_SCALED_FROM}` and a vehicle")
         for key in data:
             if key not in known:
                 raise VehicleError(f"{where}.{key}`: unknown key{nearest(str(key), known)}")
@@ -129,14 +127,16 @@ class RotorLocalModel:
         simulation = data.get("simulation")
         if not isinstance(simulation, Mapping) or "rotor_local" not in simulation:
             raise VehicleError(
-                f"{path}: cannot be simulated: `simulation.rotor_local` is missing; give its coefficients, or "
-                f"`{_SCALED_FROM}: bebop2`"
+                f"{path}: cannot be simulated: `simulation.rotor_local` is missing; give its coefficients, "
+                f"or `{_SCALED_FROM}: bebop2`"
             )
         section = simulation["rotor_local"]
         if not isinstance(section, Mapping) or _SCALED_FROM not in section:
             return cls(vehicle, RotorLocalCoefficients.parse(path, section))
         if set(section) != {_SCALED_FROM}:
             raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` stands alone")
+        if not isinstance(section[_SCALED_FROM], str):
+            raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` must name a vehicle")
         source_path, source_data = read_config("vehicle", section[_SCALED_FROM], VehicleError)
         # One step only: the vehicle that others are scaled from has coefficients of its own.
         source = (source_data.get("simulation") or {}).get("rotor_local")
@@ -306,7 +306,8 @@ def _coefficient(c: Any, m: float, a: float) -> float:
     first = m * (c[6] + m * (c[7] + m * (c[8] + m * c[9])))
     second = m * (c[10] + m * (c[11] + m * c[12]))
     third = m * (c[13] + m * c[14])
-    return free + a * (first + a * (second + a * (third + a * m * c[15])))
+    coefficient: float = free + a * (first + a * (second + a * (third + a * m * c[15])))
+    return coefficient
 
 
 @njit(cache=True, nogil=True)

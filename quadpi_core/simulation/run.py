@@ -16,10 +16,12 @@ import numpy as np
 from quadpi_core.errors import OutputError
 from quadpi_core.flight import Stamps
 from quadpi_core.simulation.bags import write_simulated_bag
-from quadpi_core.simulation.dynamics import STEP_HZ
+from quadpi_core.simulation.dynamics import STEP_HZ, flight_kernel
+from quadpi_core.simulation.effects import compose
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.noise import SensorSuite
-from quadpi_core.simulation.scenario import FlightPlan, require_reachable
+from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.reachable import require_reachable
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.simulation.vehicle import SimulatedVehicle
@@ -64,9 +66,14 @@ def simulate(
     vehicles = {plan.vehicle: SimulatedVehicle.load(plan.vehicle) for plan in plans}
     suites = {plan.noise: SensorSuite.load(plan.noise) for plan in plans}
     steps = [np.zeros(1, dtype=np.int64) for _ in plans]
+    # Compiled before any thread asks: of two that ask at the same time, numba refuses one.
+    for plan in plans:
+        compose(plan.effects)
+    flight_kernel()
     try:
-        output.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".simulate.", dir=output) as staging:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        beside = output if output.is_dir() else output.parent
+        with tempfile.TemporaryDirectory(prefix=".simulate.", dir=beside) as staging:
             # Threads suffice: flight, random numbers and compression run outside the interpreter's lock.
             with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
                 futures = [
@@ -78,6 +85,7 @@ def simulate(
                 finally:
                     pool.shutdown(wait=False, cancel_futures=True)
             flights = [future.result() for future in futures]
+            output.mkdir(exist_ok=True)
             return [replace(flight, bag=flight.bag.replace(output / flight.bag.name)) for flight in flights]
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror or error}") from error

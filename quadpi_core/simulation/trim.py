@@ -45,7 +45,7 @@ def trim(model: RotorLocalModel, wind: Array, yaw: float = 0.0) -> Trim:
     steps = max(1, math.ceil(speed / _WIND_STEP))
     for step in range(steps + 1):
         found = _solve(model, wind * (step / steps), heading, unknowns)
-        if found is None or not np.all((found[2:] > 0.0)):
+        if found is None or not np.all(found[2:] > 0.0):
             raise SimulationError(f"vehicle {vehicle.name}: cannot stand still in a wind of {speed:.1f} m/s")
         unknowns = found
     rotor_speeds = unknowns[2:] * model.hover_rotor_speed

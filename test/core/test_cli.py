@@ -67,7 +67,7 @@ def read_json(path):
 
 
 def test_every_command_is_known():
-    assert COMMANDS == ["demo", "evaluate", "identify", "import", "info", "replay"]
+    assert COMMANDS == ["demo", "evaluate", "identify", "import", "info", "replay", "simulate"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -83,7 +83,7 @@ def test_help_lists_the_commands(quadpi):
     assert all(command in result.output for command in COMMANDS)
 
 
-@pytest.mark.parametrize("arguments", ["--help", "identify --help", "demo --help"])
+@pytest.mark.parametrize("arguments", ["--help", "identify --help", "simulate --help", "demo --help"])
 def test_help_imports_nothing_slow(arguments):
     script = (
         f"import sys; sys.argv = ['quadpi', *{arguments.split()}]\n"

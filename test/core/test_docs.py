@@ -22,14 +22,14 @@ ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 # Its files are made by test/core/logs/test_data_set_guide.py, which runs its commands.
 RUN_ELSEWHERE = {"add-a-data-set.md"}
+ON_REAL_FLIGHTS = {"commands.md"}
 QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
 
 
 def commands(page: str) -> list[str]:
     """The commands `quadpi …` in the fenced and indented code of a page, continued lines included."""
-    fenced = re.findall(r"^```sh\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
     indented = re.findall(r"^ {4}(.*)$", page, flags=re.MULTILINE)
-    code = "\n".join([*fenced, *indented])
+    code = "\n".join([*blocks(page, "sh"), *indented])
     return re.findall(r"^quadpi (?:[^\n]*\\\n)*[^\n]*", code, flags=re.MULTILINE)
 
 
@@ -38,25 +38,37 @@ def test_commands_are_found():
     assert commands(page) == ["quadpi info a", "quadpi a \\\n  b"]
 
 
+def blocks(page: str, language: str) -> list[str]:
+    """The fenced code of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name not in RUN_ELSEWHERE], ids=lambda p: p.name)
-def test_commands_run(page, shared_data, tmp_path):
-    for data in shared_data.iterdir():
-        (tmp_path / data.name).symlink_to(data)
+def test_commands_run(page, request, tmp_path):
+    """In a folder with the files that the page shows under their name; then what it shows of Python."""
+    if page.name in ON_REAL_FLIGHTS:
+        for data in request.getfixturevalue("shared_data").iterdir():
+            (tmp_path / data.name).symlink_to(data)
+    text = page.read_text()
+    for content in blocks(text, "yaml"):
+        if named := re.match(r"# (\S+\.yaml)\n", content):
+            (tmp_path / named[1]).write_text(content)
+    ran = [["bash", "-c", QUADPI + command] for command in commands(text)]
+    ran += [[sys.executable, "-c", code] for code in blocks(text, "python")]
     environment = os.environ | {"PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
-    for command in commands(page.read_text()):
-        ran = subprocess.run(
-            ["bash", "-c", QUADPI + command],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
+    for command in ran:
+        result = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
-        assert ran.returncode == 0, f"{command}\n{ran.stderr}"
+        assert result.returncode == 0, f"{command[-1]}\n{result.stderr}"
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [ROOT / "README.md", ROOT / "bags" / "README.md", *PAGES],
+    ids=lambda p: f"{p.parent.name}-{p.name}",
+)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
         if "://" not in target:
@@ -74,7 +86,8 @@ def keys(data: Any) -> Iterator[str]:
 
 
 def test_every_json_key_is_documented(quadpi, bags, tmp_path):
-    model, data = tmp_path / "model", tmp_path / "data.json"
+    model, data, scenario = tmp_path / "model", tmp_path / "data.json", tmp_path / "still.yaml"
+    scenario.write_text("{description: still, vehicle: bebop2, seed: 1, flights: {still: {duration_s: 1}}}")
     page = (ROOT / "docs" / "commands.md").read_text()
     named = set(re.findall(r"`([^`\n]+)`", page))
     documented = {key for path in named for key in re.split(r"[.…\[\]]+", path)}
@@ -85,6 +98,7 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
         ("info", model),
         ("evaluate", model, *bags),
         ("replay", model, bags[0], "-o", tmp_path / "out.mcap"),
+        ("simulate", scenario, "-o", tmp_path / "simulated"),
     ]
     for run in runs:
         assert quadpi(*run, "--json", data).status == 0

@@ -54,6 +54,9 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
     for row, (values, index) in zip(parameters, rows, strict=True):
         row[: len(values)] = values
         row[-1] = index
+    if not rows:
+        # Spares a flight without effects the seconds in which all of them compile for the first time.
+        return _passable_whole(_none), parameters
     return _chain(tuple(function for function, _ in extra)), parameters
 
 
@@ -64,12 +67,17 @@ def _registered(state: Any, vehicle: Any, parameters: Array) -> None:
         _add(state, added_wrench(int(p[-1]), state, vehicle, p))
 
 
+@njit(cache=True)
+def _none(state: Any, vehicle: Any, parameters: Array) -> None:
+    pass
+
+
 @cache
-def _passable_registered() -> Any:
+def _passable_whole(function: Any) -> Any:
     """Numba passes a function to a kernel only if it has one signature and takes no other."""
-    _registered.compile(SIGNATURE)
-    _registered.disable_compile()
-    return _registered
+    function.compile(SIGNATURE)
+    function.disable_compile()
+    return function
 
 
 @njit(cache=True)
@@ -83,7 +91,7 @@ def _add(state: Any, wrench: Wrench) -> None:
 def _chain(extra: tuple[Any, ...], row: int = 0) -> Any:
     """The functions `extra`, whose parameters begin at a row, then the registered effects."""
     if not extra:
-        return _passable_registered()
+        return _passable_whole(_registered)
     first, others = extra[0], _chain(extra[1:], row + 1)
 
     @njit(SIGNATURE)

@@ -26,13 +26,14 @@ def _share(state: Any, vehicle: Any, rotor: int) -> float:
     return share
 
 
-@effect("wrench", "Fx Fy Mx My Mz", Parameter("drag_n_s_m", "N s/m", 0.11, 0.0, 2.0))
+@effect("wrench", "Fx Fy Mx My Mz", Parameter("drag_n_s_m", "N s/m", 0.11, -2.0, 2.0))
 @njit(cache=True)
 def rotor_drag(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Drag of the rotors in their plane (H-force), with rotor speed times airspeed.
 
-    F_i = −k ¼ ω_i/ω_h (u_i, v_i, 0). Source: term k4 of the rotor-local model; Martin and Salaün, "The true
-    role of accelerometer feedback in quadrotor control", 2010. Size: Bebop 2.
+    F_i = −k ¼ ω_i/ω_h (u_i, v_i, 0), with k < 0 where the rotors have less of it than their model. Source:
+    term k4 of the rotor-local model; Martin and Salaün, "The true role of accelerometer feedback in quadrotor
+    control", 2010. Size: Bebop 2.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):

@@ -18,7 +18,7 @@ from quadpi_core.flight import (
 )
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import messages, read_recording
-from quadpi_core.logs.bags import bag_topics, output_topic, read_bag, read_outputs, write_bag
+from quadpi_core.logs.bags import bag_topics, has_topic, output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.logs.definitions import codec
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
@@ -100,6 +100,24 @@ def test_stamps_come_from_headers_not_from_log_times(tmp_path, recording):
 def test_topics_in_a_namespace_are_found(tmp_path, recording):
     path = tmp_path / "fleet.mcap"
     write_mcap(path, [imu_topic(recording, "/drone1/imu")], {})
+    assert_same_streams(read_bag(path), replace(recording, **dict.fromkeys(OPTIONAL)))
+
+
+@pytest.mark.parametrize("namespace", ["/truth", "/drone1/truth", "/truth/drone1"])
+def test_truth_of_a_simulation_is_no_sensor(tmp_path, recording, namespace):
+    path = tmp_path / "simulated.mcap"
+    odometry = recording.odometry
+    state = messages.pack_odometry(odometry)
+    true_imu = imu_topic(recording, f"{namespace}/imu")
+    true_state = Topic(f"{namespace}/odometry", messages.ODOMETRY, odometry.time_ns, state)
+    write_mcap(path, [imu_topic(recording), true_imu, true_state], {})
+    assert_same_streams(read_bag(path), replace(recording, **dict.fromkeys(OPTIONAL)))
+    assert not has_topic(path, "odometry")
+
+
+def test_truth_must_be_a_whole_topic_level(tmp_path, recording):
+    path = tmp_path / "named.mcap"
+    write_mcap(path, [imu_topic(recording, "/truthful/imu")], {})
     assert_same_streams(read_bag(path), replace(recording, **dict.fromkeys(OPTIONAL)))
 
 

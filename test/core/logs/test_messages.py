@@ -148,6 +148,23 @@ def test_erpm_becomes_mechanical_by_the_pole_pairs(rng):
     np.testing.assert_allclose(messages.unpack_erpm(payloads, vehicle).speeds, erpm * 2 * np.pi / 60 / 7)
 
 
+@pytest.mark.parametrize(
+    ("type_name", "field", "linear", "angular"),
+    [(messages.WRENCH, "wrench", "force", "torque"), (messages.ACCELERATION, "accel", "linear", "angular")],
+)
+def test_pairs_of_body_vectors_are_flu(rng, type_name, field, linear, angular):
+    vectors = rng.normal(size=(N, 6))
+    payloads = messages.pack_body_vectors(TIME_NS, vectors, type_name)
+    for one, sample in zip(reference(payloads, type_name), vectors, strict=True):
+        pair = getattr(one, field)
+        assert vector(getattr(pair, linear)) == [sample[0], -sample[1], -sample[2]]
+        assert vector(getattr(pair, angular)) == [sample[3], -sample[4], -sample[5]]
+        assert one.header.frame_id == "base_link"
+    time_ns, found = messages.unpack_body_vectors(payloads, type_name)
+    np.testing.assert_array_equal(time_ns, TIME_NS)
+    np.testing.assert_array_equal(found, vectors)
+
+
 def test_bounds_swap_on_axes_that_change_sign(rng):
     predicted = rng.normal(size=(N, 6))
     predictions = Predictions(

@@ -59,7 +59,7 @@ def circle(name="circle", samples=1000):
 def planned(name="circle", effects=None, faults=()):
     data = {"effects": effects or {}, "faults": list(faults)}
     return SimpleNamespace(
-        name=name, scenario="tests", noise="paper", seed=7, known_wind=np.zeros(3), as_dict=lambda: data
+        name=name, scenario="tests", noise="paper", seed=7, head_wind_m_s=None, as_dict=lambda: data
     )
 
 

@@ -9,7 +9,7 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.simulation.dynamics import STEP_HZ
-from quadpi_core.simulation.effects import EFFECTS, read_effects
+from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
 from quadpi_core.simulation.flying import LOG_HZ, simulate_flight
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.trim import trim
@@ -17,6 +17,7 @@ from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 STATION = np.array([0.0, 0.0, -3.0])
 VEHICLES = ("bebop2", "hdbeetle")
+POSITION_GAIN = 5.0
 
 
 def swing(amplitude, frequency, seconds=12.0, turns=0.4):
@@ -72,7 +73,7 @@ def derivative(values):
 
 
 def test_logged_derivatives_are_those_of_the_logged_states():
-    """Commands change every step, so that derivatives of accelerations jump: a bound, not machine precision."""
+    """Commands change every step, so that accelerations have corners: bounds, not machine precision."""
     truth = simulate_flight("swing", SimulatedVehicle.load("bebop2"), COUPLED)
     world = rotate_body_to_world(truth.attitude, truth.velocity)
     rotation = rotation_matrix(truth.attitude)
@@ -126,7 +127,7 @@ def test_trim_balances_the_weight(name):
         velocity = rotate_world_to_body(state.attitude, -wind)[None]
         wrench = model.wrench(velocity, np.zeros((1, 3)), state.rotor_speeds[None])
         weight = model.vehicle.mass_kg * model.vehicle.gravity_m_s2
-        force = rotate_body_to_world(state.attitude, wrench[0, :3]) + [0.0, 0.0, weight]
+        force = rotate_body_to_world(state.attitude, wrench[0, :3]) + np.array([0.0, 0.0, weight])
         np.testing.assert_allclose(force, 0.0, atol=1e-8)
         np.testing.assert_allclose(wrench[0, 3:], 0.0, atol=1e-8)
 
@@ -180,21 +181,59 @@ def test_same_seed_same_flight_other_seed_other_gusts():
 
 
 def test_effects_come_as_a_surprise_to_the_controller():
-    """It is told the nominal mass: a payload shows as a position error that it has to fight."""
+    """It is told the nominal mass: with a payload it sags until its position gain makes up for the weight."""
     vehicle = SimulatedVehicle.load("bebop2")
     loaded = simulate_flight(
         "loaded", vehicle, COUPLED, effects=read_effects({"payload": {"mass_kg": 0.05}}, "test")
     )
     assert loaded.vehicle.mass_kg == pytest.approx(vehicle.vehicle.mass_kg + 0.05)
-    assert loaded.rotor_speeds.mean() > simulate_flight("bare", vehicle, COUPLED).rotor_speeds.mean() + 20.0
-    assert loaded.position_error.max() < 1.0
+    bare = simulate_flight("bare", vehicle, COUPLED)
+    assert loaded.rotor_speeds.mean() > bare.rotor_speeds.mean() + 20.0
+    sag = (loaded.position - loaded.reference.position)[len(loaded) // 4 :, 2].mean()
+    missing = vehicle.vehicle.gravity_m_s2 * 0.05 / vehicle.vehicle.mass_kg
+    assert sag == pytest.approx(missing / POSITION_GAIN, rel=0.15)
+    assert bare.position_error.max() < 0.3 * sag
+
+
+@pytest.mark.parametrize("name", [effect.name for effect in EFFECTS.values() if effect.kind == "wrench"])
+def test_an_effect_adds_in_flight_what_it_adds_on_the_recorded_states(name):
+    """Whatever else is switched on: its parameters mean the same under a payload."""
+    vehicle = SimulatedVehicle.load("bebop2")
+    effects = read_effects({name: None, "payload": None}, "test")
+    truth = simulate_flight("swing", vehicle, COUPLED, effects=effects)
+    states = vehicle.aerodynamics.states(
+        truth.velocity,
+        truth.rates,
+        truth.rotor_speeds,
+        rotor_accelerations=truth.rotor_accelerations,
+        position=truth.position,
+        attitude=truth.attitude,
+    )
+    added = effect_wrench(name, effects[name], states, vehicle.record())
+    np.testing.assert_allclose(truth.wrench, states["wrench"] + added, rtol=1e-10, atol=1e-12)
+
+
+def test_hitting_the_ground_is_reported():
+    low = Reference.hover(np.array([0.0, 0.0, -0.1]), 5001)
+    heavy = read_effects({"payload": {"mass_kg": 0.1}}, "test")
+    with pytest.raises(SimulationError, match=r"flight low: the vehicle hits the ground after \d\.\d+ s"):
+        simulate_flight("low", SimulatedVehicle.load("bebop2"), low, effects=heavy)
+
+
+def test_a_vehicle_that_cannot_turn_is_refused():
+    vehicle = SimulatedVehicle.load("bebop2")
+    straight = replace(vehicle.aerodynamics.coefficients, torque=np.zeros(16))
+    no_yaw = replace(vehicle, aerodynamics=replace(vehicle.aerodynamics, coefficients=straight))
+    with pytest.raises(SimulationError, match="vehicle bebop2: its rotors cannot turn it about every axis"):
+        simulate_flight("hover", no_yaw, Reference.hover(STATION, 101))
 
 
 def test_out_of_control_is_reported_with_time_and_state():
     vehicle = SimulatedVehicle.load("bebop2")
     broken = read_effects({"weak_rotor": {"loss": 0.9}}, "test")
+    high = replace(COUPLED, position=COUPLED.position - [0.0, 0.0, 50.0])
     with pytest.raises(SimulationError) as error:
-        simulate_flight("broken", vehicle, COUPLED, effects=broken)
+        simulate_flight("broken", vehicle, high, effects=broken)
     message = str(error.value)
     assert message.startswith("flight broken: the vehicle is out of control after ")
     assert "\n" not in message

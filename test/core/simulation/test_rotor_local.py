@@ -31,8 +31,10 @@ def published(coefficients, velocity, rates, rotor_speeds, arm_x=0.0875, arm_y=0
         m = min(va / (speed * radius), 0.6)
         a = np.arctan(w / np.sqrt(u**2 + v**2))
         basis = np.array(
-            [1, m, m**2, m**3, m**4, m**5, m * a, m**2 * a, m**3 * a, m**4 * a]
-            + [m * a**2, m**2 * a**2, m**3 * a**2, m * a**3, m**2 * a**3, m * a**4]
+            (
+                *(1, m, m**2, m**3, m**4, m**5, m * a, m**2 * a, m**3 * a, m**4 * a),
+                *(m * a**2, m**2 * a**2, m**3 * a**2, m * a**3, m**2 * a**3, m * a**4),
+            )
         )
         disc = density * speed**2 * radius**2 * np.pi * radius**2
         thrust = basis @ coefficients["thrust"] * disc
@@ -129,7 +131,7 @@ def test_order_of_rotors_in_the_vehicle_file_does_not_matter(tmp_path):
 
 
 def test_scaled_vehicle_has_the_same_wrench_without_dimension():
-    """A Bebop with all lengths halved, at the same advance ratio and tip speed: forces quarter, moments eighth."""
+    """Lengths halved at the same advance ratio and tip speed: ¼ of the force, ⅛ of the moment."""
     bebop = RotorLocalModel.load("bebop2")
     _, data = read_config("vehicle", "bebop2", VehicleError)
     small = bebop.vehicle.__class__(
@@ -176,6 +178,7 @@ def test_wrong_shapes_and_values_are_refused():
             r"hdbeetle.yaml: `simulation.rotor_local",
         ),
         (lambda s: s["rotor_local"].update(scaled_from="bebop2"), r"scaled_from` stands alone"),
+        (lambda s: s.update(rotor_local={"scaled_from": 3}), r"scaled_from` must name a vehicle"),
         (lambda s: s.update(rotor_local=3), r"must be coefficients, or `scaled_from`"),
     ],
 )

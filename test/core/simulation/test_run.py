@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+
+import pytest
+
+from quadpi_core.errors import OutputError
+from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.run import simulate
+
+HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
+
+# In a process of its own, for the effects to be compiled, or loaded from the cache, by `simulate`.
+SEVERAL_WITH_EFFECTS = """
+import sys
+from pathlib import Path
+from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.run import simulate
+
+hover = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
+plans = [hover.overridden(name=f"hover_{k}", effects={"gyroscopic": None}) for k in range(4)]
+print(len(simulate(plans, Path(sys.argv[1]), workers=4)))
+"""
+
+
+def test_several_flights_with_effects_at_a_time_from_a_cold_start(tmp_path):
+    command = [sys.executable, "-c", SEVERAL_WITH_EFFECTS, tmp_path / "bags"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout) == (0, "4\n"), ran.stderr
+    assert len(list((tmp_path / "bags").iterdir())) == 4
+
+
+def test_progress_is_told_until_the_end(tmp_path):
+    told = []
+    simulate([HOVER], tmp_path, progress=lambda name, seconds: told.append((name, seconds)))
+    assert told[-1] == ("hover", 0.5)
+    assert [seconds for _, seconds in told] == sorted(seconds for _, seconds in told)
+
+
+def test_a_file_in_the_place_of_the_folder(tmp_path):
+    (tmp_path / "bags").write_text("mine")
+    with pytest.raises(OutputError, match="bags: cannot be written"):
+        simulate([HOVER], tmp_path / "bags")
+    assert [path.name for path in tmp_path.iterdir()] == ["bags"]
+    assert (tmp_path / "bags").read_text() == "mine"

@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Benchmarks of the simulation run; what they give on this machine is not judged here."""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+import pytest
+
+from benchmarks import UnavailableError, simulate_bags, simulation_realtime, simulation_vs_rotorpy
+from quadpi_core.simulation.vehicle import SimulatedVehicle
+
+
+def test_flight_against_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulation_realtime, "REPETITIONS", 1)
+    (result,) = simulation_realtime.run()
+    assert result.name in simulation_realtime.NAMES
+    assert result.value > 1.0
+    assert result.goal == 200.0
+
+
+def test_flights_against_bags(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulate_bags, "SCENARIOS", ("dash",))
+    monkeypatch.setattr(simulate_bags, "REPEATS", 1)
+    (result,) = simulate_bags.run()
+    assert result.name in simulate_bags.NAMES
+    assert 0.0 < result.value < simulate_bags.FLOWN_S
+    assert "1 flights of 40 s" in result.baseline
+
+
+def test_circle_is_flown() -> None:
+    plan = simulation_vs_rotorpy.circle_plan()
+    simulation_vs_rotorpy.circle(plan, SimulatedVehicle.load(plan.vehicle))
+
+
+def test_without_rotorpy_its_benchmark_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", absent)
+    with pytest.raises(UnavailableError, match="rotorpy"):
+        simulation_vs_rotorpy.run()
