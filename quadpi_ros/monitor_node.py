@@ -49,6 +49,9 @@ class MonitorParameters:
     alarm_rate_hz: float = parameter(
         _SETTINGS.alarm_rate_hz, "rate of extrapolation_alarm between changes", limits=(0.1, 1000.0)
     )
+    adaptive: bool = parameter(
+        _SETTINGS.adaptive, "intervals that adapt to the measured wrench, instead of the model's own"
+    )
     pairing_timeout_s: float = parameter(
         TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
     )
@@ -74,7 +77,9 @@ class MonitorNode(SensorNode):
         if parameters.rotor_topic == "erpm":
             vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
         model = AerodynamicModel.load(parameters.model)
-        settings = MonitorSettings(parameters.persistence_s, parameters.release_s, parameters.alarm_rate_hz)
+        settings = MonitorSettings(
+            parameters.persistence_s, parameters.release_s, parameters.alarm_rate_hz, parameters.adaptive
+        )
         self._monitor = Monitor(
             model, vehicle, parameters.imu_rate_hz, parameters.confidence or None, settings
         )

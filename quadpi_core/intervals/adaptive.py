@@ -17,15 +17,16 @@ while it is above L a sample counts as inside, below 1/L as missed, and the next
     Σ (m_t − α) = (log f_{T+1} − log f_1)/η,    hence    |Σ m_t / T − α| ≤ (log L + η)/(ηT)
 
 for the first T samples. This asks for no distribution, independence or exchangeability: it holds for drift,
-jumps and an opponent who knows the factor. Smaller errors only add coverage; larger ones, a thousand times the
-calibrated interval, are no flight. The equality says what a flight pays: a factor that ends where it began,
-nothing.
+jumps and an opponent who knows the factor. Smaller errors only add coverage; larger ones, a thousand times
+the calibrated interval, are no flight. The equality says what a flight pays: a factor that ends where it
+began, nothing.
 
-**Step.** η = :data:`GAIN_PER_S` / sample rate, 0.01 at 500 Hz, so that the factor moves alike at any rate. Errors
-of real flights stay correlated for 0.03 s (Mz) to 3 s (Fz; integrated autocorrelation time). With 5/s and 95 %
-the factor doubles within 0.15 s of unbroken misses, and halves within 2.8 s without any: it follows the vehicle
-from one manoeuvre to the next. Thirty seconds suffice for coverage within 2 % of the nominal even if the factor
-ends at 20 or 1/20. A much larger gain would chase single errors, a smaller one leave a short flight uncorrected.
+**Step.** η = :data:`GAIN_PER_S` / sample rate, 0.01 at 500 Hz, so that the factor moves alike at any rate.
+Errors of real flights stay correlated for 0.03 s (Mz) to 3 s (Fz; integrated autocorrelation time). With
+5/s and 95 % the factor doubles within 0.15 s of unbroken misses, and halves within 2.8 s without any: it
+follows the vehicle from one manoeuvre to the next. Thirty seconds suffice for coverage within 2 % of the
+nominal even if the factor ends at 20 or 1/20. A much larger gain would chase single errors, a smaller one
+leave a short flight uncorrected.
 """
 
 from __future__ import annotations

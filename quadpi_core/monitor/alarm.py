@@ -42,7 +42,14 @@ _NO_STAMP = np.iinfo(np.int64).min
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """How quickly the alarm follows the evidence and how often its state is published.
+    """How quickly the alarm follows the evidence, how often its state is published, which intervals go out.
+
+    Attributes:
+        persistence_s: of evidence, before a cause is raised.
+        release_s: without evidence, before a cause is cleared.
+        alarm_rate_hz: of the alarm's state between changes.
+        adaptive: publish intervals that adapt to the measured wrench (:mod:`quadpi_core.intervals.adaptive`)
+            instead of the model's own. The alarm goes by the model's own either way.
 
     Raises:
         QuadpiError: for a time or rate that is not positive.
@@ -51,6 +58,7 @@ class MonitorSettings:
     persistence_s: float = 0.1
     release_s: float = 0.5
     alarm_rate_hz: float = 10.0
+    adaptive: bool = False
 
     def __post_init__(self) -> None:
         for name in ("persistence_s", "release_s", "alarm_rate_hz"):

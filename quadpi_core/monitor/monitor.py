@@ -15,6 +15,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import MAX_GAP_NS, RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
+from quadpi_core.intervals.adaptive import AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.signals.chain import FilteredSignals, SignalChain
@@ -53,7 +54,7 @@ class Monitor:
         vehicle: as in its vehicle file.
         rate_hz: sample rate of the IMU.
         confidence: nominal coverage of the intervals.
-        settings: of the alarm.
+        settings: of the alarm, and whether intervals adapt.
 
     Raises:
         ModelError: if the model belongs to another vehicle or cannot support the confidence.
@@ -71,8 +72,10 @@ class Monitor:
         model.require(vehicle)
         self.model = model
         self.confidence = model.confidence if confidence is None else confidence
+        settings = settings or MonitorSettings()
         self._chain = SignalChain(rate_hz, model.cutoff_hz)
-        self._alarm = Alarm(model.envelope, settings or MonitorSettings())
+        self._alarm = Alarm(model.envelope, settings)
+        self._adaptive = AdaptiveFactor(self.confidence, rate_hz) if settings.adaptive else None
         self._constants = vehicle_constants(vehicle)
         self._mass, self._inertia = vehicle.mass_kg, vehicle.inertia
         self._limits = _Plausible(
@@ -89,6 +92,8 @@ class Monitor:
         """Forget the past: as after construction."""
         self._chain.reset()
         self._alarm.reset()
+        if self._adaptive is not None:
+            self._adaptive.reset()
         self._previous_ns[0] = _NO_STAMP
 
     def step(
@@ -104,7 +109,8 @@ class Monitor:
         """Take K samples; blocks of any length give the same rows, bit for bit.
 
         A sample that is not finite, not plausible or not later than the one before gives no prediction and
-        counts as BAD_DATA. After a gap or a jump of the stamps the low-pass starts anew.
+        counts as BAD_DATA. After a gap or a jump of the stamps the low-pass starts anew; adaptive intervals
+        go on, as their coverage is that of all samples so far.
 
         Args:
             time_ns: (K,) stamps.
@@ -164,11 +170,14 @@ class Monitor:
         measured = newton_euler(
             signals.specific_force, signals.rates, signals.angular_acceleration, self._mass, self._inertia
         )
+        lower, upper = evaluation.lower, evaluation.upper
+        if self._adaptive is not None:
+            lower, upper = self._adaptive.step(measured, lower, upper)
         predictions = Predictions(
             time_ns,
             evaluation.predicted,
-            evaluation.lower,
-            evaluation.upper,
+            lower,
+            upper,
             measured,
             evaluation.relative_width,
         )

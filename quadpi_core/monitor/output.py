@@ -17,7 +17,8 @@ from quadpi_core.frames import Array
 class Predictions:
     """One row per IMU sample; columns Fx, Fy, Fz (N), Mx, My, Mz (Nm), body forward-right-down.
 
-    Columns of axes that the model does not hold are zero.
+    Columns of axes that the model does not hold are zero. `relative_width` is that of the
+    model's own interval, also where `lower` and `upper` adapt.
     """
 
     time_ns: Stamps

@@ -76,7 +76,7 @@ def replay(
         bag: a bag, or any log that needs no mapping.
         output: MCAP file to write; it appears whole or not at all.
         confidence: nominal coverage; the model's own unless given.
-        settings: of the alarm.
+        settings: of the alarm, and whether intervals adapt.
 
     Raises:
         LogError: naming bag, topic and sample of what cannot be used.

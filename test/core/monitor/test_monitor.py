@@ -12,13 +12,14 @@ from quadpi_core.flight import MAX_GAP_NS
 from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models import Evaluation
-from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK
+from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.pairing import PairedSamples
 
 RATE_HZ = 500.0
 FX, MY = 0, 4
+ADAPTIVE = MonitorSettings(adaptive=True)
 
 
 def cut(samples: PairedSamples, keep) -> PairedSamples:
@@ -73,8 +74,9 @@ def test_flight_inside_the_envelope_is_predicted_without_alarm(monitor, samples,
     )
 
 
+@pytest.mark.parametrize("settings", [MonitorSettings(), ADAPTIVE], ids=["static", "adaptive"])
 @pytest.mark.parametrize("block", [1, 13, 500])
-def test_blocks_give_the_same_rows_bit_for_bit(model, vehicle, samples, block):
+def test_blocks_give_the_same_rows_bit_for_bit(model, vehicle, samples, block, settings):
     rng = np.random.default_rng(2)
     samples = cut(samples, slice(0, 1500))
     time_ns = samples.time_ns.copy()
@@ -82,8 +84,8 @@ def test_blocks_give_the_same_rows_bit_for_bit(model, vehicle, samples, block):
     rates = samples.rates.copy()
     rates[rng.random(len(rates)) < 0.02, 1] = np.nan
     samples = changed(samples, time_ns=time_ns, rates=rates)
-    whole = run(Monitor(model, vehicle, RATE_HZ), samples)
-    parts = run(Monitor(model, vehicle, RATE_HZ), samples, block)
+    whole = run(Monitor(model, vehicle, RATE_HZ, settings=settings), samples)
+    parts = run(Monitor(model, vehicle, RATE_HZ, settings=settings), samples, block)
     for left, right in zip(whole, parts, strict=True):
         assert_same(left, right)
 
@@ -197,7 +199,9 @@ def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
     assert BAD_DATA in alarms.causes
 
 
-def test_reset_gives_the_same_again(monitor, samples):
+@pytest.mark.parametrize("settings", [MonitorSettings(), ADAPTIVE], ids=["static", "adaptive"])
+def test_reset_gives_the_same_again(model, vehicle, samples, settings):
+    monitor = Monitor(model, vehicle, RATE_HZ, settings=settings)
     first = monitor.step(*samples)
     monitor.reset()
     again = monitor.step(*samples)
@@ -209,6 +213,25 @@ def test_confidence_widens_the_interval(model, vehicle, samples):
     narrow, _ = Monitor(model, vehicle, RATE_HZ, confidence=0.8).step(*samples)
     wide, _ = Monitor(model, vehicle, RATE_HZ, confidence=0.99).step(*samples)
     assert np.all(wide.upper[:, FX] > narrow.upper[:, FX])
+
+
+def test_adaptive_intervals_cover_where_the_models_own_do_not(model, vehicle, samples):
+    """A steady force that the model does not know."""
+    pushed = changed(samples, specific_force=samples.specific_force + np.array([0.5, 0.0, 0.0]))
+    own, alarms = Monitor(model, vehicle, RATE_HZ).step(*pushed)
+    adapted, adapted_alarms = Monitor(model, vehicle, RATE_HZ, settings=ADAPTIVE).step(*pushed)
+
+    def covered(predictions):
+        inside = (predictions.lower <= predictions.measured) & (predictions.measured <= predictions.upper)
+        return inside[:, FX].mean()
+
+    assert covered(own) < 0.6
+    assert covered(adapted) == pytest.approx(0.95, abs=0.03)
+    assert adapted.upper[0, FX] == pytest.approx(own.upper[0, FX], rel=1e-12)
+    np.testing.assert_array_equal(adapted.relative_width, own.relative_width)
+    np.testing.assert_array_equal(adapted.predicted, own.predicted)
+    assert np.all(adapted.upper[:, 1] == 0.0)
+    assert_same(alarms, adapted_alarms)
 
 
 def test_model_of_another_vehicle_is_refused(model, vehicle):
@@ -236,7 +259,8 @@ def test_garbage_never_comes_out(model, vehicle, samples, seed):
     time_ns = samples.time_ns[:400].copy()
     hit = rng.random(len(time_ns)) < 0.05
     time_ns[hit] += rng.choice([-(10**18), -5_000_000, 0, 10**9, 10**18], np.count_nonzero(hit))
-    predictions, alarms = Monitor(model, vehicle, RATE_HZ).step(*PairedSamples(time_ns, **columns))
+    monitor = Monitor(model, vehicle, RATE_HZ, settings=MonitorSettings(adaptive=seed % 2 == 0))
+    predictions, alarms = monitor.step(*PairedSamples(time_ns, **columns))
     assert_finite(predictions, alarms)
     assert 0 < len(predictions.time_ns) < 400
     assert BAD_DATA in alarms.causes

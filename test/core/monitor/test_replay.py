@@ -12,7 +12,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording,
 from quadpi_core.logs import messages
 from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.logs.mcap import Bag
-from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM
+from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.monitor.replay import replay
@@ -133,13 +133,17 @@ def test_leaving_the_envelope_is_in_the_bag_and_the_summary(model, vehicle, with
     assert alarms.envelope_distance[raised] > 0.5
 
 
-def test_replay_equals_the_live_path_sample_by_sample(model, vehicle, with_pose, bag_of, tmp_path):
-    replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap")
+@pytest.mark.parametrize(
+    "settings", [MonitorSettings(), MonitorSettings(adaptive=True)], ids=["own", "adaptive"]
+)
+def test_replay_equals_the_live_path_sample_by_sample(model, vehicle, with_pose, bag_of, tmp_path, settings):
+    replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap", settings=settings)
     replayed, _ = read_outputs(tmp_path / "out.mcap")
 
     recording = read_bag(tmp_path / "level.mcap", vehicle)
     imu, pose, rotors = recording.imu, recording.pose, recording.rotor_speeds
-    ekf, pairing, monitor = Ekf(vehicle, RATE_HZ), Pairing(), Monitor(model, vehicle, RATE_HZ)
+    ekf, pairing = Ekf(vehicle, RATE_HZ), Pairing()
+    monitor = Monitor(model, vehicle, RATE_HZ, settings=settings)
     order = sorted(
         [(t, 0, i) for i, t in enumerate(imu.time_ns)]
         + [(t, 1, i) for i, t in enumerate(pose.time_ns)]
