@@ -233,10 +233,14 @@ def inside_range(inputs: Array, of: Array) -> npt.NDArray[np.bool_]:
     return inside
 
 
+def conformal_rank(flights: int) -> int:
+    """Which of the flights' factors is used, 1 the smallest: ⌈0.9 (F + 1)⌉, or F while that is too few."""
+    return min(int(np.ceil(FLIGHT_SHARE * (flights + 1))), flights)
+
+
 def _ranked_factor(flight_factors: Array, confidence: float) -> float:
     factors = np.sort([np.interp(confidence, LEVELS, row) for row in flight_factors])
-    rank = int(np.ceil(FLIGHT_SHARE * (len(factors) + 1)))
-    return float(factors[min(rank, len(factors)) - 1])
+    return float(factors[conformal_rank(len(factors)) - 1])
 
 
 def _check_confidence(confidence: float, lowest: float, highest: float) -> None:
