@@ -34,6 +34,9 @@ OptionalVehicle = Annotated[
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the result as JSON.")]
 HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
+Adaptive = Annotated[
+    bool, typer.Option("--adaptive", help="Intervals that adapt to the measured wrench as the flight goes.")
+]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
 
 
@@ -124,7 +127,7 @@ def identify(
     html_file: HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
-    from quadpi_core.identification import CUTOFF_HZ, predict_flight, prepare_flights
+    from quadpi_core.identification import CUTOFF_HZ, prepare_flights
     from quadpi_core.identification import identify as identify_model
     from quadpi_core.models.pool import load_pools, select_axes
     from quadpi_core.report.tables import held_out_table, selection_table
@@ -157,9 +160,8 @@ def identify(
     if held_out := held_out_table(model):
         console.print(held_out)
     if json_file or html_file:
-        results = [predict_flight(model, flight, confidence) for flight in flights]
         groups = {"identification": [flight.name for flight in flights]}
-        _report(model, results, groups, confidence, json_file, html_file)
+        _report(model, flights, groups, confidence, json_file, html_file)
 
 
 @app.command()
@@ -173,12 +175,13 @@ def evaluate(
         typer.Option(help="A group of flights: NAME=BAG, with commas or repeated for several bags."),
     ] = None,
     confidence: Confidence = None,
+    adaptive: Adaptive = False,
     vehicle: OptionalVehicle = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
     """Judge a model's intervals on flights: coverage, width and errors, per flight, axis and group."""
-    from quadpi_core.identification import predict_flight, prepare_flights
+    from quadpi_core.identification import prepare_flights
     from quadpi_core.models import AerodynamicModel
     from quadpi_core.report.tables import evaluation_table
     from quadpi_core.vehicle import Vehicle
@@ -191,10 +194,9 @@ def evaluate(
     _check_outputs([model, *files], json_file, html_file)
     level = the_model.confidence if confidence is None else confidence
     flights = prepare_flights(files, the_vehicle, the_model.cutoff_hz)
-    results = [predict_flight(the_model, flight, level) for flight in flights]
     name_of = dict(zip(files, (flight.name for flight in flights), strict=True))
     groups = {name: [name_of[path] for path in members] for name, members in paths.items()}
-    evaluation = _report(the_model, results, groups, level, json_file, html_file)
+    evaluation = _report(the_model, flights, groups, level, json_file, html_file, adaptive=adaptive)
     _console().print(evaluation_table(evaluation))
 
 
@@ -204,6 +206,7 @@ def replay(
     bag: Annotated[Path, typer.Argument(help="Flight to replay.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Bag to write.")],
     confidence: Confidence = None,
+    adaptive: Adaptive = False,
     vehicle: OptionalVehicle = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -211,6 +214,7 @@ def replay(
     from dataclasses import asdict
 
     from quadpi_core.models import AerodynamicModel
+    from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
     from quadpi_core.vehicle import Vehicle
 
@@ -218,7 +222,9 @@ def replay(
     the_model = AerodynamicModel.load(model)
     the_vehicle = Vehicle.load(vehicle or the_model.vehicle)
     the_model.require(the_vehicle)
-    summary = asdict(replay_bag(the_model, the_vehicle, bag, output, confidence=confidence))
+    settings = MonitorSettings(adaptive=adaptive)
+    replayed = replay_bag(the_model, the_vehicle, bag, output, confidence=confidence, settings=settings)
+    summary = asdict(replayed)
     _console().print_json(data=summary)
     _write_json(json_file, summary)
 
@@ -335,23 +341,18 @@ def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
 
 def _report(
     model: Any,
-    results: list[Any],
+    flights: list[Any],
     groups: dict[str, list[str]],
     confidence: float,
     json_file: Path | None,
     html_file: Path | None,
+    *,
+    adaptive: bool = False,
 ) -> dict[str, Any]:
-    from quadpi_core.intervals.evaluate import evaluate_flights
+    from quadpi_core.identification import judge
     from quadpi_core.report.html import write_report
 
-    evaluation = evaluate_flights(
-        results,
-        groups,
-        model.training_range,
-        confidence,
-        model=model.identity,
-        vehicle=model.vehicle,
-    )
+    results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)
     _write_json(json_file, evaluation)
     if html_file is not None:
         write_report(html_file, evaluation, results, model)

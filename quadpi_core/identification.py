@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from quadpi_core.errors import LogError, ModelError
 from quadpi_core.flight import AXES, Flight, Recording
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
-from quadpi_core.intervals.evaluate import FlightResult
+from quadpi_core.intervals.adaptive import AdaptiveFactor
+from quadpi_core.intervals.evaluate import FlightResult, evaluate_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
@@ -48,6 +49,7 @@ class PreparedFlight:
         time: (N,) s.
         inputs: (N, 19) input vectors X.
         wrench: (N, 6) measured wrench.
+        height: (N,) m above the origin of the world.
     """
 
     name: str
@@ -55,6 +57,7 @@ class PreparedFlight:
     time: Array
     inputs: Array
     wrench: Array
+    height: Array
 
 
 def prepare_flights(paths: Sequence[Path], vehicle: Vehicle, cutoff_hz: float) -> list[PreparedFlight]:
@@ -81,6 +84,7 @@ def _prepare(recording: Recording, sha256: str, vehicle: Vehicle, cutoff_hz: flo
         time=flight.time,
         inputs=flight_inputs(flight, vehicle),
         wrench=measured_wrench(flight, vehicle),
+        height=-flight.position[:, 2],
     )
 
 
@@ -167,16 +171,72 @@ def identify(
     )
 
 
-def predict_flight(model: AerodynamicModel, flight: PreparedFlight, confidence: float) -> FlightResult:
-    """What the model says of one flight, beside what was measured."""
+def predict_flight(
+    model: AerodynamicModel, flight: PreparedFlight, confidence: float, *, adaptive: bool = False
+) -> FlightResult:
+    """What the model says of one flight, beside what was measured.
+
+    Args:
+        model: of the vehicle that flew.
+        flight: passed the low-pass of the model.
+        confidence: nominal coverage of the intervals.
+        adaptive: intervals that adapt to the measurement as the flight goes, as the monitor's may.
+    """
     evaluation = model.evaluate(flight.inputs, confidence)
+    lower, upper = evaluation.lower, evaluation.upper
+    if adaptive:
+        rate_hz = 1.0 / float(np.median(np.diff(flight.time)))
+        lower, upper = AdaptiveFactor(confidence, rate_hz).step(flight.wrench, lower, upper)
     return FlightResult(
         name=flight.name,
         axes=model.axes,
         time=flight.time,
         measured=flight.wrench,
         predicted=evaluation.predicted,
-        lower=evaluation.lower,
-        upper=evaluation.upper,
+        lower=lower,
+        upper=upper,
         inputs=flight.inputs,
+        height=flight.height,
     )
+
+
+def judge(
+    model: AerodynamicModel,
+    flights: Sequence[PreparedFlight],
+    groups: Mapping[str, Sequence[str]],
+    confidence: float,
+    *,
+    adaptive: bool = False,
+) -> tuple[list[FlightResult], dict[str, Any]]:
+    """What the model says of flights, and how good that is.
+
+    Args:
+        model: of the vehicle that flew.
+        flights: passed the low-pass of the model.
+        groups: names of the flights in each group.
+        confidence: nominal coverage of the intervals.
+        adaptive: see :func:`predict_flight`.
+
+    Returns:
+        One result per flight, and the JSON of :func:`quadpi_core.intervals.evaluate.evaluate_flights`.
+
+    Raises:
+        EvaluationError: for groups and flights that do not fit.
+    """
+
+    def at(level: float) -> Iterator[FlightResult]:
+        return (predict_flight(model, flight, level, adaptive=adaptive) for flight in flights)
+
+    results = list(at(confidence))
+    evaluation = evaluate_flights(
+        results,
+        groups,
+        model.training_range,
+        confidence,
+        model=model.identity,
+        vehicle=model.vehicle,
+        method=model.method,
+        adaptive=adaptive,
+        at_confidence=at,
+    )
+    return results, evaluation

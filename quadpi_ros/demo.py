@@ -13,8 +13,7 @@ from rich.markup import escape
 from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.identification import CUTOFF_HZ, identify, predict_flight, prepare_flights
-from quadpi_core.intervals.evaluate import evaluate_flights
+from quadpi_core.identification import CUTOFF_HZ, identify, judge, prepare_flights
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
 from quadpi_core.paths import bags_directory, write_json
@@ -129,11 +128,8 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
     console.rule("3  Evaluate: does the interval cover?")
     others = [bag for bags in list(flights.groups.values())[1:] for bag in bags]
     prepared += prepare_flights(others, vehicle, CUTOFF_HZ["default"])
-    results = [predict_flight(model, flight, CONFIDENCE) for flight in prepared]
     groups = {name: [bag.stem for bag in bags] for name, bags in flights.groups.items()}
-    evaluation = evaluate_flights(
-        results, groups, model.training_range, CONFIDENCE, model=model.identity, vehicle=vehicle.name
-    )
+    results, evaluation = judge(model, prepared, groups, CONFIDENCE)
     console.print(evaluation_table(evaluation))
 
     console.rule(f"4  Live: {flights.replayed.name} through the ROS 2 nodes at {rate:g} x real time")

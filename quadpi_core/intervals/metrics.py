@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import norm
 
 from quadpi_core.frames import Array
+
+# How steeply CWC punishes coverage below the nominal one; the value of Khosravi et al. (2011).
+CWC_ETA = 50.0
 
 
 def inside_interval(measured: Array, lower: Array, upper: Array) -> npt.NDArray[np.bool_]:
@@ -59,3 +63,39 @@ def winkler(measured: Array, lower: Array, upper: Array, confidence: float) -> f
     """
     outside = np.maximum(lower - measured, 0.0) + np.maximum(measured - upper, 0.0)
     return float(np.mean(upper - lower + 2.0 / (1.0 - confidence) * outside))
+
+
+def cwc(
+    measured: Array,
+    lower: Array,
+    upper: Array,
+    training_range: float,
+    confidence: float,
+    eta: float = CWC_ETA,
+) -> float:
+    """Coverage width criterion, NMPIW (1 + γ exp(−η (PICP − μ))), lower is better.
+
+    γ is 1 where the coverage is below μ, the nominal confidence, else 0: the criterion is NMPIW for intervals
+    that cover, and at least twice that for others (Khosravi, Nahavandi, Creighton and Atiya 2011, Eq. 4, 5).
+    """
+    width = nmpiw(lower, upper, training_range)
+    short = picp(measured, lower, upper) - confidence
+    return float(width * (1.0 + (np.exp(-eta * short) if short < 0.0 else 0.0)))
+
+
+def implied_std(lower: Array, upper: Array, confidence: float) -> Array:
+    """Standard deviation (N,) of the normal distribution whose central interval [L, U] is."""
+    std: Array = 0.5 * (upper - lower) / norm.ppf(0.5 + 0.5 * confidence)
+    return std
+
+
+def crps_normal(measured: Array, mean: Array, std: Array) -> float:
+    """Mean continuous ranked probability score of normal predictions, in the unit of y; lower is better.
+
+    σ (z (2 Φ(z) − 1) + 2 φ(z) − 1/√π) with z = (y − mean)/σ (Gneiting and Raftery 2007, Eq. 21), which is
+    |y − mean| in the limit of no spread.
+    """
+    error = measured - mean
+    z = np.divide(error, std, out=np.zeros_like(error), where=std > 0.0)
+    score = error * (2.0 * norm.cdf(z) - 1.0) + std * (2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
+    return float(np.mean(np.where(std > 0.0, score, np.abs(error))))

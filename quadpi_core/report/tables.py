@@ -29,7 +29,8 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
     confidence = evaluation["confidence"]
     parts = evaluation["groups"]
     tables = [_group_table(name, part["axes"], confidence) for name, part in parts.items()]
-    heading = Text(f"{evaluation['model']}: {percent(confidence)} prediction intervals", style="bold")
+    intervals = "adaptive prediction intervals" if evaluation["adaptive"] else "prediction intervals"
+    heading = Text(f"{evaluation['model']}: {percent(confidence)} {intervals}", style="bold")
     if any(covers_too_little(metrics, confidence) for p in parts.values() for metrics in p["axes"].values()):
         note = f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
         return Group(heading, *tables, Text(note, style="dim"))

@@ -22,8 +22,14 @@ from quadpi_core.paths import config_directory
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)
 SLOW_TO_IMPORT = ("numba", "scipy", "plotly", "pyarrow", "rosbags", "safetensors", "rclpy")
-METRICS = {"picp", "picp_ci", "mpiw", "nmpiw", "rmse", "r2", "winkler", "n", "n_eff"}
-EVALUATION = {"quadpi_version", "model", "vehicle", "confidence", "training_range", "groups", "flights"}
+METRICS = {
+    *("picp", "picp_ci", "mpiw", "nmpiw", "rmse", "r2", "winkler", "cwc", "crps", "calibration", "regimes"),
+    *("n", "n_eff"),
+}
+EVALUATION = {
+    *("quadpi_version", "model", "vehicle", "method", "adaptive", "confidence", "training_range"),
+    *("nmpiw_denominator", "cwc", "calibration_levels", "regime_edges", "groups", "flights"),
+}
 RECORDING = {"kind", "name", "vehicle", "source", "topics", "envelope", "findings"}
 MODEL = {
     "kind",
@@ -117,6 +123,18 @@ def test_main_path_on_simulated_flights(quadpi, bags, pool, tmp_path):
         ["flight2"],
     ]
     assert evaluation["groups"]["new"]["axes"]["Fz"]["picp"] > 0.8
+
+    adapted = quadpi("evaluate", model, bags[2], "--adaptive", "--json", result_json)
+    assert (adapted.status, adapted.errors) == (0, "")
+    assert "adaptive" in adapted.output
+    assert read_json(result_json)["adaptive"]
+    new = read_json(result_json)["groups"]["all"]["axes"]["Fz"]
+    assert abs(new["picp"] - 0.95) < abs(evaluation["groups"]["new"]["axes"]["Fz"]["picp"] - 0.95)
+
+    own, adaptive = tmp_path / "own.mcap", tmp_path / "adaptive.mcap"
+    assert quadpi("replay", model, bags[2], "-o", own).status == 0
+    assert quadpi("replay", model, bags[2], "-o", adaptive, "--adaptive").status == 0
+    assert own.read_bytes() != adaptive.read_bytes()
 
     replayed = quadpi("replay", model, bags[2], "-o", tmp_path / "out.mcap", "--json", result_json)
     assert (replayed.status, replayed.errors) == (0, "")

@@ -12,10 +12,10 @@ import pytest
 
 from quadpi_core.errors import LogError, ModelError
 from quadpi_core.flight import AXES
-from quadpi_core.identification import airborne, identify, predict_flight, prepare_flights
+from quadpi_core.identification import airborne, identify, judge, predict_flight, prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models.pool import CandidatePool
+from quadpi_core.models.pool import CandidatePool, load_pools
 from quadpi_core.signals.fusion import fuse
 from quadpi_core.vehicle import Vehicle
 
@@ -70,6 +70,24 @@ def test_intervals_cover_new_flights(model, flights):
             measured, lower, upper = (result.column(name, axis) for name in ("measured", "lower", "upper"))
             assert np.mean((lower <= measured) & (measured <= upper)) > 0.9
             assert np.mean(upper - lower) < 0.1 * np.ptp(measured)
+
+
+def test_judging_gives_the_calibration_curve_and_tells_of_adaptation(model, flights):
+    groups = {"new": [flight.name for flight in flights[3:]]}
+    results, own = judge(model, flights[3:], groups, 0.95)
+    assert [result.name for result in results] == groups["new"]
+    curve = own["groups"]["new"]["axes"]["Fx"]["calibration"]
+    assert curve == sorted(curve)
+    assert curve[own["calibration_levels"].index(0.95)] == own["groups"]["new"]["axes"]["Fx"]["picp"]
+    _, adapted = judge(model, flights[3:], groups, 0.95, adaptive=True)
+    assert (own["adaptive"], adapted["adaptive"]) == (False, True)
+    assert adapted["groups"]["new"]["axes"]["Fx"]["picp"] != own["groups"]["new"]["axes"]["Fx"]["picp"]
+
+
+def test_height_is_above_the_origin(paths, flights, vehicle):
+    down = read_recording(paths[0], vehicle).pose.position[:, 2]
+    assert flights[0].height.max() == pytest.approx(-down.min(), abs=0.05)
+    assert flights[0].height.min() == pytest.approx(-down.max(), abs=0.05)
 
 
 def test_model_remembers_what_it_came_from(model, flights):
@@ -167,3 +185,18 @@ def test_whole_fast_neurobem_flight_is_in_the_air(shared_data, vehicle):
     path = shared_data / "neurobem" / "bemnn20210218172600seg1.mat"
     prepared = prepare_flights([path], vehicle, 30.0)[0]
     assert len(prepared.time) == len(fuse(read_recording(path, vehicle), vehicle, 30.0))
+
+
+@pytest.mark.slow
+def test_adaptive_intervals_cover_every_neurobem_flight(shared_data, vehicle):
+    """Identified on the three slower flights; the fourth, at up to 14.3 m/s, is far outside."""
+    logs = sorted((shared_data / "neurobem").glob("*.mat"))
+    flights = prepare_flights(logs, vehicle, 30.0)
+    slower = [flight for flight in flights if flight.name != "bemnn20210218172600seg1"]
+    assert (len(slower), len(flights)) == (3, 4)
+    model = identify(slower, vehicle, load_pools("quadrotor"), cutoff_hz=30.0)
+    for name, flight in judge(model, flights, {}, 0.95, adaptive=True)[1]["flights"].items():
+        for axis in AXES:
+            assert 0.93 <= flight["axes"][axis]["picp"] <= 0.97, (name, axis)
+    own = judge(model, flights, {}, 0.95)[1]["flights"]["bemnn20210218172600seg1"]["axes"]
+    assert own["Fx"]["picp"] < 0.85

@@ -80,6 +80,7 @@ def flight_result(name, speed, seed, samples=3000):
         predicted - half_width,
         predicted + half_width,
         inputs,
+        height=np.ones(samples),
     )
 
 
