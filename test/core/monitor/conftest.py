@@ -11,8 +11,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
-from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.models.rules import ResidualRule
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.signals.chain import SignalChain
