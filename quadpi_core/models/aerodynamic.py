@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -120,6 +120,10 @@ class AerodynamicModel:
         if confidence is None:
             confidence = self.confidence
         return self._compiled.evaluate(inputs, self._factors(confidence))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What travels to another process, which compiles for itself."""
+        return {column.name: getattr(self, column.name) for column in fields(self)}
 
     def save(self, folder: Path) -> AerodynamicModel:
         """Write the model as a folder of JSON and safetensors; returns it with its identity."""
