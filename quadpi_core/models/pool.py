@@ -5,11 +5,13 @@
 A pool file under config/candidates is YAML; under each axis, `fixed` lists regressors that are always in
 the model (the bias is too) and `candidates` lists families in the paper's notation, for example
 ``P^3(u, |v|, w)·{1, omega_avg}``: every monomial of degree 1 to 3 in the three variables, times each factor.
+`inputs` lists the regressors that neural networks take instead, for example ``|v|``.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from pathlib import Path
@@ -26,6 +28,8 @@ from quadpi_core.models.regressors import (
     unique_regressors,
 )
 
+# Of an axis in a pool file, in the order in which a pool takes them.
+_KEYS = ("fixed", "candidates", "inputs")
 _FAMILY = re.compile(
     r"P\^(?P<degree>[1-9]\d*)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?"
 )
@@ -36,13 +40,17 @@ class CandidatePool:
     """The fixed regressors (bias first) and the candidates of one axis, each once, in file order.
 
     A candidate that is also fixed stays listed, as the paper counts it; the selection never adds it.
+
+    Attributes:
+        inputs: of neural networks; empty where the pool is for polynomials alone.
     """
 
     fixed: tuple[Regressor, ...]
     candidates: tuple[Regressor, ...]
+    inputs: tuple[Regressor, ...] = ()
 
     @classmethod
-    def parse(cls, fixed: list[str], families: list[str]) -> CandidatePool:
+    def parse(cls, fixed: list[str], families: list[str], inputs: Sequence[str] = ()) -> CandidatePool:
         """Read a pool from its notation.
 
         Raises:
@@ -53,6 +61,7 @@ class CandidatePool:
         return cls(
             fixed=tuple(unique_regressors([bias, *map(Regressor.parse, fixed)])),
             candidates=tuple(unique_regressors(candidates)),
+            inputs=tuple(unique_regressors([Regressor.parse(text) for text in inputs])),
         )
 
 
@@ -89,7 +98,7 @@ def load_pools(name_or_path: str | Path) -> dict[str, CandidatePool]:
     """
     path, data = read_config("candidate", name_or_path, ModelError)
     if not isinstance(data, dict) or not data:
-        raise ModelError(f"{path}: expected axes, each with `fixed` and `candidates`")
+        raise ModelError(f"{path}: expected axes, each with `fixed`, `candidates` and `inputs`")
     return {axis: _parse_axis(path, axis, entry) for axis, entry in data.items()}
 
 
@@ -111,15 +120,13 @@ def select_axes(pools: dict[str, CandidatePool], names: str | None) -> dict[str,
 def _parse_axis(path: Path, axis: Any, entry: Any) -> CandidatePool:
     if axis not in AXES:
         raise ModelError(f"{path}: unknown axis {axis!r}; axes: {', '.join(AXES)}")
-    if not isinstance(entry, dict) or set(entry) - {"fixed", "candidates"}:
-        raise ModelError(f"{path}: {axis}: expected the keys `fixed` and `candidates`")
-    lists = {key: entry.get(key) or [] for key in ("fixed", "candidates")}
-    for key, texts in lists.items():
+    if not isinstance(entry, dict) or set(entry) - set(_KEYS):
+        raise ModelError(f"{path}: {axis}: expected the keys {', '.join(f'`{key}`' for key in _KEYS)}")
+    lists = [entry.get(key) or [] for key in _KEYS]
+    for key, texts in zip(_KEYS, lists, strict=True):
         if not isinstance(texts, list):
             raise ModelError(f"{path}: {axis}: `{key}` must be a list, found {texts!r}")
     try:
-        return CandidatePool.parse(
-            [str(text) for text in lists["fixed"]], [str(text) for text in lists["candidates"]]
-        )
+        return CandidatePool.parse(*([str(text) for text in texts] for texts in lists))
     except ModelError as error:
         raise ModelError(f"{path}: {axis}: {error}") from error

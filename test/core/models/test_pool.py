@@ -28,10 +28,27 @@ def test_default_pools_are_the_papers_where_it_gives_them(axis: str) -> None:
     assert load_pools("quadrotor")[axis] == load_pools("hdbeetle")[axis]
 
 
+@pytest.mark.parametrize(
+    ("name", "axis", "count"),
+    [("bebop2_simulation", axis, count) for axis, count in zip(AXES, (3, 3, 12, 5, 5, 10), strict=True)]
+    + [("hdbeetle", "Fx", 14), ("hdbeetle", "Fz", 17), ("hdbeetle", "My", 15)],
+)
+def test_inputs_of_networks_are_as_many_as_in_the_papers_tables(name: str, axis: str, count: int) -> None:
+    inputs = load_pools(name)[axis].inputs
+    assert len(set(inputs)) == len(inputs) == count
+
+
+def test_inputs_are_read_as_regressors() -> None:
+    pool = CandidatePool.parse(["u"], ["P^1(v)"], ["u", "|v|", "u"])
+    assert [str(regressor) for regressor in pool.inputs] == ["u", "|v|"]
+    assert CandidatePool.parse(["u"], ["P^1(v)"]).inputs == ()
+
+
 @pytest.mark.parametrize(("mirrored", "original"), [("Fy", "Fx"), ("Mx", "My")])
 def test_lateral_pools_mirror_the_longitudinal_ones(mirrored: str, original: str) -> None:
     pools = load_pools("quadrotor")
     assert len(pools[mirrored].candidates) == len(pools[original].candidates)
+    assert len(pools[mirrored].inputs) == len(pools[original].inputs)
 
 
 @pytest.mark.parametrize("name", ["bebop2_simulation", "hdbeetle", "quadrotor"])
@@ -74,6 +91,8 @@ def test_duplicates_across_families_count_once() -> None:
         ("Fx:\n  candidates: ['P^2(u)·{1, zeta}']\n", ["Fx", "'zeta'"]),
         ("Fx:\n  candidates: P^2(u)\n", ["Fx", "candidates", "list"]),
         ("Fx:\n  candidate: [P^2(u)]\n", ["Fx", "candidates"]),
+        ("Fx:\n  inputs: [u, x]\n", ["Fx", "'x'"]),
+        ("Fx:\n  inputs: u, v\n", ["Fx", "inputs", "list"]),
         ("Fw:\n  candidates: [P^2(u)]\n", ["'Fw'", "Fx, Fy, Fz"]),
         ("Fx: [P^2(u)]\n", ["Fx", "candidates"]),
         ("- Fx\n", ["axes"]),
