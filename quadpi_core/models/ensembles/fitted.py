@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -16,7 +16,7 @@ from quadpi_core.models.ensembles.network import Networks, Scaling
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.rules import AnyRule, rule_from_json
 
-# Least standard deviation of the noise, relative to that of the target.
+# Least floor of a spread, relative to the standard deviation of the target.
 NOISE_FLOOR = 1e-3
 
 
@@ -30,6 +30,7 @@ class FittedEnsemble:
         members: B networks.
         rule: gives the interval's factor on the spread.
         rms_spread: root mean square of the spread over the training samples, the unit of relative width.
+        floor: least noise, or least half distance of the bounds, as a share of the target's scale.
     """
 
     inputs: tuple[Regressor, ...] | None
@@ -37,6 +38,7 @@ class FittedEnsemble:
     members: Networks
     rule: AnyRule
     rms_spread: float
+    floor: float = field(default=NOISE_FLOOR, kw_only=True)
 
     method: ClassVar[str]
 
@@ -62,6 +64,7 @@ class FittedEnsemble:
             "scaling": self.scaling.to_json(),
             "rule": self.rule.to_json(),
             "rms_spread": self.rms_spread,
+            "floor": self.floor,
         }
 
 
@@ -76,15 +79,16 @@ def read_common(data: dict[str, Any], members: Networks) -> dict[str, Any]:
         inputs = tuple(Regressor.parse(text) for text in data["inputs"])
         if len(inputs) != members.hidden_weights.shape[2]:
             raise ModelError(f"{len(inputs)} inputs for networks of {members.hidden_weights.shape[2]}")
-    rms_spread = float(data["rms_spread"])
-    if not 0.0 < rms_spread < np.inf:
-        raise ModelError(f"rms_spread {rms_spread} is not positive")
+    rms_spread, floor = float(data["rms_spread"]), float(data["floor"])
+    if not (0.0 < rms_spread < np.inf and 0.0 < floor < np.inf):
+        raise ModelError(f"rms_spread {rms_spread} or floor {floor} is not positive")
     return {
         "inputs": inputs,
         "scaling": Scaling.from_json(data["scaling"], members.hidden_weights.shape[2]),
         "members": members,
         "rule": rule_from_json(data["rule"]),
         "rms_spread": rms_spread,
+        "floor": floor,
     }
 
 
@@ -96,8 +100,8 @@ class FittedBootstrap(FittedEnsemble):
     Visser, Eq. 18 to 20).
 
     Attributes:
-        noise: one network; noise = softplus(output) + NOISE_FLOOR, as a share of the target's scale.
-        model_share: 1 in the paper; 1 + 1/B for the error of a mean of B members.
+        noise: one network; noise = softplus(output) + floor, as a share of the target's scale.
+        model_share: 1 in the paper; more in the default, for there are few members (see `BootstrapEnsemble`).
     """
 
     method: ClassVar[str] = "bootstrap"
@@ -108,7 +112,7 @@ class FittedBootstrap(FittedEnsemble):
         """Centre and spread (N,) in numpy: the reference for the compiled kernels."""
         features = self.features(X)
         predictions = self.members.outputs(features)[:, :, 0]
-        noise = np.logaddexp(0.0, self.noise.outputs(features)[0, :, 0]) + NOISE_FLOOR
+        noise = np.logaddexp(0.0, self.noise.outputs(features)[0, :, 0]) + self.floor
         variance = self.model_share * predictions.var(axis=0, ddof=1) + noise**2
         scale = self.scaling.target_scale
         return self.scaling.target_mean + scale * predictions.mean(axis=0), scale * np.sqrt(variance)
@@ -141,7 +145,8 @@ class FittedQualityDriven(FittedEnsemble):
     """Members that predict a lower and an upper bound.
 
     Each bound of the ensemble is the mean of the members', moved outward by `outward` standard deviations
-    (B − 1); centre and spread are the middle of the two and half their distance, whichever is the larger.
+    (B − 1); centre and spread are the middle of the two and half their distance, whichever is the larger, but
+    no less than the floor.
 
     Attributes:
         outward: 1.96 with the standard deviation, 1.96/√B with the standard error of the mean.
@@ -155,7 +160,7 @@ class FittedQualityDriven(FittedEnsemble):
         bounds = self.members.outputs(self.features(X))
         mean, deviation = bounds.mean(axis=0), bounds.std(axis=0, ddof=1)
         lower, upper = (mean + self.outward * deviation * np.array([-1.0, 1.0])).T
-        spread = np.maximum(0.5 * np.abs(upper - lower), NOISE_FLOOR)
+        spread = np.maximum(0.5 * np.abs(upper - lower), self.floor)
         scale = self.scaling.target_scale
         return self.scaling.target_mean + scale * 0.5 * (lower + upper), scale * spread
 

@@ -40,6 +40,9 @@ class Networks:
     def __len__(self) -> int:
         return len(self.hidden_weights)
 
+    def __getitem__(self, some: slice) -> Networks:
+        return Networks(*(getattr(self, column.name)[some] for column in fields(self)))
+
     def outputs(self, standardised: Array) -> Array:
         """Outputs (B, N, O) for standardised inputs (N, D): the reference for the compiled kernels."""
         hidden = np.einsum("bhd,nd->bnh", self.hidden_weights, standardised) + self.hidden_biases[:, None]
