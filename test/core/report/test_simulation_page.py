@@ -197,6 +197,15 @@ def test_table_says_what_flew(page):
     assert "2 simulated flights, 20.0\u00a0s, at up to 6.00\u00a0m/s" in page.text
 
 
+def test_what_alters_all_flights_alike_is_said_once(read_page, tmp_path):
+    effects = {"payload": {"mass_kg": 0.05}}
+    path = tmp_path / "page.html"
+    write_simulation_page(path, [(planned(name, effects), circle(name)) for name in ("a", "b")])
+    page = read_page(path)
+    assert page.text.count("payload mass_kg 0.05") == 1
+    assert "faults" not in page.text
+
+
 def test_twenty_long_flights_stay_under_twelve_megabytes(tmp_path):
     path = tmp_path / "page.html"
     truth = circle(samples=3000)
