@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
             f"{path}: no such {kind} file; known {kind}s: {', '.join(known)}, or the path of a .yaml file"
             f"{nearest(path.stem, known)}"
         ) from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as reason:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as reason:
         raise error(f"{path}: not a readable YAML file: {one_line(reason)}") from reason
 
 
@@ -54,6 +55,14 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(problem=problem, problem_mark=key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 takes 1e-3 and 1.5e3 for text: its numbers have a point, and a sign in the exponent.
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

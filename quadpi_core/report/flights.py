@@ -114,7 +114,8 @@ def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Ta
             number(size),
         )
     total = sum(summary.duration_s for summary in summaries)
-    table.caption = Text(f"{len(bags)} bags in {bags[0].parent}: {number(total)} s, {number(sum(sizes))} MB")
+    count = "1 bag" if len(bags) == 1 else f"{len(bags)} bags"
+    table.caption = Text(f"{count} in {bags[0].parent}: {number(total)} s, {number(sum(sizes))} MB")
     return table
 
 

@@ -20,6 +20,7 @@ EXCITED_TILT_MAX_DEG = 75.0
 YAW_RATE_MAX_DEG_S = 360.0
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Reference) -> None:
     """Refuse a reference that asks for more than the vehicle has; drag is left out.
 
@@ -36,13 +37,10 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
     gravity = np.array([0.0, 0.0, nominal.gravity_m_s2])
     force = reference.acceleration - gravity
     upright = np.arctan2(np.hypot(force[:, 0], force[:, 1]), -force[:, 2])
+    thrust = _size(force) + reference.thrust * nominal.gravity_m_s2
     limits: tuple[tuple[str, str, Array, float], ...] = (
-        (
-            "specific force",
-            "m/s²",
-            _size(force) + reference.thrust * nominal.gravity_m_s2,
-            vehicle.greatest_thrust / nominal.mass_kg,
-        ),
+        ("specific force", "m/s²", thrust, vehicle.greatest_thrust / nominal.mass_kg),
+        ("specific force downward", "m/s²", -thrust, 0.0),
         ("airspeed", "m/s", _size(reference.velocity - wind), AIRSPEED_MAX_M_S),
         ("tilt along the path", "degrees", np.degrees(upright), TILT_MAX_DEG),
         ("tilt", "degrees", np.degrees(upright + _size(reference.tilt)), EXCITED_TILT_MAX_DEG),
@@ -50,7 +48,8 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
     )
     for quantity, unit, demanded, available in limits:
         worst = int(np.argmax(demanded))
-        if demanded[worst] > available:
+        # Written so that what is no number is refused too.
+        if not demanded[worst] <= available:
             seconds = plan.duration_s * worst / (len(reference) - 1)
             raise SimulationError(
                 f"flight {plan.name}: unreachable reference: at {seconds:.2f} s it demands "

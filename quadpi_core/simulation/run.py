@@ -67,6 +67,9 @@ def simulate(
     steps = [np.zeros(1, dtype=np.int64) for _ in plans]
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output}: is no folder")
+    for plan in plans:
+        if (output / f"{plan.name}.mcap").is_dir():
+            raise OutputError(f"{output / plan.name}.mcap: is a folder")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         beside = output if output.is_dir() else output.parent

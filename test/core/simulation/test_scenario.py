@@ -379,6 +379,10 @@ def test_an_unknown_scenario_is_refused_with_the_nearest():
             {"motion": {"thrust": [{"step": {"amplitude_share": 3, "rise_s": 1, "start_s": 1}}]}},
             r"39\.2 m/s² of specific force, and bebop2 has 29\.3",
         ),
+        (
+            {"motion": {"thrust": [{"step": {"amplitude_share": -3, "rise_s": 1, "start_s": 1}}]}},
+            r"19\.6 m/s² of specific force downward, and bebop2 has 0\.0",
+        ),
     ],
 )
 def test_unreachable_references_are_refused(load: Load, flight: dict[str, Any], message: str):
