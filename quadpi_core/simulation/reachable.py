@@ -20,7 +20,6 @@ EXCITED_TILT_MAX_DEG = 75.0
 YAW_RATE_MAX_DEG_S = 360.0
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Reference) -> None:
     """Refuse a reference that asks for more than the vehicle has; drag is left out.
 

@@ -9,7 +9,7 @@ import pytest
 SHARED = "description: x\nvehicle: bebop2\nseed: 1\nduration_s: 1\n"
 STEP = "{motion: {x: [{step: {amplitude_m: %s, rise_s: %s, start_s: 0}}]}}"
 FAULT = "{faults: [{kind: %s, topic: imu, at_s: %s, for_s: %s}]}"
-HUGE = "9" * 400
+IMPOSSIBLE = ("9" * 400, "-1e300", "1e-300")
 
 
 @pytest.fixture
@@ -38,6 +38,10 @@ def refused_flight(refused_file):
         ("[" * 3000, "own.yaml: not a readable YAML file: maximum recursion depth"),
         (SHARED + "x: 2020-13-01\n", "own.yaml: not a readable YAML file: month must be"),
         (SHARED + f"x: {'9' * 5000}\n", "own.yaml: not a readable YAML file: Exceeds the limit"),
+        *(
+            (SHARED + f"x: {number}\n", "numbers must be from 1e-30 to 1e\\+30, or 0")
+            for number in IMPOSSIBLE
+        ),
         (SHARED + 'flights: {a: {vehicle: "a\\0b"}}\n', "not a readable YAML file: embedded null"),
         (SHARED + 'flights: {a: {noise: "a\\nb"}}\n', "no such noise file"),
         (SHARED + 'flights: {"a\\nb": {}}\n', "letters, digits"),
@@ -49,12 +53,12 @@ def test_files(refused_file, content, message):
 
 
 @pytest.mark.parametrize("key", ["duration_s", "height_m", "head_wind_m_s", "seed", "truth_rate_hz"])
-@pytest.mark.parametrize("value", [HUGE, "1e999", "-1e3", ".nan", "true", "text", "[]"])
+@pytest.mark.parametrize("value", ["1e999", "-1e3", ".nan", "true", "text", "[]"])
 def test_keys(refused_flight, key, value):
     refused_flight(f"own.yaml: flight `a`: `{key}` must be a (whole )?number", f"{{{key}: {value}}}")
 
 
-@pytest.mark.parametrize("value", [HUGE, "1e999", "-.inf", "yes", "[1]"])
+@pytest.mark.parametrize("value", ["1e999", "-.inf", "yes", "[1]"])
 def test_parameters_of_effects(refused_flight, value):
     refused_flight("`mass_kg` must be a number", f"{{effects: {{payload: {{mass_kg: {value}}}}}}}")
 
@@ -62,10 +66,9 @@ def test_parameters_of_effects(refused_flight, value):
 @pytest.mark.parametrize(
     ("flight", "message"),
     [
-        (STEP % (HUGE, 1), "step: `amplitude_m` must be a number"),
-        (STEP % (1, 1e-300), "step: `rise_s` must be at least 0.001, found 1e-300"),
-        pytest.param(STEP % (1e200, 1), "unreachable reference", marks=pytest.mark.filterwarnings("error")),
-        ("{orbit: {radius_m: 1, speed_m_s: 1, start_s: 0, fade_s: 1e-300}}", "`fade_s` must be at least"),
+        (STEP % (1, 1e-6), "step: `rise_s` must be at least 0.001, found 1e-06"),
+        pytest.param(STEP % (1e30, 1), "unreachable reference", marks=pytest.mark.filterwarnings("error")),
+        ("{orbit: {radius_m: 1, speed_m_s: 1, start_s: 0, fade_s: 1e-6}}", "`fade_s` must be at least"),
     ],
 )
 def test_motion(refused_flight, flight, message):
@@ -75,8 +78,8 @@ def test_motion(refused_flight, flight, message):
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        (("frozen", 1e300, 1), "`at_s` must be a number from 0 to 1e\\+06"),
-        (("frozen", 0, 1e300), "`for_s` must be a number from 0 to 1e\\+06"),
+        (("frozen", 1e10, 1), "`at_s` must be a number from 0 to 1e\\+06"),
+        (("frozen", 0, 1e10), "`for_s` must be a number from 0 to 1e\\+06"),
         (("stamps_backward, size_s: 1e10", 0, 1), "`size_s` must be a number from 0 to 1e\\+06"),
         (("frozen", 1.5, 1), "flight a: fault frozen of topic imu at 1.5 s: the flight lasts 1 s"),
     ],

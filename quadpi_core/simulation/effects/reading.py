@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-import sys
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -57,8 +57,7 @@ def _read_parameters(effect: Effect, data: Any, where: str) -> dict[str, float]:
 
 
 def _read_value(parameter: Parameter, value: Any, where: str) -> float:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    number = number and abs(value) <= sys.float_info.max
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     if not number or (parameter.whole and value != int(value)):
         kind = "whole number" if parameter.whole else "number"
         raise SimulationError(f"{where}: `{parameter.name}` must be a {kind}, found {value!r}")
