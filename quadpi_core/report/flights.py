@@ -100,7 +100,8 @@ def faults_text(faults: Sequence[Mapping[str, Any]]) -> str:
 def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Table:
     """A row per flight, with its bag and the size of it; fits a terminal of 80 characters."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("bag", no_wrap=True)
+    # The one column that may be narrowed: long names are broken, numbers are not.
+    table.add_column("bag", overflow="fold")
     for heading in ("s", "airspeed m/s", "error rms m", "max m", "MB"):
         table.add_column(heading, justify="right", no_wrap=True)
     sizes = [1e-6 * bag.stat().st_size for bag in bags]
