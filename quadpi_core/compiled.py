@@ -9,16 +9,35 @@ calls does. So the cache lies in a folder named after the content of all files w
 from __future__ import annotations
 
 import atexit
+import functools
 import hashlib
 import os
 import shutil
 import tempfile
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from numba import config, njit
 
-__all__ = ["njit"]
+__all__ = ["njit", "once"]
+
+_compiling = threading.RLock()
+
+
+def once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Cache what a function that compiles returns; of threads that call it, the first compiles alone."""
+    remembered = functools.cache(function)
+
+    @functools.wraps(function)
+    def alone(*arguments: Any) -> Any:
+        with _compiling:
+            return remembered(*arguments)
+
+    return alone
+
 
 _KEEP_DAYS = 30.0
 

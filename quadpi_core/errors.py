@@ -10,6 +10,10 @@ class QuadpiError(Exception):
     class, so that callers can tell a bad log from a bad model.
     """
 
+    def __str__(self) -> str:
+        """The message in one line, whatever line breaks stand in the names that it cites."""
+        return " ".join(super().__str__().splitlines())
+
 
 class VehicleError(QuadpiError):
     """A vehicle file is missing, incomplete or physically impossible."""

@@ -188,7 +188,7 @@ def _rotor_position(path: Path, index: int, rotor: Any) -> Array:
 
 def _rotor_spin(path: Path, index: int, rotor: Any) -> float:
     spin = rotor.get("spin")
-    if spin not in SPIN_SIGN:
+    if not isinstance(spin, str) or spin not in SPIN_SIGN:
         raise VehicleError(f"{path}: rotor {index + 1} needs `spin`: {' or '.join(SPIN_SIGN)}")
     return SPIN_SIGN[spin]
 

@@ -100,7 +100,8 @@ def faults_text(faults: Sequence[Mapping[str, Any]]) -> str:
 def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Table:
     """A row per flight, with its bag and the size of it; fits a terminal of 80 characters."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("bag", no_wrap=True)
+    # The one column that may be narrowed: long names are broken, numbers are not.
+    table.add_column("bag", overflow="fold")
     for heading in ("s", "airspeed m/s", "error rms m", "max m", "MB"):
         table.add_column(heading, justify="right", no_wrap=True)
     sizes = [1e-6 * bag.stat().st_size for bag in bags]
@@ -114,7 +115,8 @@ def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Ta
             number(size),
         )
     total = sum(summary.duration_s for summary in summaries)
-    table.caption = Text(f"{len(bags)} bags in {bags[0].parent}: {number(total)} s, {number(sum(sizes))} MB")
+    count = "1 bag" if len(bags) == 1 else f"{len(bags)} bags"
+    table.caption = Text(f"{count} in {bags[0].parent}: {number(total)} s, {number(sum(sizes))} MB")
     return table
 
 

@@ -55,7 +55,8 @@ def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
         else:
             holding.append(group)
     if holding:
-        clauses.insert(0, f"hold on {' and '.join(holding)}")
+        *first, last = holding
+        clauses.insert(0, f"hold on {', '.join(first)} and {last}" if first else f"hold on {last}")
     if not clauses:
         return f"{100 * confidence:g} % prediction intervals, flight by flight."
     return f"{100 * confidence:g} % prediction intervals {', but '.join(clauses)}."

@@ -76,7 +76,21 @@ def _header(scenarios: str, summaries: Sequence[FlightSummary]) -> str:
         "vehicle": _distinct(summary.vehicle for summary in summaries),
         "noise": _distinct(summary.noise for summary in summaries),
     }
-    return heading("simulated flights", verdict, facts)
+    common = {name: column[0] for name, column in _alterations(summaries).items() if _is_common(column)}
+    return heading("simulated flights", verdict, facts | common)
+
+
+def _alterations(summaries: Sequence[FlightSummary]) -> dict[str, list[str]]:
+    """What alters flights, a text for each; without what alters none."""
+    texts = {
+        "effects": [effects_text(summary.effects) for summary in summaries],
+        "faults": [faults_text(summary.faults) for summary in summaries],
+    }
+    return {name: column for name, column in texts.items() if any(column)}
+
+
+def _is_common(column: Sequence[str]) -> bool:
+    return len(set(column)) == 1
 
 
 def _distinct(names: Iterable[str]) -> str:
@@ -84,7 +98,7 @@ def _distinct(names: Iterable[str]) -> str:
 
 
 def _flights(summaries: Sequence[FlightSummary]) -> str:
-    """A row per flight; what no flight has is left out."""
+    """A row per flight; what alters none or all of them alike is left out."""
     columns = {
         "flight": [_chooser(s.name) for s in summaries],
         "time [s]": [number(s.duration_s) for s in summaries],
@@ -100,12 +114,8 @@ def _flights(summaries: Sequence[FlightSummary]) -> str:
     }
     if any(s.head_wind_m_s for s in summaries):
         columns["wind [m/s]"] = [number(s.head_wind_m_s) for s in summaries]
-    texts = {
-        "effects": [effects_text(s.effects) for s in summaries],
-        "faults": [faults_text(s.faults) for s in summaries],
-    }
-    texts = {heading: column for heading, column in texts.items() if any(column)}
-    head = cells("th", columns) + "".join(f'<th class="text">{heading}</th>' for heading in texts)
+    texts = {name: column for name, column in _alterations(summaries).items() if not _is_common(column)}
+    head = cells("th", columns) + "".join(f'<th class="text">{name}</th>' for name in texts)
     rows = [
         cells("td", (column[i] for column in columns.values()))
         + "".join(f'<td class="text">{escape(column[i]) or "–"}</td>' for column in texts.values())

@@ -71,10 +71,13 @@ def parse_effects(texts: Iterable[str]) -> Effects:
         for part in listed.split(",") if colon else ():
             parameter, _, value = part.partition("=")
             try:
-                data.setdefault(name, {})[parameter] = float(value)
+                number = float(value)
             except ValueError:
                 raise SimulationError(
                     f"--effect {text}: expected NAME or NAME:PARAMETER=VALUE[,PARAMETER=VALUE…]"
                 ) from None
+            if parameter in data.setdefault(name, {}):
+                raise SimulationError(f"--effect {text}: `{parameter}` is given twice")
+            data[name][parameter] = number
         data.setdefault(name, {})
     return read_effects(data, "--effect")

@@ -11,6 +11,7 @@ controller knows mass, inertia and hover coefficients of the nominal vehicle, an
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,8 +30,9 @@ _RATE_GAIN = 18.0
 _YAW_RATE_GAIN = 6.0
 # A motor that follows its command with one time constant is led by as much.
 _MOTOR_LEAD = 2.0
-# Cosine and sine of the greatest tilt that the position may demand, 65 degrees.
-_COS_TILT_MAX, _SIN_TILT_MAX = 0.4226, 0.9063
+# Greatest tilt that the position may demand.
+TILT_MAX_DEG = 65.0
+_TAN_TILT_MAX = math.tan(math.radians(TILT_MAX_DEG))
 _LEAST_SPECIFIC_FORCE = 2.0
 
 
@@ -125,7 +127,7 @@ def control(controls: Controls, vehicle: Any, motion: Any, demand: Demand, step:
     # Upward thrust has a tilt limit and never vanishes: the attitude would be undefined.
     horizontal = np.sqrt(force[0] ** 2 + force[1] ** 2)
     force[2] = min(force[2], -_LEAST_SPECIFIC_FORCE)
-    limit = -force[2] * _SIN_TILT_MAX / _COS_TILT_MAX
+    limit = -force[2] * _TAN_TILT_MAX
     if horizontal > limit:
         force[0] *= limit / horizontal
         force[1] *= limit / horizontal

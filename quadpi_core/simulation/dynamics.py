@@ -8,22 +8,20 @@ evaluation of the equations of motion at that instant's state.
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, cast
 
 import numpy as np
 from numba import from_dtype, types
 
-from quadpi_core.compiled import njit
+from quadpi_core.compiled import njit, once
 from quadpi_core.signals import rotations
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.effects import FUNCTION_TYPE
 from quadpi_core.simulation.linear import cross, product3
 from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.rotor_local import aerodynamics
 from quadpi_core.vehicle import ROTORS
-
-STEP_HZ = 1000
 
 # State and its derivative; velocity [m/s] in the world.
 MOTION = np.dtype(
@@ -114,7 +112,7 @@ def fly(
         _normalise(motion.attitude)
 
 
-@cache
+@once
 def flight_kernel() -> Any:
     """:func:`fly`, compiled once and cached on disk for every function that `effects.compose` gives.
 

@@ -27,6 +27,8 @@ SIGNALS: dict[str, dict[str, str | None]] = {
     "wind": {"velocity": "m_s"},
 }
 _SPIKE_EVERY = 10
+# Far beyond any flight, and its nanoseconds are still whole numbers of 64 bits.
+_LONGEST_S = 1e6
 
 
 @dataclass(frozen=True)
@@ -140,14 +142,17 @@ def _read_fault(data: Any, where: str) -> Fault:
         given = [key for key in sizes if key in section]
         if len(given) != 1:
             raise SimulationError(f"{where}: {name} of {topic} needs `{'` or `'.join(sizes)}`")
-        size = section.number(given[0], lowest=0.0 if kind.size == "stamps" else -np.inf)
+        stamps = kind.size == "stamps"
+        size = section.number(
+            given[0], lowest=0.0 if stamps else -np.inf, highest=_LONGEST_S if stamps else np.inf
+        )
         signal = sizes[given[0]]
         signals = (signal,) if signal else ()
     return Fault(
         kind=name,
         topic=topic,
-        at_s=section.number("at_s"),
-        for_s=section.number("for_s"),
+        at_s=section.number("at_s", highest=_LONGEST_S),
+        for_s=section.number("for_s", highest=_LONGEST_S),
         signals=signals,
         rotors=_read_rotors(section, *kind.rotors) if has_rotors else (),
         size=size,

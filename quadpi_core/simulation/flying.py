@@ -14,15 +14,15 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.dynamics import LOGGED, MOTION, STEP_HZ, flight_kernel
+from quadpi_core.simulation.dynamics import LOGGED, MOTION, flight_kernel
 from quadpi_core.simulation.effects import Effects, added_wind, altered_vehicle, compose
+from quadpi_core.simulation.noise import generator
 from quadpi_core.simulation.records import STATE
-from quadpi_core.simulation.reference import Reference
+from quadpi_core.simulation.reference import STEP_HZ, Reference
 from quadpi_core.simulation.trim import trim
-from quadpi_core.simulation.truth import Truth
+from quadpi_core.simulation.truth import LOG_HZ, Truth
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
-LOG_HZ = 500
 # Stamps of every simulated flight begin here; a fixed one, for equal plans give equal bytes.
 START_NS = 1_700_000_000_000_000_000
 _NO_EFFECTS: Effects = {}
@@ -64,7 +64,7 @@ def simulate_flight(
         raise SimulationError(f"flight {name}: lasts no longer than one sample")
     time = np.arange(steps) / STEP_HZ
     still = np.zeros(3) if known_wind is None else known_wind
-    wind = still + added_wind(effects, time, np.random.default_rng(seed))
+    wind = still + added_wind(effects, time, generator(seed, "air"))
     flown = vehicle.altered(altered_vehicle(effects, vehicle.vehicle))
     function, parameters = compose(effects, extra)
 

@@ -101,12 +101,12 @@ class MotionCapture:
         obscured_burst: [s] for which they stay hidden, on average, while the vehicle stays tilted.
     """
 
-    rate: float = field(default=120.0, metadata=_unit("hz", lowest=0.1))
+    rate: float = field(default=120.0, metadata=_unit("hz", lowest=0.1, highest=1000.0))
     position_noise: float = field(default=0.0, metadata=_unit("m"))
     attitude_noise: float = field(default=0.0, metadata=_unit("rad"))
     capture_jitter: float = field(default=0.0, metadata=_unit("s"))
-    latency: float = field(default=0.0, metadata=_unit("s"))
-    arrival_jitter: float = field(default=0.0, metadata=_unit("s"))
+    latency: float = field(default=0.0, metadata=_unit("s", highest=10.0))
+    arrival_jitter: float = field(default=0.0, metadata=_unit("s", highest=10.0))
     dropout_probability: float = field(default=0.0, metadata=_unit(highest=1.0))
     obscured_angle: float = field(default=180.0, metadata=_unit("deg", highest=180.0))
     obscured_share: float = field(default=1.0, metadata=_unit(highest=1.0))

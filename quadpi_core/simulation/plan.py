@@ -15,11 +15,11 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effects import Effects, read_effects
 from quadpi_core.simulation.faults import Fault, read_faults
-from quadpi_core.simulation.flying import LOG_HZ
 from quadpi_core.simulation.motion import AXES, Motion, motion_as_dict, orbit_as_dict, read_motion, read_orbit
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.section import Section
 from quadpi_core.simulation.signals import Orbit
+from quadpi_core.simulation.truth import LOG_HZ
 
 _LONGEST_S = 3600.0
 _HIGHEST_M = 1000.0

@@ -8,13 +8,15 @@ import numpy as np
 
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
+from quadpi_core.simulation.controller import TILT_MAX_DEG
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 # The rotor-local model was measured up to 14 m/s; flights against such a wind go forward in it too.
 AIRSPEED_MAX_M_S = 16.0
-TILT_MAX_DEG = 75.0
+# With what is put on top of the path's.
+EXCITED_TILT_MAX_DEG = 75.0
 YAW_RATE_MAX_DEG_S = 360.0
 
 
@@ -34,20 +36,19 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
     gravity = np.array([0.0, 0.0, nominal.gravity_m_s2])
     force = reference.acceleration - gravity
     upright = np.arctan2(np.hypot(force[:, 0], force[:, 1]), -force[:, 2])
+    thrust = _size(force) + reference.thrust * nominal.gravity_m_s2
     limits: tuple[tuple[str, str, Array, float], ...] = (
-        (
-            "specific force",
-            "m/s²",
-            _size(force) + reference.thrust * nominal.gravity_m_s2,
-            vehicle.greatest_thrust / nominal.mass_kg,
-        ),
+        ("specific force", "m/s²", thrust, vehicle.greatest_thrust / nominal.mass_kg),
+        ("specific force downward", "m/s²", -thrust, 0.0),
         ("airspeed", "m/s", _size(reference.velocity - wind), AIRSPEED_MAX_M_S),
-        ("tilt", "degrees", np.degrees(upright + _size(reference.tilt)), TILT_MAX_DEG),
+        ("tilt along the path", "degrees", np.degrees(upright), TILT_MAX_DEG),
+        ("tilt", "degrees", np.degrees(upright + _size(reference.tilt)), EXCITED_TILT_MAX_DEG),
         ("yaw rate", "degrees/s", np.degrees(np.abs(reference.yaw_rate)), YAW_RATE_MAX_DEG_S),
     )
     for quantity, unit, demanded, available in limits:
         worst = int(np.argmax(demanded))
-        if demanded[worst] > available:
+        # Written so that what is no number is refused too.
+        if not demanded[worst] <= available:
             seconds = plan.duration_s * worst / (len(reference) - 1)
             raise SimulationError(
                 f"flight {plan.name}: unreachable reference: at {seconds:.2f} s it demands "

@@ -10,6 +10,9 @@ import numpy as np
 
 from quadpi_core.frames import Array
 
+# Instants per second at which a flight is simulated, and a reference followed.
+STEP_HZ = 1000
+
 
 @dataclass(frozen=True)
 class Reference:

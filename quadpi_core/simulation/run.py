@@ -16,12 +16,11 @@ import numpy as np
 from quadpi_core.errors import OutputError
 from quadpi_core.flight import Stamps
 from quadpi_core.simulation.bags import write_simulated_bag
-from quadpi_core.simulation.dynamics import STEP_HZ, flight_kernel
-from quadpi_core.simulation.effects import compose
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reachable import require_reachable
+from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.simulation.vehicle import SimulatedVehicle
@@ -66,10 +65,11 @@ def simulate(
     vehicles = {plan.vehicle: SimulatedVehicle.load(plan.vehicle) for plan in plans}
     suites = {plan.noise: SensorSuite.load(plan.noise) for plan in plans}
     steps = [np.zeros(1, dtype=np.int64) for _ in plans]
-    # Compiled before any thread asks: of two that ask at the same time, numba refuses one.
+    if output.exists() and not output.is_dir():
+        raise OutputError(f"{output}: is no folder")
     for plan in plans:
-        compose(plan.effects)
-    flight_kernel()
+        if (output / f"{plan.name}.mcap").is_dir():
+            raise OutputError(f"{output / plan.name}.mcap: is a folder")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         beside = output if output.is_dir() else output.parent

@@ -86,7 +86,10 @@ def sense(
     for ideal in recording.streams():
         stream = _with_noise(ideal, suite, vehicle, seed)
         sent[stream.topic] = Sent(stream, stream.time_ns, _arrival(stream, suite.mocap, seed))
-    sent = apply_faults(faults, sent, int(truth.time_ns[0]), int(truth.time_ns[-1]))
+    try:
+        sent = apply_faults(faults, sent, int(truth.time_ns[0]), int(truth.time_ns[-1]))
+    except SimulationError as error:
+        raise SimulationError(f"flight {truth.name}: {error}") from None
     streams: dict[str, Any] = {_FIELDS[topic]: one.stream for topic, one in sent.items()}
     erpm, rotors = None, streams["rotor_speeds"]
     if vehicle.pole_pairs is not None:

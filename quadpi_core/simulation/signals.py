@@ -20,6 +20,8 @@ from quadpi_core.simulation.jets import Span, edge_jets, orbit_jets, wave_jets
 
 # Instants closer than this are one: they are sums of decimal numbers.
 ROUNDING_S = 1e-9
+# Of edges and fades: nothing shorter can be told from a jump.
+_SHORTEST_S = 1e-3
 NOSES = ("north", "centre", "ahead")
 TURNS = ("clockwise", "counterclockwise")
 
@@ -39,7 +41,7 @@ class Window:
     def __post_init__(self) -> None:
         _require(self.start_s >= 0.0, "`start_s` must not be negative", self.start_s)
         _require(self.duration_s > 0.0, "`duration_s` must be positive", self.duration_s)
-        _require(self.fade_s > 0.0, "`fade_s` must be positive", self.fade_s)
+        _require(self.fade_s >= _SHORTEST_S, f"`fade_s` must be at least {_SHORTEST_S:g}", self.fade_s)
         longest = 0.5 * self.duration_s
         _require(self.fade_s <= longest + ROUNDING_S, f"`fade_s` must be at most {longest:g}", self.fade_s)
 
@@ -135,7 +137,7 @@ class Edges(ABC):
 
     def __post_init__(self) -> None:
         _require(self.start_s >= 0.0, "`start_s` must not be negative", self.start_s)
-        _require(self.rise_s > 0.0, "`rise_s` must be positive", self.rise_s)
+        _require(self.rise_s >= _SHORTEST_S, f"`rise_s` must be at least {_SHORTEST_S:g}", self.rise_s)
 
     @abstractmethod
     def edges(self) -> tuple[Array, Array]:

@@ -13,6 +13,9 @@ from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.vehicle import Vehicle
 
+# Instants per second that are logged: those of the fastest sensors.
+LOG_HZ = 500
+
 
 @dataclass(frozen=True)
 class Truth:

@@ -123,6 +123,7 @@ def test_impossible_values_are_named(tmp_path: Path, change: dict[str, Any], mes
         ({"position_m": [0.1, 0.1]}, "rotor 2 needs `position_m` with 3 numbers"),
         ({"position_m": [0.1, 0.0, 0.0]}, "rotor 2 lies on a body axis"),
         ({"spin": "left"}, "rotor 2 needs `spin`: clockwise or counterclockwise"),
+        ({"spin": ["left"]}, "rotor 2 needs `spin`: clockwise or counterclockwise"),
     ],
 )
 def test_impossible_rotors_are_named(tmp_path: Path, change: dict[str, Any], message: str):

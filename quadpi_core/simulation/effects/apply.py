@@ -6,14 +6,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numba import NumbaExperimentalFeatureWarning, types
 
-from quadpi_core.compiled import njit
+from quadpi_core.compiled import njit, once
 from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording
@@ -72,7 +71,7 @@ def _none(state: Any, vehicle: Any, parameters: Array) -> None:
     pass
 
 
-@cache
+@once
 def _passable_whole(function: Any) -> Any:
     """Numba passes a function to a kernel only if it has one signature and takes no other."""
     function.compile(SIGNATURE)
@@ -87,7 +86,7 @@ def _add(state: Any, wrench: Wrench) -> None:
         total[axis] += wrench[axis]
 
 
-@cache
+@once
 def _chain(extra: tuple[Any, ...], row: int = 0) -> Any:
     """The functions `extra`, whose parameters begin at a row, then the registered effects."""
     if not extra:

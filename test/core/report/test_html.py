@@ -77,3 +77,9 @@ def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
         "95 % prediction intervals hold on known (in sample), but fall short on new & fast "
         f"(6 of 6 axes; {worst} covers {100 * axes[worst]['picp']:.1f} %)."
     )
+
+
+def test_verdict_lists_the_groups_on_which_intervals_hold(case):
+    known = case.evaluation["groups"]["known"]
+    evaluation = case.evaluation | {"groups": {"a": known, "b": known, "c": known}}
+    assert verdict(evaluation, []) == "95 % prediction intervals hold on a, b and c."

@@ -4,13 +4,15 @@
 
 import json
 from dataclasses import replace
+from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from quadpi_core.frames import quaternion_from_roll_pitch_yaw, rotate_world_to_body
-from quadpi_core.report.flights import effects_text, faults_text, summarise
+from quadpi_core.report.flights import effects_text, faults_text, flight_table, summarise
 from quadpi_core.report.flown import effort_figure, rotor_names, tracking_figure
 from quadpi_core.report.simulation import write_simulation_page
 from quadpi_core.report.trajectory import trajectory_figure
@@ -100,6 +102,16 @@ class TestSummary:
         speeds = truth.rotor_speeds.copy()
         speeds[-1, 0] = 0.0
         assert summarise(planned(), replace(truth, rotor_speeds=speeds)).saturated_fraction == 0.101
+
+    def test_long_names_do_not_cut_the_numbers_in_a_narrow_terminal(self, tmp_path):
+        bag = tmp_path / f"{60 * 'n'}.mcap"
+        bag.write_bytes(bytes(1_230_000))
+        console = Console(width=80, file=StringIO())
+        console.print(flight_table([summarise(planned(), circle())], [bag]))
+        text = console.file.getvalue()
+        assert "…" not in text
+        assert text.count("n") >= 60
+        assert all(number in text for number in ("9.99", "6.00", "0.500", "1.23"))
 
     def test_airspeed_counts_the_wind(self):
         truth = replace(circle(), wind=np.tile([-8.0, 0.0, 0.0], (1000, 1)))
@@ -195,6 +207,15 @@ def test_table_says_what_flew(page):
         assert text in page.text
     assert "wind [m/s]" not in page.text
     assert "2 simulated flights, 20.0\u00a0s, at up to 6.00\u00a0m/s" in page.text
+
+
+def test_what_alters_all_flights_alike_is_said_once(read_page, tmp_path):
+    effects = {"payload": {"mass_kg": 0.05}}
+    path = tmp_path / "page.html"
+    write_simulation_page(path, [(planned(name, effects), circle(name)) for name in ("a", "b")])
+    page = read_page(path)
+    assert page.text.count("payload mass_kg 0.05") == 1
+    assert "faults" not in page.text
 
 
 def test_twenty_long_flights_stay_under_twelve_megabytes(tmp_path):

@@ -202,10 +202,13 @@ def test_fault_of_an_absent_topic_or_after_the_end(sent):
         ({"kind": "dropout", "topic": "mocap"}, r"`topic` must be one of .*did you mean `mocap/pose`\?"),
         ({"kind": "half_reading", "topic": "imu"}, "`topic` must be one of rotor_speeds, found 'imu'"),
         ({"kind": "dropout", "topic": "imu", "fors": 1}, r"unknown key `fors`; .*did you mean `for_s`\?"),
-        ({"kind": "dropout", "topic": "imu", "at_s": -1}, "`at_s` must be a number not below 0, found -1"),
+        (
+            {"kind": "dropout", "topic": "imu", "at_s": -1},
+            "`at_s` must be a number from 0 to 1e.06, found -1",
+        ),
         (
             {"kind": "dropout", "topic": "imu", "for_s": "1"},
-            "`for_s` must be a number not below 0, found '1'",
+            "`for_s` must be a number from 0 to 1e.06, found '1'",
         ),
         ({"kind": "dropout", "topic": "imu", "for_s": None}, "missing key `for_s`"),
         ({"kind": "frozen", "topic": "imu", "signal": "gyro"}, "`signal` must be one of angular_velocity, "),
@@ -217,7 +220,10 @@ def test_fault_of_an_absent_topic_or_after_the_end(sent):
         ({"kind": "spike", "topic": "imu"}, "spike of imu needs `size_rad_s` or `size_m_s2`"),
         ({"kind": "spike", "topic": "imu", "size_rad_s": 1, "size_m_s2": 1}, "spike of imu needs"),
         ({"kind": "spike", "topic": "wind", "size_m": 1}, r"unknown key `size_m`; .*did you mean `size_m_s`"),
-        ({"kind": "stamps_backward", "topic": "imu", "size_s": -1}, "`size_s` must be a number not below 0"),
+        (
+            {"kind": "stamps_backward", "topic": "imu", "size_s": -1},
+            "`size_s` must be a number from 0 to 1e.06",
+        ),
     ],
 )
 def test_impossible_entries_are_named(entry, message):

@@ -8,11 +8,11 @@ import pytest
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
-from quadpi_core.simulation.dynamics import STEP_HZ
 from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
-from quadpi_core.simulation.flying import LOG_HZ, simulate_flight
-from quadpi_core.simulation.reference import Reference
+from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.reference import STEP_HZ, Reference
 from quadpi_core.simulation.trim import trim
+from quadpi_core.simulation.truth import LOG_HZ
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 STATION = np.array([0.0, 0.0, -3.0])

@@ -92,7 +92,11 @@ def test_what_a_file_leaves_out_is_perfect(suite):
             "mocap: {dropout_probability: 1.5}",
             r"`dropout_probability` must be a number from 0 to 1, found 1\.5",
         ),
-        ("mocap: {latency_s: late}", r"mocap: `latency_s` must be a number not below 0, found 'late'"),
+        (
+            "mocap: {rate_hz: 1e7}",
+            r"mocap: `rate_hz` must be a number from 0\.1 to 1000, found 10000000",
+        ),
+        ("mocap: {latency_s: late}", r"mocap: `latency_s` must be a number from 0 to 10, found 'late'"),
         ("states: {velocity: 1}", r"states: unknown key `velocity`; .*did you mean `velocity_m_s`\?"),
         ("[1]", r"own\.yaml: expected keys and values, found \[1\]"),
     ],

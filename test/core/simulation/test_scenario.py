@@ -368,12 +368,20 @@ def test_an_unknown_scenario_is_refused_with_the_nearest():
             r"80\.0 degrees of tilt, and bebop2 has 75\.0",
         ),
         (
+            {"motion": {"x": [{"step": {"amplitude_m": 10, "rise_s": 1.6, "start_s": 1}}]}},
+            r"degrees of tilt along the path, and bebop2 has 65\.0",
+        ),
+        (
             {"motion": {"yaw": [{"step": {"amplitude_deg": 360, "rise_s": 1, "start_s": 1}}]}},
             r"at 1\.50 s it demands 675\.0 degrees/s of yaw rate, and bebop2 has 360\.0",
         ),
         (
             {"motion": {"thrust": [{"step": {"amplitude_share": 3, "rise_s": 1, "start_s": 1}}]}},
             r"39\.2 m/s² of specific force, and bebop2 has 29\.3",
+        ),
+        (
+            {"motion": {"thrust": [{"step": {"amplitude_share": -3, "rise_s": 1, "start_s": 1}}]}},
+            r"19\.6 m/s² of specific force downward, and bebop2 has 0\.0",
         ),
     ],
 )
