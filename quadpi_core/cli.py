@@ -8,6 +8,8 @@ Each command imports what it needs when it runs, so that `--help` answers at onc
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -38,6 +40,10 @@ Adaptive = Annotated[
     bool, typer.Option("--adaptive", help="Intervals that adapt to the measured wrench as the flight goes.")
 ]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes to use; default: one per core.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler, whose workers to use instead.")
+]
 
 
 def _print_version(wanted: bool) -> None:
@@ -298,6 +304,93 @@ def simulate(
         from quadpi_core.report.simulation import write_simulation_page
 
         write_simulation_page(html_file, [(flown.plan, flown.truth) for flown in flights])
+
+
+@app.command()
+def validate(
+    paths: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Model folders, then bags of simulated flights; none: the paper's own validation."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder for models and finished realisations, to go on from."),
+    ] = None,
+    realisations: Annotated[int, typer.Option(min=1, help="Of the noise on each flight.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 0,
+    noise: Annotated[str, typer.Option(help="Noise on states, in config/noise, or a YAML file.")] = "paper",
+    settings: Annotated[
+        Literal["default", "paper"], typer.Option(help="Of the paper's methods, where no model is given.")
+    ] = "paper",
+    confidence: Confidence = None,
+    vehicle: OptionalVehicle = None,
+    device: Annotated[
+        Literal["cpu", "cuda"], typer.Option(help="That trains the ensembles, where no model is given.")
+    ] = "cpu",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Put noise on simulated flights a thousand times: do the intervals hold? The paper's tables."""
+    from quadpi_core.report.progress import counting
+    from quadpi_core.report.validation import validation_tables
+    from quadpi_core.validation.chunks import run_realisations
+    from quadpi_core.validation.given import given_case
+    from quadpi_core.validation.published import published_case, published_tables
+    from quadpi_core.validation.result import summarise
+
+    kept = (None, None) if output is None else (output / "models", output / "realisations")
+    _check_outputs(paths or [], *kept, json_file, html_file)
+    console = _console()
+    training: Sequence[Any] = ()
+    published = None
+    if paths:
+        folders = [path for path in paths if path.is_dir()]
+        bags = [path for path in paths if path not in folders]
+        case = given_case(folders, bags, vehicle=vehicle, noise=noise, confidence=confidence, seed=seed)
+    else:
+        with console.status("") as status:
+            own = published_case(
+                settings=settings,
+                noise=noise,
+                confidence=0.95 if confidence is None else confidence,
+                seed=seed,
+                device=device,
+                folder=kept[0],
+                progress=status.update,
+            )
+        case, training, published = own.case, own.training, published_tables()
+    case.check()
+    try:
+        with counting(console, "Realisations", realisations) as progress:
+            tally = run_realisations(
+                case, realisations, folder=kept[1], workers=workers, scheduler=scheduler, progress=progress
+            )
+    except KeyboardInterrupt:
+        rest = "; what is finished is kept, and the next run goes on from there" if output else ""
+        print(f"quadpi: interrupted{rest}", file=sys.stderr)
+        raise typer.Exit(130) from None
+    result = summarise(case, tally, training=training, published=published)
+    console.print(validation_tables(result))
+    _write_json(json_file, result)
+    if html_file is not None:
+        from quadpi_core.parallel import map_tasks
+        from quadpi_core.report.bands import SHOWN
+        from quadpi_core.report.validation import write_validation_page
+        from quadpi_core.validation.realisations import spread
+
+        names = [flight.name for flight in case.flights]
+        spreads = map_tasks(
+            partial(spread, realisations=range(SHOWN)),
+            names,
+            shared=case,
+            workers=workers,
+            scheduler=scheduler,
+        )
+        write_validation_page(html_file, result, case, dict(zip(names, spreads, strict=True)))
 
 
 @app.command()

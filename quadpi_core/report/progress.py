@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a simulation has come, as a bar that is gone when it ends."""
+"""How far a long computation has come, as a bar that is gone when it ends."""
 
 from __future__ import annotations
 
@@ -37,3 +37,23 @@ def flying(console: Console, durations: Mapping[str, float]) -> Iterator[Callabl
             bar.update(task, completed=sum(flown.values()), done=done)
 
         yield report
+
+
+@contextmanager
+def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar over so many things; give it how many are finished.
+
+    Args:
+        console: to draw on; where it is no terminal nothing is drawn.
+        what: the things are.
+        total: of them.
+    """
+    columns = (
+        TextColumn(what),
+        BarColumn(),
+        TextColumn("{task.completed} of {task.total}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=total)
+        yield lambda finished: bar.update(task, completed=finished)

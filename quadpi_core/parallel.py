@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Independent tasks: in this process, in processes beside it, or on a Dask cluster elsewhere."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from quadpi_core import __version__
+from quadpi_core.errors import QuadpiError, one_line
+
+Shared = TypeVar("Shared")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_ANSWER_S = 30.0
+# One task per core: threads within a task would only take cores from other tasks.
+_ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+
+
+class ParallelError(QuadpiError):
+    """Workers cannot be reached, cannot run quadpi, or ended before their task did."""
+
+
+def map_tasks(
+    function: Callable[[Shared, Item], Result],
+    items: Sequence[Item],
+    *,
+    shared: Shared,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    done: Callable[[int, Result], None] = lambda _index, _result: None,
+) -> list[Result]:
+    """Results of `function(shared, item)`, in the order of the items whatever the workers.
+
+    Args:
+        function: of a module, by whose name a worker finds it.
+        items: one per task.
+        shared: what all tasks need; each worker gets it once.
+        workers: processes on this machine; default: one per core. One means this process.
+        scheduler: address of a Dask scheduler whose workers do the tasks instead. They must run the same
+            version of quadpi; files are only found where they share the file system.
+        done: called in this process with the index of each task that has finished and its result, as they
+            finish.
+
+    Raises:
+        ParallelError: for a scheduler that does not answer, has no workers, or has workers with no or
+            another quadpi; and when a worker is lost for good.
+    """
+    results: list[Any] = [None] * len(items)
+
+    def finished(index: int, result: Result) -> None:
+        results[index] = result
+        done(index, result)
+
+    count = min(workers or os.cpu_count() or 1, len(items))
+    if scheduler is None and count <= 1:
+        for index, item in enumerate(items):
+            finished(index, function(shared, item))
+    elif items:
+        with _client(count, scheduler) as client:
+            _map_on(client, function, items, shared, finished)
+    return results
+
+
+def _map_on(
+    client: Any,
+    function: Callable[[Shared, Item], Result],
+    items: Sequence[Item],
+    shared: Shared,
+    finished: Callable[[int, Result], None],
+) -> None:
+    from distributed import KilledWorker, as_completed
+
+    # Not by hash: Dask would take equal arguments of another call for this one's.
+    sent = client.scatter(shared, broadcast=True, hash=False)
+    futures = [client.submit(function, sent, item, pure=False) for item in items]
+    index = {future.key: k for k, future in enumerate(futures)}
+    try:
+        for future, result in as_completed(futures, loop=client.loop, with_results=True):
+            if future.cancelled():
+                raise ParallelError("all workers were lost, with what they had been sent")
+            finished(index[future.key], result)
+    except KilledWorker as error:
+        raise ParallelError(f"a worker ended before its task did: {one_line(error)}") from error
+    finally:
+        client.cancel(futures)
+
+
+@contextmanager
+def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
+    """A client of the scheduler, or of so many processes of our own that end with the block."""
+    # Slow to import, and few commands need it.
+    from distributed import Client, LocalCluster
+
+    if scheduler is None:
+        with (
+            LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",
+                memory_limit=None,
+                silence_logs=logging.CRITICAL,
+                env=_ONE_THREAD,
+            ) as cluster,
+            Client(cluster, set_as_default=False) as client,
+        ):
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ParallelError(f"--scheduler {scheduler}: no scheduler answers: {one_line(error)}") from error
+    with client:
+        _require_workers(client, scheduler)
+        yield client
+
+
+def _require_workers(client: Any, scheduler: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=_ANSWER_S)
+    except TimeoutError as error:
+        raise ParallelError(f"--scheduler {scheduler}: has no workers") from error
+    for worker, version in client.run(_version, on_error="return").items():
+        if version != __version__:
+            found = f"cannot run quadpi: {one_line(version)}" if isinstance(version, Exception) else version
+            raise ParallelError(f"--scheduler {scheduler}: worker {worker}: {found}, not {__version__}")
+
+
+def _version() -> str:
+    return __version__

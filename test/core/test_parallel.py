@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Independent tasks here, in processes, and on a cluster of two workers that is known by its address."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from quadpi_core import parallel
+from quadpi_core.errors import LogError
+from quadpi_core.parallel import ParallelError, map_tasks
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def tasks():
+    """Tasks that travel by value: workers cannot import the modules of the tests."""
+
+    def scaled(factor, item):
+        return factor * item
+
+    def slow_first(_, item):
+        time.sleep(0.5 if item == 0 else 0.0)
+        return item
+
+    def refuse(_, item):
+        if item == 1:
+            raise LogError("b.mcap: topic imu: sample 3: not finite")
+        return item
+
+    def process(_, _item):
+        time.sleep(0.2)
+        return os.getpid()
+
+    def variable(_, name):
+        return os.environ.get(name)
+
+    def die(_, _item):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    return SimpleNamespace(**locals())
+
+
+@pytest.fixture(params=["here", "processes", "cluster"])
+def place(request):
+    if request.param == "cluster":
+        return {"scheduler": request.getfixturevalue("cluster")}
+    return {"workers": 1 if request.param == "here" else 2}
+
+
+def test_results_are_in_the_order_of_the_items(tasks, place):
+    assert map_tasks(tasks.scaled, [3, 1, 2], shared=10, **place) == [30, 10, 20]
+    done = {}
+    assert map_tasks(tasks.slow_first, [0, 1, 2], shared=None, done=done.__setitem__, **place) == [0, 1, 2]
+    assert done == {0: 0, 1: 1, 2: 2}
+
+
+def test_known_errors_come_back_as_they_are(tasks, place):
+    with pytest.raises(LogError, match=r"^b.mcap: topic imu: sample 3: not finite$"):
+        map_tasks(tasks.refuse, [0, 1, 2], shared=None, **place)
+
+
+def test_nothing_to_do_needs_no_workers(tasks):
+    assert map_tasks(tasks.scaled, [], shared=1, scheduler="tcp://127.0.0.1:1") == []
+
+
+def test_processes_are_others_and_cluster_workers_are_used(tasks, cluster):
+    assert set(map_tasks(tasks.process, range(2), shared=None, workers=1)) == {os.getpid()}
+    assert len(set(map_tasks(tasks.process, range(4), shared=None, workers=2)) - {os.getpid()}) == 2
+    assert len(set(map_tasks(tasks.process, range(8), shared=None, scheduler=cluster)) - {os.getpid()}) == 2
+
+
+def test_a_worker_has_one_thread(tasks):
+    names = ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"]
+    assert map_tasks(tasks.variable, names, shared=None, workers=2) == ["1"] * 4
+
+
+def test_no_scheduler_is_said(tasks, monkeypatch):
+    monkeypatch.setattr(parallel, "_ANSWER_S", 1.0)
+    for address in ("tcp://127.0.0.1:1", "nowhere"):
+        with pytest.raises(ParallelError, match=f"--scheduler {address}: no scheduler answers"):
+            map_tasks(tasks.scaled, [1], shared=1, scheduler=address)
+
+
+def test_no_workers_are_said(tasks, monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(parallel, "_ANSWER_S", 1.0)
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty,
+        pytest.raises(ParallelError, match="has no workers"),
+    ):
+        map_tasks(tasks.scaled, [1], shared=1, scheduler=empty.scheduler_address)
+
+
+def test_workers_of_another_version_are_refused(tasks, monkeypatch, cluster):
+    monkeypatch.setattr(parallel, "__version__", "0.0.other")
+    with pytest.raises(ParallelError, match=r"worker tcp://\S+: \d\S+, not 0.0.other"):
+        map_tasks(tasks.scaled, [1], shared=1, scheduler=cluster)
+
+
+def test_a_worker_that_dies_is_said(tasks):
+    import dask
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        pytest.raises(ParallelError, match="a worker ended before its task did"),
+    ):
+        map_tasks(tasks.die, [1, 2], shared=None, workers=2)
