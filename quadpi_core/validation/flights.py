@@ -12,9 +12,9 @@ from quadpi_core.flight import Flight
 from quadpi_core.logs.bags import bag_vehicle
 from quadpi_core.simulation.bags import read_truth
 from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reachable import require_reachable
 from quadpi_core.simulation.reference import STEP_HZ
-from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 
