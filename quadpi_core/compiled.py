@@ -47,7 +47,7 @@ def _digest() -> str:
     package = Path(__file__).resolve().parent
     for path in sorted(package.rglob("*.py")):
         content = path.read_bytes()
-        if b"@njit" in content:
+        if b"@njit" in content or b"@intrinsic" in content:
             digest.update(path.relative_to(package).as_posix().encode() + b"\0" + content)
     return digest.hexdigest()[:16]
 

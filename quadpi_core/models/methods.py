@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from quadpi_core.frames import Array
+from quadpi_core.models.ensembles.fitted import FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.ensembles.kernel import CompiledEnsembles
 from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.kernel import CompiledPolynomials
 from quadpi_core.models.polynomial import FittedPolynomial
@@ -65,4 +67,6 @@ class Method:
 
 METHODS: dict[str, Method] = {
     FittedPolynomial.method: Method(FittedPolynomial.stored, CompiledPolynomials.pack),
+    FittedBootstrap.method: Method(FittedBootstrap.stored, CompiledEnsembles.pack),
+    FittedQualityDriven.method: Method(FittedQualityDriven.stored, CompiledEnsembles.pack),
 }

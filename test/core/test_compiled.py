@@ -44,7 +44,10 @@ def test_a_changed_kernel_gets_a_new_cache(copy, tmp_path):
     (copy / "quadpi_core" / "plain.py").write_text("x = 1\n")
     assert cache_folder(copy, tmp_path / "home") == first
     (copy / "quadpi_core" / "kernel.py").write_text("@njit\ndef f(): return 1\n")
-    assert cache_folder(copy, tmp_path / "home") != first
+    second = cache_folder(copy, tmp_path / "home")
+    assert second != first
+    (copy / "quadpi_core" / "lanes.py").write_text("@intrinsic\ndef fused(): ...\n")
+    assert cache_folder(copy, tmp_path / "home") not in {first, second}
 
 
 def test_old_caches_are_forgotten(copy, tmp_path):
