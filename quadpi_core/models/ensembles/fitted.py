@@ -137,7 +137,10 @@ class FittedBootstrap(FittedEnsemble):
         shapes = (members.output_biases.shape[1], noise.output_biases.shape, noise.hidden_weights.shape[2])
         if shapes != (1, (1, 1), members.hidden_weights.shape[2]) or len(members) < 2:
             raise ModelError("members and noise network do not fit together")
-        return cls(**common, noise=noise, model_share=float(data["model_share"]))
+        model_share = float(data["model_share"])
+        if not 0.0 < model_share < np.inf:
+            raise ModelError(f"model_share {model_share} is not positive")
+        return cls(**common, noise=noise, model_share=model_share)
 
 
 @dataclass(frozen=True)
@@ -183,4 +186,7 @@ class FittedQualityDriven(FittedEnsemble):
         common = read_common(data, members)
         if members.output_biases.shape[1] != 2 or len(members) < 2:
             raise ModelError("members do not give two bounds each")
-        return cls(**common, outward=float(data["outward"]))
+        outward = float(data["outward"])
+        if not 0.0 <= outward < np.inf:
+            raise ModelError(f"outward {outward} is negative or not finite")
+        return cls(**common, outward=outward)

@@ -61,12 +61,12 @@ class Networks:
         """Read what :meth:`arrays` gave.
 
         Raises:
-            ModelError: for shapes that do not fit together.
+            ModelError: for shapes that do not fit together, or networks of nothing.
             KeyError: for a missing array.
         """
-        values = [arrays[f"{prefix}.{column.name}"] for column in fields(cls)]
-        if [value.ndim for value in values] != [3, 2, 3, 2]:
-            raise ModelError(f"{prefix}: arrays of {[value.ndim for value in values]} dimensions")
+        values = [arrays[f"{prefix}.{column.name}"].astype(float) for column in fields(cls)]
+        if [value.ndim for value in values] != [3, 2, 3, 2] or any(value.size == 0 for value in values):
+            raise ModelError(f"{prefix}: networks of shapes {[value.shape for value in values]}")
         return cls(*values)
 
 
@@ -115,7 +115,7 @@ class Scaling:
         """Read what `to_json` gave, for so many inputs.
 
         Raises:
-            ModelError: for another number of inputs, or scales that are not positive.
+            ModelError: for another number of inputs, or numbers that no samples give.
         """
         scaling = cls(
             np.array(data["input_mean"], dtype=float),
@@ -125,6 +125,8 @@ class Scaling:
         )
         if scaling.input_mean.shape != (inputs,) or scaling.input_scale.shape != (inputs,):
             raise ModelError(f"scaling of {scaling.input_mean.size} inputs, expected {inputs}")
-        if not (np.all(scaling.input_scale > 0.0) and scaling.target_scale > 0.0):
-            raise ModelError("a scale is not positive")
+        means = np.append(scaling.input_mean, scaling.target_mean)
+        scales = np.append(scaling.input_scale, scaling.target_scale)
+        if not (np.all(np.isfinite(means)) and np.all((scales > 0.0) & (scales < np.inf))):
+            raise ModelError("scaling with a mean that is not finite, or a scale that is not positive")
         return scaling

@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""An ensemble is loaded, evaluated, monitored and replayed where PyTorch is not installed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import quadpi_core
+from quadpi_core.frames import Array
+from quadpi_core.logs.bags import read_outputs
+from quadpi_core.models import AerodynamicModel
+
+FLIGHT = """
+import sys
+
+class NotInstalled:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "torch":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, NotInstalled())
+
+import numpy as np
+from quadpi_core.cli import main
+from quadpi_core.models import AerodynamicModel
+from quadpi_core.monitor import Monitor
+from quadpi_core.vehicle import Vehicle
+
+model, bag, inputs, output = sys.argv[1:]
+loaded = AerodynamicModel.load(model)
+evaluation = loaded.evaluate(np.load(inputs))
+np.save(inputs, evaluation.upper)
+
+monitor = Monitor(loaded, Vehicle.load(loaded.vehicle), 400.0)
+level = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3))
+for k in range(20):
+    stamp = np.array([1_700_000_000_000_000_000 + k * 2_500_000])
+    force, speeds = np.array([[0.0, 0.0, -9.81]]), np.full((1, 4), 1100.0)
+    predictions, alarms = monitor.step(stamp, *level, force, speeds, np.zeros((1, 3)))
+    assert np.isfinite(predictions.upper).all() and len(predictions.time_ns) == 1
+
+sys.argv = ["quadpi", "replay", model, bag, "-o", output]
+try:
+    main()
+except SystemExit as ended:
+    assert not ended.code, ended.code
+"""
+
+
+def run(code: str, *arguments: object) -> str:
+    environment = os.environ | {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1])}
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_flies_where_torch_is_not(
+    model: AerodynamicModel, X: Array, bags: list[Path], tmp_path: Path
+) -> None:
+    model.save(tmp_path / "model")
+    np.save(tmp_path / "inputs.npy", X)
+    run(FLIGHT, tmp_path / "model", bags[0], tmp_path / "inputs.npy", tmp_path / "out.mcap")
+    np.testing.assert_array_equal(np.load(tmp_path / "inputs.npy"), model.evaluate(X).upper)
+    predictions, _ = read_outputs(tmp_path / "out.mcap")
+    assert len(predictions.time_ns) > 1000
+    assert np.all(predictions.lower < predictions.upper)
+
+
+def test_models_import_without_torch() -> None:
+    modules = run("import sys, quadpi_core.models, quadpi_core.monitor; print(*sys.modules)").split()
+    assert "quadpi_core.models.ensembles.kernel" in modules
+    assert "torch" not in modules
