@@ -6,18 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.fitted import FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.ensembles.fitted import AnyFitted, FittedBootstrap, FittedQualityDriven
 from quadpi_core.models.ensembles.network import Networks, Scaling
 from quadpi_core.models.pool import load_pools
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.rules import AnyRule, NormalRule
-
-AnyFitted: TypeAlias = FittedBootstrap | FittedQualityDriven
 
 NOISE_UNITS = 25
 

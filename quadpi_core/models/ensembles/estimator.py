@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.fitted import NOISE_FLOOR, FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.ensembles.fitted import NOISE_FLOOR, AnyFitted
 from quadpi_core.models.ensembles.network import Networks
 from quadpi_core.models.ensembles.plan import Plan, Split
 from quadpi_core.models.ensembles.table import Table
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from quadpi_core.models.ensembles.training import Report, Schedule
 
 Calibration: TypeAlias = Literal["held-out", "none"]
-AnyFitted: TypeAlias = FittedBootstrap | FittedQualityDriven
 Self = TypeVar("Self", bound="Ensemble")
 
 

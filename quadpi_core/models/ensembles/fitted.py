@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -190,3 +190,6 @@ class FittedQualityDriven(FittedEnsemble):
         if not 0.0 <= outward < np.inf:
             raise ModelError(f"outward {outward} is negative or not finite")
         return cls(**common, outward=outward)
+
+
+AnyFitted: TypeAlias = FittedBootstrap | FittedQualityDriven

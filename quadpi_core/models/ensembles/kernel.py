@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,12 +22,10 @@ from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.lanes import LANES, element, filled, fused, load, rectified, store
-from quadpi_core.models.ensembles.fitted import FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.ensembles.fitted import AnyFitted, FittedBootstrap, FittedQualityDriven
 from quadpi_core.models.ensembles.network import Networks, Scaling
 from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, check_inputs, rows_kernel
-
-AnyFitted: TypeAlias = FittedBootstrap | FittedQualityDriven
 
 # Samples whose inputs stay in the cache; a multiple of LANES.
 _BLOCK = 256

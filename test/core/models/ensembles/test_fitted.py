@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from benchmarks.random_ensembles import AnyFitted, random_ensemble
+from benchmarks.random_ensembles import random_ensemble
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models import AerodynamicModel, Evaluation
-from quadpi_core.models.ensembles.fitted import FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.ensembles.fitted import AnyFitted, FittedBootstrap, FittedQualityDriven
 from quadpi_core.models.ensembles.network import Networks
 from quadpi_core.models.methods import METHODS
 from quadpi_core.models.regressors import Regressor

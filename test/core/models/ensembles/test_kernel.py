@@ -7,11 +7,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from benchmarks.random_ensembles import AnyFitted, random_ensemble
+from benchmarks.random_ensembles import random_ensemble
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.fitted import FittedBootstrap
+from quadpi_core.models.ensembles.fitted import AnyFitted, FittedBootstrap
 from quadpi_core.models.ensembles.kernel import CompiledEnsembles
 from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.regressors import Regressor
