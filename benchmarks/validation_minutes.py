@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's validation: 1000 realisations of noise on 60 s of flight, six axes, three methods.
+
+On two workers: noise, input vectors, predictions and bounds from the noisy inputs, and counting, at 500 Hz.
+The polynomial is identified on the paper's training set; the ensembles have its size and random weights,
+which take as long as trained ones. Some realisations are timed, and what they take is scaled to all; what the
+start of the workers takes on top, which few realisations show, is counted once.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks import Result
+from benchmarks.random_ensembles import random_ensembles, simulation_inputs
+from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.validation.case import ValidationCase
+from quadpi_core.validation.chunks import CHUNK, run_realisations
+from quadpi_core.validation.flights import simulated_flights
+from quadpi_core.validation.published import VALIDATION, published_case
+
+NAMES = ("validation_minutes",)
+
+WORKERS = 2
+REALISATIONS, FLIGHT_S = 1000, 60.0
+FEW, MANY = 2 * CHUNK, 16 * CHUNK
+
+
+def run() -> list[Result]:
+    case = three_methods()
+    few, many = (seconds(case, count) for count in (FEW, MANY))
+    each = (many - few) / (MANY - FEW)
+    total = few + (REALISATIONS - FEW) * each
+    samples = sum(len(flight) for flight in case.flights)
+    per_sample = WORKERS * each / (samples * len(case.models)) * 1e6
+    baseline = (
+        f"{REALISATIONS} realisations of {FLIGHT_S:.0f} s on {WORKERS} workers, from {MANY} in {many:.0f} s; "
+        f"{per_sample:.1f} µs of a core per sample and method, all six axes"
+    )
+    return [Result(NAMES[0], total / 60.0, "min", baseline, goal=5.0, at_most=True)]
+
+
+def three_methods() -> ValidationCase:
+    """The paper's case with so many of its validation flights as last FLIGHT_S."""
+    own = published_case(methods=("polynomial",))
+    polynomial = own.case.models["polynomial"]
+    X = np.concatenate([flight.inputs for flight in own.training])
+    inputs = simulation_inputs()
+    ensembles = {
+        method: replace(polynomial, fitted=random_ensembles(method, X, inputs))
+        for method in ("bootstrap", "quality-driven")
+    }
+    plans = load_scenario(VALIDATION).flights
+    ends = np.cumsum([plan.duration_s for plan in plans])
+    flights = simulated_flights(plans[: int(np.searchsorted(ends, FLIGHT_S)) + 1])
+    return replace(own.case, models=ensembles | {"polynomial": polynomial}, flights=tuple(flights))
+
+
+def seconds(case: ValidationCase, count: int) -> float:
+    """Wall time of so many realisations, the start of the workers included."""
+    start = time.perf_counter()
+    run_realisations(case, count, workers=WORKERS)
+    return time.perf_counter() - start
