@@ -4,13 +4,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
+from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
-from quadpi_core.frames import rotate_world_to_body
+from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
+from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.rules import ResidualRule
 from quadpi_core.monitor.envelope import Envelope
@@ -64,23 +68,39 @@ def samples(vehicle) -> PairedSamples:
 
 
 @pytest.fixture(scope="session")
-def model(vehicle) -> AerodynamicModel:
-    """Fx and My linear in a few inputs, as least squares on `fly` would give them."""
+def training_inputs(vehicle) -> Array:
+    """Input vectors of a minute of `fly`."""
     signals = SignalChain(RATE_HZ, CUTOFF_HZ).step(*fly(60.0, vehicle, seed=1)[1:])
     velocity_air = signals.velocity - rotate_world_to_body(signals.attitude, signals.wind)
-    inputs = aerodynamic_inputs(velocity_air, signals.attitude, signals.rates, signals.rotor_speeds, vehicle)
+    return aerodynamic_inputs(velocity_air, signals.attitude, signals.rates, signals.rotor_speeds, vehicle)
+
+
+@pytest.fixture(scope="session")
+def model(vehicle, training_inputs) -> AerodynamicModel:
+    """Fx and My linear in a few inputs, as least squares on `fly` would give them."""
     polynomials = {}
     for axis, terms in (("Fx", ("1", "mu_x")), ("My", ("1", "U_q", "q^2"))):
         regressors = tuple(Regressor.parse(term) for term in terms)
-        z = RegressorProgram.compile(regressors).evaluate(inputs)
+        z = RegressorProgram.compile(regressors).evaluate(training_inputs)
         whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
         polynomials[axis] = FittedPolynomial(
             regressors, np.linspace(0.1, 0.01, len(terms)), whitening, 1.0, ResidualRule(0.2, 1000.0), 1.0
         )
-    leverage, width = np.zeros((len(inputs), 6)), np.zeros((len(inputs), 6))
-    for axis, polynomial in polynomials.items():
-        leverage[:, AXES.index(axis)] = polynomial.leverage(inputs)
-        width[:, AXES.index(axis)] = polynomial.spread(inputs)
+    return model_of(polynomials, vehicle, training_inputs)
+
+
+@pytest.fixture(scope="session", params=["polynomial", "bootstrap", "quality-driven"])
+def each_model(request, model, vehicle, training_inputs) -> AerodynamicModel:
+    """`model`, and such of ensembles with random weights."""
+    if request.param == model.method:
+        return model
+    inputs = {axis: axis_inputs for axis, axis_inputs in simulation_inputs().items() if axis in model.axes}
+    return model_of(random_ensembles(request.param, training_inputs, inputs), vehicle, training_inputs)
+
+
+def model_of(fitted: Mapping[str, FittedAxis], vehicle: Vehicle, inputs: Array) -> AerodynamicModel:
+    method = METHODS[next(iter(fitted.values())).method]
+    evidence = method.compile(fitted).evaluate(inputs, np.ones(len(AXES)))
     return AerodynamicModel(
         name="swings",
         vehicle=vehicle.name,
@@ -88,11 +108,11 @@ def model(vehicle) -> AerodynamicModel:
         settings="default",
         cutoff_hz=CUTOFF_HZ,
         confidence=0.95,
-        fitted=polynomials,
-        envelope=Envelope.fit(inputs, np.zeros(len(inputs)), leverage, width),
-        training_range=dict.fromkeys(polynomials, 1.0),
+        fitted=dict(fitted),
+        envelope=Envelope.fit(inputs, np.zeros(len(inputs)), evidence.leverage, evidence.relative_width),
+        training_range=dict.fromkeys(fitted, 1.0),
         flights=(),
-        selection={axis: [] for axis in polynomials},
-        held_out_coverage={axis: [] for axis in polynomials},
+        selection={axis: [] for axis in fitted},
+        held_out_coverage={axis: [] for axis in fitted},
         identity="swings@000000000000",
     )

@@ -76,7 +76,7 @@ def test_flight_inside_the_envelope_is_predicted_without_alarm(monitor, samples,
 
 @pytest.mark.parametrize("settings", [MonitorSettings(), ADAPTIVE], ids=["static", "adaptive"])
 @pytest.mark.parametrize("block", [1, 13, 500])
-def test_blocks_give_the_same_rows_bit_for_bit(model, vehicle, samples, block, settings):
+def test_blocks_give_the_same_rows_bit_for_bit(each_model, vehicle, samples, block, settings):
     rng = np.random.default_rng(2)
     samples = cut(samples, slice(0, 1500))
     time_ns = samples.time_ns.copy()
@@ -84,8 +84,8 @@ def test_blocks_give_the_same_rows_bit_for_bit(model, vehicle, samples, block, s
     rates = samples.rates.copy()
     rates[rng.random(len(rates)) < 0.02, 1] = np.nan
     samples = changed(samples, time_ns=time_ns, rates=rates)
-    whole = run(Monitor(model, vehicle, RATE_HZ, settings=settings), samples)
-    parts = run(Monitor(model, vehicle, RATE_HZ, settings=settings), samples, block)
+    whole = run(Monitor(each_model, vehicle, RATE_HZ, settings=settings), samples)
+    parts = run(Monitor(each_model, vehicle, RATE_HZ, settings=settings), samples, block)
     for left, right in zip(whole, parts, strict=True):
         assert_same(left, right)
 
@@ -107,6 +107,25 @@ def test_leaving_the_envelope_raises_names_and_clears(monitor, samples):
     assert not outside & {"p", "q", "r", "omega_avg", "U_p"}
     assert alarms.leverage[raised[5], FX] > 1.0
     assert predictions.relative_width[2500, FX] > predictions.relative_width[1000, FX]
+
+
+@pytest.mark.parametrize("each_model", ["bootstrap", "quality-driven"], indirect=True)
+def test_ensemble_raises_the_alarm_by_inputs_and_width_without_leverage(each_model, vehicle, samples):
+    assert np.all(each_model.envelope.leverage_limit == 1.0)
+    monitor = Monitor(each_model, vehicle, RATE_HZ)
+    _, calm = monitor.step(*samples)
+    assert np.all(calm.level == LEVEL_OK)
+    assert np.all(calm.leverage == 0.0)
+    assert np.all(calm.width[:, [FX, MY]] > 0.0)
+    velocity = samples.velocity.copy()
+    velocity[2000:3000, 0] += 12.0
+    monitor.reset()
+    _, alarms = monitor.step(*changed(samples, velocity=velocity))
+    raised = alarms.level == LEVEL_ALARM
+    assert raised.any()
+    assert np.all(alarms.leverage == 0.0)
+    assert np.all(np.isfinite(alarms.width))
+    assert alarms.width[raised, FX].max() > 1.0 > calm.width[:, FX].max()
 
 
 def test_wind_counts_as_airspeed(monitor, samples):

@@ -109,11 +109,11 @@ def test_replay_gives_what_the_monitor_gives(model, vehicle, samples, with_odome
     assert not alarms.level.any()
 
 
-def test_the_same_bytes_each_time(model, vehicle, with_pose, bag_of, tmp_path):
+def test_the_same_bytes_each_time(each_model, vehicle, with_pose, bag_of, tmp_path):
     bag = bag_of(with_pose)
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
-    replay(model, vehicle, bag, first)
-    replay(model, vehicle, bag, second)
+    replay(each_model, vehicle, bag, first)
+    replay(each_model, vehicle, bag, second)
     assert first.read_bytes() == second.read_bytes()
 
 
@@ -136,14 +136,16 @@ def test_leaving_the_envelope_is_in_the_bag_and_the_summary(model, vehicle, with
 @pytest.mark.parametrize(
     "settings", [MonitorSettings(), MonitorSettings(adaptive=True)], ids=["own", "adaptive"]
 )
-def test_replay_equals_the_live_path_sample_by_sample(model, vehicle, with_pose, bag_of, tmp_path, settings):
-    replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap", settings=settings)
+def test_replay_equals_the_live_path_sample_by_sample(
+    each_model, vehicle, with_pose, bag_of, tmp_path, settings
+):
+    replay(each_model, vehicle, bag_of(with_pose), tmp_path / "out.mcap", settings=settings)
     replayed, _ = read_outputs(tmp_path / "out.mcap")
 
     recording = read_bag(tmp_path / "level.mcap", vehicle)
     imu, pose, rotors = recording.imu, recording.pose, recording.rotor_speeds
     ekf, pairing = Ekf(vehicle, RATE_HZ), Pairing()
-    monitor = Monitor(model, vehicle, RATE_HZ, settings=settings)
+    monitor = Monitor(each_model, vehicle, RATE_HZ, settings=settings)
     order = sorted(
         [(t, 0, i) for i, t in enumerate(imu.time_ns)]
         + [(t, 1, i) for i, t in enumerate(pose.time_ns)]
