@@ -16,7 +16,8 @@ help: ## list these targets
 demo: environment ## identify, predict, replay through live nodes, report (DEMO_ARGS="--data FOLDER --rate 4")
 	@$(BIN)/quadpi demo $(DEMO_ARGS)
 
-test: environment ## all tests (TEST_ARGS="-k intervals -x")
+test: ## all tests (TEST_ARGS="-k intervals -x")
+	@sh tools/bootstrap.sh --train
 	@$(BIN)/python -m pytest $(TEST_ARGS)
 
 lint: environment ## ruff and mypy, as CI runs them
@@ -29,7 +30,7 @@ format: environment ## format the code and mend what ruff can mend
 	@$(BIN)/ruff check --fix
 
 bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=name for one)
-	@sh tools/bootstrap.sh --bench
+	@sh tools/bootstrap.sh --train --bench
 	@$(BIN)/python -m benchmarks $(if $(ONLY),--only $(ONLY))
 
 environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)

@@ -111,7 +111,9 @@ def identify(
     bags: Bags,
     vehicle: VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
-    method: Annotated[Literal["polynomial"], typer.Option(help="Kind of model.")] = "polynomial",
+    method: Annotated[
+        Literal["polynomial", "bootstrap", "quality-driven"], typer.Option(help="Kind of model.")
+    ] = "polynomial",
     candidates: Annotated[
         str, typer.Option(help="Candidate pools: a name in config/candidates, or a YAML file.")
     ] = "quadrotor",
@@ -129,6 +131,10 @@ def identify(
         float | None, typer.Option(help="Cut-off of the low-pass over all signals; default: 30, paper: 100.")
     ] = None,
     confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
+    seed: Annotated[int, typer.Option(min=0, help="Of the networks of an ensemble.")] = 0,
+    device: Annotated[
+        Literal["cpu", "cuda"], typer.Option(help="That trains an ensemble; flying needs none.")
+    ] = "cpu",
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -151,13 +157,17 @@ def identify(
             the_vehicle,
             pools,
             cutoff_hz=cutoff,
+            method=method,
             settings=settings,
             stop=stop,
             confidence=confidence,
-            progress=lambda axis: status.update(f"Identifying {axis}"),
+            seed=seed,
+            device=device,
+            progress=status.update,
         ).save(output)
     for axis in model.axes:
-        console.print(selection_table(model.selection[axis], axis))
+        if model.selection[axis]:
+            console.print(selection_table(model.selection[axis], axis))
     names = ", ".join(flight.name for flight in model.flights)
     console.print(
         f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True

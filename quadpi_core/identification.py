@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.ensembles.bootstrap import BootstrapEnsemble
+from quadpi_core.models.ensembles.estimator import Ensemble, fit_axes
+from quadpi_core.models.ensembles.quality_driven import QualityDrivenEnsemble
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool
@@ -30,7 +34,11 @@ from quadpi_core.signals.fusion import fuse
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from quadpi_core.models.ensembles.training import Progress
+
 Settings: TypeAlias = Literal["default", "paper"]
+MethodName: TypeAlias = Literal["polynomial", "bootstrap", "quality-driven"]
 
 # Low-pass over all signals: the paper's, and one that keeps what rotors and measured moments still share
 # (their coherence is gone above about 25 Hz on two data sets).
@@ -111,22 +119,28 @@ def identify(
     pools: dict[str, CandidatePool],
     *,
     cutoff_hz: float,
+    method: MethodName = "polynomial",
     settings: Settings = "default",
     stop: StopRule | None = None,
     confidence: float = 0.95,
+    seed: int = 0,
+    device: str = "cpu",
     progress: Callable[[str], None] = lambda _: None,
 ) -> AerodynamicModel:
-    """Identify one polynomial per axis of `pools`, with its envelope.
+    """Identify a model of every axis of `pools`, with its envelope.
 
     Args:
         flights: to identify on; errors of flights left out in turn calibrate the intervals.
         vehicle: the vehicle that flew.
-        pools: candidate pool by axis.
+        pools: by axis: candidates of a polynomial, inputs of an ensemble.
         cutoff_hz: of the low-pass that the flights passed; kept with the model.
-        settings: "paper" for the paper's stop rule and noise estimate.
-        stop: stop rule other than that of the settings.
-        confidence: nominal coverage that the monitor will use.
-        progress: called with the name of each axis before it is identified.
+        method: kind of model.
+        settings: "paper" for the paper's rules.
+        stop: stop rule of a polynomial other than that of the settings.
+        confidence: nominal coverage that the monitor will use, and quality-driven bounds are trained for.
+        seed: of an ensemble.
+        device: that trains an ensemble, "cpu" or "cuda".
+        progress: called with words on how far it has come.
 
     Raises:
         ModelError: naming the axis.
@@ -134,27 +148,31 @@ def identify(
     inputs = np.concatenate([flight.inputs for flight in flights])
     wrench = np.concatenate([flight.wrench for flight in flights])
     labels = np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights])
-    fitted: dict[str, FittedAxis] = {}
-    selection, training_range, held_out_coverage = {}, {}, {}
-    for axis in (axis for axis in AXES if axis in pools):
-        progress(axis)
-        pool = pools[axis]
-        regressor = StepwisePolynomial.paper(pool) if settings == "paper" else StepwisePolynomial(pool)
+    axes = [axis for axis in AXES if axis in pools]
+    targets = wrench[:, [AXES.index(axis) for axis in axes]]
+    estimators: Mapping[str, StepwisePolynomial | Ensemble]
+    if method == "polynomial":
+        polynomials = {axis: _polynomial(pools[axis], settings, stop) for axis in axes}
+        for column, axis in enumerate(axes):
+            progress(f"Identifying {axis}")
+            with _naming(axis):
+                polynomials[axis].fit(inputs, targets[:, column], labels)
+        estimators = polynomials
+    else:
         if stop is not None:
-            regressor.set_params(stop=stop)
-        target = wrench[:, AXES.index(axis)]
-        try:
-            regressor.fit(inputs, target, labels)
-            regressor.fitted_.rule.factor(confidence)
-        except ModelError as error:
-            raise ModelError(f"{axis}: {error}") from error
-        fitted[axis] = regressor.fitted_
-        selection[axis] = regressor.selection_log()
-        coverage = regressor.held_out_coverage(confidence)
-        held_out_coverage[axis] = [] if coverage is None else coverage.tolist()
-        training_range[axis] = float(np.ptp(target))
-    compiled = METHODS["polynomial"].compile(fitted)
+            raise ModelError(f"a stop rule is for polynomials: the {method} method has none")
+        ensembles = {
+            axis: _ensemble(axis, pools[axis], method, settings, confidence, seed, device) for axis in axes
+        }
+        fit_axes(ensembles, inputs, targets, labels, lambda state: progress(_words(state)))
+        estimators = ensembles
+    fitted: dict[str, FittedAxis] = {axis: estimators[axis].fitted_ for axis in axes}
+    for axis in axes:
+        with _naming(axis):
+            fitted[axis].rule.factor(confidence)
+    compiled = METHODS[method].compile(fitted)
     evidence = compiled.evaluate(inputs, compiled.factors(confidence))
+    coverage = {axis: estimators[axis].held_out_coverage(confidence) for axis in axes}
     return AerodynamicModel(
         name="",
         vehicle=vehicle.name,
@@ -164,11 +182,53 @@ def identify(
         confidence=confidence,
         fitted=fitted,
         envelope=Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
-        training_range=training_range,
+        training_range={axis: float(np.ptp(targets[:, column])) for column, axis in enumerate(axes)},
         flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
-        selection=selection,
-        held_out_coverage=held_out_coverage,
+        selection={axis: _selection_log(estimators[axis]) for axis in axes},
+        held_out_coverage={
+            axis: [] if shares is None else shares.tolist() for axis, shares in coverage.items()
+        },
     )
+
+
+def _words(state: Progress) -> str:
+    covered = "" if state.coverage is None else f", coverage {state.coverage:.1%} of what it has not seen"
+    return f"Training {state.stage}: epoch {state.epoch} of {state.epochs}, loss {state.loss:.3g}{covered}"
+
+
+def _polynomial(pool: CandidatePool, settings: Settings, stop: StopRule | None) -> StepwisePolynomial:
+    regressor = StepwisePolynomial.paper(pool) if settings == "paper" else StepwisePolynomial(pool)
+    return regressor if stop is None else regressor.set_params(stop=stop)
+
+
+def _ensemble(
+    axis: str,
+    pool: CandidatePool,
+    method: MethodName,
+    settings: Settings,
+    confidence: float,
+    seed: int,
+    device: str,
+) -> Ensemble:
+    if not pool.inputs:
+        raise ModelError(f"{axis}: the candidate file lists no `inputs` for networks")
+    kind = BootstrapEnsemble if method == "bootstrap" else QualityDrivenEnsemble
+    ensemble = kind.paper(pool.inputs) if settings == "paper" else kind(pool.inputs)
+    trained_for = {} if method == "bootstrap" else {"confidence": confidence}
+    return ensemble.set_params(seed=seed, device=device, **trained_for)
+
+
+@contextmanager
+def _naming(axis: str) -> Iterator[None]:
+    """Say in an error which axis it is of."""
+    try:
+        yield
+    except ModelError as error:
+        raise ModelError(f"{axis}: {error}") from error
+
+
+def _selection_log(estimator: StepwisePolynomial | Ensemble) -> list[dict[str, Any]]:
+    return estimator.selection_log() if isinstance(estimator, StepwisePolynomial) else []
 
 
 def predict_flight(

@@ -115,7 +115,7 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
             load_pools("quadrotor"),
             cutoff_hz=CUTOFF_HZ["default"],
             confidence=CONFIDENCE,
-            progress=lambda axis: status.update(f"Identifying {axis}"),
+            progress=status.update,
         ).save(output / "model")
     for axis in model.axes:
         chosen = [row for row in model.selection[axis] if row["coefficient"] is not None]

@@ -4,7 +4,7 @@
 
 A step is redone when one of its inputs, or the interpreter, differs from what its stamp in `.venv` says;
 the first step starts from nothing. A stamp is written when its step has succeeded, so an interrupted step
-is redone. What only benchmarks need comes with `--bench`.
+is redone. What trains ensembles comes with `--train`, what benchmarks measure against with `--bench`.
 """
 
 from __future__ import annotations
@@ -100,6 +100,11 @@ def install_packages(log: Path) -> None:
     pip_install(log, "--no-build-isolation", "--editable", ".[ros,test,dev]")
 
 
+def install_training(log: Path) -> None:
+    """PyTorch, which trains ensembles."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[train]")
+
+
 def install_baselines(log: Path) -> None:
     """Packages of others that benchmarks measure against."""
     pip_install(log, "--no-build-isolation", "--editable", ".[bench]")
@@ -183,6 +188,7 @@ STEPS = (
         build_messages,
     ),
 )
+TRAIN_STEPS = (Step("train", "PyTorch, to train ensembles", (ROOT / "pyproject.toml",), install_training),)
 BENCH_STEPS = (Step("bench", "Packages to measure against", (ROOT / "pyproject.toml",), install_baselines),)
 
 
@@ -208,8 +214,10 @@ def bootstrap(steps: Sequence[Step]) -> None:
 def main(arguments: Sequence[str] = ()) -> int:
     """Bootstrap once at a time; report a failure in plain words."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--train", action="store_true", help="also what trains ensembles")
     parser.add_argument("--bench", action="store_true", help="also what benchmarks measure against")
-    steps = STEPS + BENCH_STEPS if parser.parse_args(arguments).bench else STEPS
+    chosen = parser.parse_args(arguments)
+    steps = STEPS + (TRAIN_STEPS if chosen.train else ()) + (BENCH_STEPS if chosen.bench else ())
     LOGS.mkdir(exist_ok=True)
     with (LOGS / "bootstrap.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -148,18 +148,21 @@ def live(replay: LiveReplay) -> str:
 
 
 def model(held: AerodynamicModel) -> str:
-    """Terms of each axis as stepwise selection took them, folded away."""
-    tables = "".join(
-        f"<details><summary>{axis}: {sum(row['coefficient'] is not None for row in log)} terms</summary>"
-        f"{_selection_table(log)}</details>"
-        for axis, log in held.selection.items()
-    )
+    """Terms of each axis, of a polynomial as stepwise selection took them, folded away."""
+    tables = "".join(_terms(axis, held) for axis in held.axes)
     flights = ", ".join(f"{flight.name} ({flight.samples} samples)" for flight in held.flights)
     return section(
         "Identified model",
         f"Training flights: {escape(flights)}. {escape(held.calibration().capitalize())}.",
         _held_out_table(held) + tables,
     )
+
+
+def _terms(axis: str, held: AerodynamicModel) -> str:
+    log, terms = held.selection[axis], held.fitted[axis].terms
+    content = _selection_table(log) if log else f"<p>{escape(', '.join(terms))}</p>"
+    count = f"{len(terms)} terms" if log else f"{held.method} ensemble"
+    return f"<details><summary>{axis}: {count}</summary>{content}</details>"
 
 
 def _held_out_table(held: AerodynamicModel) -> str:

@@ -18,8 +18,8 @@ from quadpi_core.flight import AXES, ImuStream, PoseStream, Recording, RotorSpee
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
-from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.models.rules import ResidualRule
 from quadpi_core.monitor.alarm import LEVEL_ALARM
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.monitor.replay import replay
