@@ -7,6 +7,7 @@ Each command imports what it needs when it runs, so that `--help` answers at onc
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -487,6 +488,8 @@ def _console() -> Console:
 
 def main() -> None:
     """Entry point of the command `quadpi`."""
+    # So that what is half done is cleared away as on Ctrl-C; 143 is what a shell gives for SIGTERM.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         app()
     except QuadpiError as error:

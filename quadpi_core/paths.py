@@ -44,12 +44,14 @@ def _share_directory() -> Path:
 def whole_output(path: Path) -> Iterator[Path]:
     """Give a temporary path in the target's folder that replaces `path` once the block succeeds.
 
-    Works for a file or a folder, but no file replaces a folder. On an exception the temporary one is
-    removed and whatever stood at `path` before stays as it was.
+    Works for a file or a folder, but no file replaces a folder, and nothing a device or pipe. On an exception
+    the temporary one is removed and whatever stood at `path` before stays as it was.
 
     Raises:
         OutputError: if `path` cannot be written.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OutputError(f"{path}: is neither a file nor a folder: not replaced")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))

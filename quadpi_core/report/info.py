@@ -65,7 +65,7 @@ def inspection_tables(inspection: Inspection) -> list[Table]:
 def _topic_table(inspection: Inspection) -> Table:
     vehicle = inspection.vehicle or "not given"
     table = Table(title=f"{inspection.name} · vehicle {vehicle}", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("topic", no_wrap=True)
+    table.add_column("topic", overflow="fold")
     for heading in ("samples", "s", "Hz", "±ms", "gaps", "max ms", "unsorted", "NaN"):
         table.add_column(heading, justify="right", no_wrap=True)
     for topic in inspection.topics:

@@ -23,8 +23,10 @@ _VEHICLES, _ARM = 24, 0.035
 # No side of the space shown is shorter than this share of the longest, nor than this [m].
 _SIDE_SHARE, _SIDE_M = 0.2, 1.0
 _MARGIN = 1.08
-# Length of the longest side on the screen; with the camera below it fills the figure.
-_SCALE = 1.2
+# Diagonal of that space on the screen: with the camera below it fills the figure, its labels within.
+_DIAGONAL = 1.55
+# Along the longest side, fewer along the others.
+_TICKS = 7
 # Slow in green, fast in the dark: the yellow end of the scale would be lost on white.
 _SPEED_COLOURS = sample_colorscale("Viridis", np.linspace(0.85, 0.0, 9))
 _SPEED_BAR = {
@@ -47,7 +49,8 @@ def trajectory_figure(truth: Truth) -> go.Figure:
     path = world_ned_to_enu(truth.position[shown])
     reference = world_ned_to_enu(truth.reference.position[shown])
     low, high = _sides(np.concatenate((path, reference)))
-    longest = float((high - low).max())
+    sides = high - low
+    longest = float(sides.max())
 
     figure = go.Figure()
     shadow = np.column_stack((path[:, :2], np.full(len(path), low[2])))
@@ -82,13 +85,13 @@ def trajectory_figure(truth: Truth) -> go.Figure:
             "range": [low[i], high[i]],
             "gridcolor": RULE,
             "zeroline": False,
-            "nticks": 7,
+            "nticks": max(2, round(_TICKS * float(sides[i]) / longest)),
             "showbackground": False,
         }
         for i, (axis, title) in enumerate((("x", "east [m]"), ("y", "north [m]"), ("z", "height [m]")))
     }
-    ratio = dict(zip("xyz", (_SCALE * (high - low) / longest).tolist(), strict=True))
-    camera = {"eye": {"x": -1.0, "y": -1.4, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.1}}
+    ratio = dict(zip("xyz", (_DIAGONAL * sides / np.linalg.norm(sides)).tolist(), strict=True))
+    camera = {"eye": {"x": -1.0, "y": -1.4, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.2}}
     figure.update_layout(scene={**axes, "aspectmode": "manual", "aspectratio": ratio, "camera": camera})
     return styled(figure, height=600).update_layout(margin={"l": 0, "r": 0, "t": 32, "b": 60})
 

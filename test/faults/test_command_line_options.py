@@ -175,6 +175,12 @@ class TestOutputs:
         refused("would replace or alter an input", "replay", model, bag, "-o", bag)
         refused("its own bag would replace it", "import", bag, "--vehicle", "neurobem", "-o", tmp_path)
 
+    def test_pipe_or_device_is_not_replaced(self, refused, model, tmp_path):
+        pipe = tmp_path / "pipe"
+        os.mkfifo(pipe)
+        refused("pipe: is neither a file nor a folder: not replaced", "info", model, "--json", pipe)
+        assert pipe.is_fifo()
+
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
     def test_no_permission(self, refused, bags, model, tmp_path):
         locked = tmp_path / "locked"

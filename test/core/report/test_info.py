@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,14 @@ def test_tables_fit_a_terminal_and_name_what_is_wrong(recording: Recording):
     assert "…" not in text
     assert "topic imu: 1 stamps repeat" in text
     assert "no rotor speeds: rules out identification, prediction and replay" in text
+
+
+def test_long_topics_do_not_cut_the_numbers(recording: Recording):
+    inspection = inspect_recording(recording)
+    topics = tuple(replace(topic, topic=f"/{40 * 'n'}") for topic in inspection.topics)
+    text = shown(inspection_tables(replace(inspection, topics=topics)))
+    assert "…" not in text
+    assert text.count("n") > 40
 
 
 def test_a_good_log_has_nothing_suspicious(shared_data: Path):

@@ -140,6 +140,10 @@ class TestTrajectory:
         }
         assert max(scales) == pytest.approx(min(scales))
 
+    def test_a_flat_space_has_fewer_ticks_upward(self):
+        scene = trajectory_figure(circle()).layout.scene
+        assert scene.zaxis.nticks < 0.5 * scene.xaxis.nticks
+
     def test_noses_point_along_the_flight_and_up(self):
         nose = trace(trajectory_figure(circle()), "nose").reshape(-1, 3, 3)
         assert len(nose) > 10
