@@ -73,7 +73,7 @@ def read_json(path):
 
 
 def test_every_command_is_known():
-    assert COMMANDS == ["demo", "evaluate", "identify", "import", "info", "replay", "simulate"]
+    assert COMMANDS == ["demo", "evaluate", "identify", "import", "info", "replay", "simulate", "validate"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -116,9 +116,17 @@ def test_stop_rule_can_be_chosen(flights, vehicle):
 
 
 def test_progress_names_each_axis(flights, vehicle):
-    axes = []
-    identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, progress=axes.append)
-    assert axes == ["Fx", "Fz"]
+    words = []
+    identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, progress=words.append)
+    assert words == ["Identifying Fx", "Identifying Fz"]
+
+
+def test_an_ensemble_needs_inputs_and_has_no_stop_rule(flights, vehicle):
+    for method in ("bootstrap", "quality-driven"):
+        with pytest.raises(ModelError, match="Fx: the candidate file lists no `inputs` for networks"):
+            identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, method=method)
+        with pytest.raises(ModelError, match=f"the {method} method has none"):
+            identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, method=method, stop="pse")
 
 
 def test_errors_name_the_axis(flights, vehicle):
