@@ -117,12 +117,14 @@ def _watch(
     futures: Sequence[Future[SimulatedFlight]],
     progress: Progress | None,
 ) -> None:
-    """Report progress until all flights are written; raise what the first that fails raises."""
+    """Report progress until all flights are written; raise what the first plan that fails raises."""
     waiting = set(futures)
     while waiting:
         finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_EXCEPTION)
         for plan, done in zip(plans, steps, strict=True):
             if progress is not None:
                 progress(plan.name, float(done[0]) / STEP_HZ)
-        for future in finished:
-            future.result()
+        if any(future.exception() is not None for future in finished):
+            # Of several that fail, the first of the plans is reported, not the first in time.
+            for future in futures:
+                future.result()
