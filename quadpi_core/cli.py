@@ -183,38 +183,87 @@ def identify(
 
 @app.command()
 def evaluate(
-    model: ModelFolder,
-    bags: Annotated[
-        list[Path] | None, typer.Argument(help="Flights; together they form the group `all`.")
+    paths: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Model folders, then flights, which together form the group `all`; none: the paper's own "
+            "table, of simulated flights in a wind tunnel."
+        ),
     ] = None,
     group: Annotated[
         list[str] | None,
         typer.Option(help="A group of flights: NAME=BAG, with commas or repeated for several bags."),
     ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder for the paper's bags and models, to go on from."),
+    ] = None,
     confidence: Confidence = None,
     adaptive: Adaptive = False,
     vehicle: OptionalVehicle = None,
+    device: Annotated[
+        Literal["cpu", "cuda"], typer.Option(help="That trains the ensembles, where no model is given.")
+    ] = "cpu",
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
-    """Judge a model's intervals on flights: coverage, width and errors, per flight, axis and group."""
+    """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
+    from quadpi_core.comparison import common_confidence, compare, load_models
     from quadpi_core.identification import prepare_flights
-    from quadpi_core.models import AerodynamicModel
+    from quadpi_core.report.comparison import comparison_table, write_comparison_page
     from quadpi_core.report.tables import evaluation_table
     from quadpi_core.vehicle import Vehicle
 
-    the_model = AerodynamicModel.load(model)
-    the_vehicle = Vehicle.load(vehicle or the_model.vehicle)
-    the_model.require(the_vehicle)
-    paths = group_bags(bags or [], group or [])
-    files = list(dict.fromkeys(path for members in paths.values() for path in members))
-    _check_outputs([model, *files], json_file, html_file)
-    level = the_model.confidence if confidence is None else confidence
-    flights = prepare_flights(files, the_vehicle, the_model.cutoff_hz)
-    name_of = dict(zip(files, (flight.name for flight in flights), strict=True))
-    groups = {name: [name_of[path] for path in members] for name, members in paths.items()}
-    evaluation = _report(the_model, flights, groups, level, json_file, html_file, adaptive=adaptive)
-    _console().print(evaluation_table(evaluation))
+    console = _console()
+    if not paths and not group:
+        from quadpi_core.validation.windtunnel import published_table, wind_tunnel
+
+        if vehicle is not None:
+            raise QuadpiError(
+                "--vehicle: the paper's own table is of the HDBeetle; name model folders for others"
+            )
+        _check_outputs([], output, json_file, html_file)
+        level = 0.95 if confidence is None else confidence
+        with console.status("") as status:
+            tunnel = wind_tunnel(confidence=level, device=device, folder=output, progress=status.update)
+        models, flights, groups = tunnel.models, tunnel.flights, tunnel.groups
+        published = published_table()
+    else:
+        if output is not None:
+            raise QuadpiError("-o: keeps what the paper's own table is made from; give no models and flights")
+        folders = [path for path in paths or [] if path.is_dir()]
+        if not folders:
+            first = f"{paths[0]}: is no model folder" if paths else "no model folder given"
+            raise QuadpiError(
+                f"{first}: name model folders and flights, or nothing for the paper's own table"
+            )
+        models, published = load_models(folders), None
+        the_vehicle = Vehicle.load(vehicle or next(iter(models.values())).vehicle)
+        for model in models.values():
+            model.require(the_vehicle)
+        level = common_confidence(models, confidence)
+        members = group_bags([path for path in paths or [] if path not in folders], group or [])
+        files = list(dict.fromkeys(path for group_files in members.values() for path in group_files))
+        _check_outputs([*folders, *files], json_file, html_file)
+        flights = {
+            cutoff: prepare_flights(files, the_vehicle, cutoff)
+            for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
+        }
+        names = [flight.name for flight in next(iter(flights.values()))]
+        name_of = dict(zip(files, names, strict=True))
+        groups = {name: [name_of[path] for path in group_files] for name, group_files in members.items()}
+    if len(models) == 1:
+        (model,) = models.values()
+        evaluation = _report(
+            model, flights[model.cutoff_hz], groups, level, json_file, html_file, adaptive=adaptive
+        )
+        console.print(evaluation_table(evaluation))
+        return
+    results, comparison = compare(models, flights, groups, level, adaptive=adaptive, published=published)
+    console.print(comparison_table(comparison))
+    _write_json(json_file, comparison)
+    if html_file is not None:
+        write_comparison_page(html_file, comparison, results, models)
 
 
 @app.command()

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import plotly.graph_objects as go
@@ -14,7 +14,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.report.decimation import extreme_samples
 from quadpi_core.report.figures import series, styled
-from quadpi_core.report.style import GROUPS, INK, MEASURED, translucent, unit
+from quadpi_core.report.style import INK, MEASURED, PREDICTED, method_colours, translucent, unit
 from quadpi_core.validation.case import ValidationCase
 from quadpi_core.validation.realisations import HIGHEST, LOWEST, Spread
 from quadpi_core.validation.result import VARIATIONS
@@ -24,10 +24,6 @@ BAND_AXES = ("Fz", "Fx", "My")
 LINES = 7
 # The extremes of so many realisations lie about two standard deviations from their mean, as the bounds do.
 SHOWN = 20
-
-_PREDICTED = "#CC79A7"
-# As in the paper; other models take the colours that are left.
-_METHODS = {"polynomial": "#D55E00", "bootstrap": "#56B4E9", "quality-driven": "#0072B2"}
 
 
 def band_figure(
@@ -54,7 +50,7 @@ def band_figure(
         horizontal_spacing=0.03,
         vertical_spacing=0.06,
     )
-    for column, (name, colour) in enumerate(_colours(case.models).items(), start=1):
+    for column, (name, colour) in enumerate(method_colours(case.models).items(), start=1):
         reference = case.references[name][place]
         for row, axis in enumerate(axes, start=1):
             if axis not in case.models[name].axes:
@@ -66,7 +62,7 @@ def band_figure(
                 figure,
                 flight.time,
                 spread.predicted[name][..., k],
-                _PREDICTED,
+                PREDICTED,
                 "noisy predictions",
                 bins,
                 cell,
@@ -91,11 +87,6 @@ def band_figure(
         figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
     figure.update_xaxes(title_text="time [s]", row=len(axes))
     return styled(figure, height=110 + 250 * len(axes)).update_layout(showlegend=True)
-
-
-def _colours(names: Iterable[str]) -> dict[str, str]:
-    left = iter(colour for colour in (*GROUPS, *GROUPS) if colour != _PREDICTED)
-    return {name: _METHODS.get(name) or next(left) for name in names}
 
 
 def _band(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from html import escape
+from itertools import zip_longest
 from typing import Any
 
 from quadpi_core.flight import AXES
@@ -30,7 +31,7 @@ from quadpi_core.report.style import (
     percent_range,
     unit,
 )
-from quadpi_core.report.tables import selection_cells
+from quadpi_core.report.tables import final_terms, selection_cells
 
 # The kind of figure that shows the time history of a flight.
 HISTORY = "history"
@@ -80,7 +81,7 @@ def coverage(evaluation: Mapping[str, Any]) -> str:
     """PICP and MPIW per axis and group, the figure, and all metrics folded away."""
     nominal = f"{100 * evaluation['confidence']:g} %"
     details = "".join(
-        f"<details><summary>All metrics by {kind}</summary>{_metrics_table(evaluation, kind + 's')}</details>"
+        f"<details><summary>All metrics by {kind}</summary>{metrics_table(evaluation, kind + 's')}</details>"
         for kind in ("group", "flight")
     )
     overview = _coverage_table(evaluation) + figure("coverage") if evaluation["groups"] else ""
@@ -165,6 +166,25 @@ def _terms(axis: str, held: AerodynamicModel) -> str:
     return f"<details><summary>{axis}: {count}</summary>{content}</details>"
 
 
+def structure_table(held: AerodynamicModel) -> str:
+    """Terms, coefficients and R² of the polynomials of all axes side by side, in the form of the paper."""
+    axes = [axis for axis in held.axes if held.selection[axis]]
+    top = "".join(f'<th colspan="3" class="group">{axis}</th>' for axis in axes)
+    second = '<th class="text start">term</th><th>coefficient</th><th>R²</th>' * len(axes)
+    rows = []
+    for steps in zip_longest(*(final_terms(held.selection[axis]) for axis in axes)):
+        columns = []
+        for step in steps:
+            kind = " unit" if step is None or step.fixed else ""
+            term, coefficient, r2 = ("–", "–", "–") if step is None else step.cells()
+            columns.append(
+                f'<td class="text start{kind}">{escape(term)}</td>'
+                f'<td class="{kind.strip()}">{coefficient}</td><td class="{kind.strip()}">{r2}</td>'
+            )
+        rows.append("".join(columns))
+    return table(f"<tr>{top}</tr><tr>{second}</tr>", rows)
+
+
 def _held_out_table(held: AerodynamicModel) -> str:
     """Coverage of each training flight by model and intervals of the others."""
     if not all(held.held_out_coverage[axis] for axis in held.axes):
@@ -220,7 +240,8 @@ def _coverage_table(evaluation: Mapping[str, Any]) -> str:
     return table(head, rows)
 
 
-def _metrics_table(evaluation: Mapping[str, Any], kind: str) -> str:
+def metrics_table(evaluation: Mapping[str, Any], kind: str) -> str:
+    """All metrics by axis of each of its `kind`, "groups" or "flights"."""
     headings = ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "Winkler", "n", "n_eff")
     head = f'<tr><th>{kind[:-1]}</th><th class="text">axis</th>{cells("th", headings)}</tr>'
     rows = [

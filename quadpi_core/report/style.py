@@ -10,6 +10,9 @@ from typing import Any
 MEASURED = "#7a7f87"
 GROUPS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LEVELS = {"ok": "#009E73", "warning": "#E69F00", "alarm": "#D55E00"}
+# As in the paper; other models take the colours that are left.
+METHODS = {"polynomial": "#D55E00", "bootstrap": "#56B4E9", "quality-driven": "#0072B2"}
+PREDICTED = "#CC79A7"
 INK = "#1f2933"
 RULE = "#e4e7eb"
 TRAINING = "#e9edf2"
@@ -43,6 +46,12 @@ def group_colours(groups: Iterable[str]) -> dict[str, str]:
     return {name: GROUPS[i % len(GROUPS)] for i, name in enumerate(groups)}
 
 
+def method_colours(names: Iterable[str]) -> dict[str, str]:
+    """A colour per model, by method where it is named after one."""
+    left = iter(colour for colour in (*GROUPS, *GROUPS) if colour != PREDICTED)
+    return {name: METHODS.get(name) or next(left) for name in dict.fromkeys(names)}
+
+
 def translucent(colour: str, opacity: float) -> str:
     """A colour #rrggbb as rgba()."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
@@ -61,6 +70,15 @@ def percent(fraction: float) -> str:
     if 0.0 < fraction < 0.0005:
         return "< 0.1 %"
     return f"{100.0 * fraction:.1f} %"
+
+
+def hundredths(fraction: float) -> str:
+    """A fraction in percent with two decimals, as in the paper; rounding never makes 100 of what is not."""
+    if 0.99995 <= fraction < 1.0:
+        return "> 99.99"
+    if 0.0 < fraction < 0.00005:
+        return "< 0.01"
+    return f"{100.0 * fraction:.2f}"
 
 
 def percent_range(interval: list[float]) -> str:

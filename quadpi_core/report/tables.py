@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -100,3 +101,38 @@ def selection_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
         "" if r2 is None else f"{r2:.4f}",
         "" if score is None else number(score),
     )
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of an identified polynomial.
+
+    Attributes:
+        name: of the regressor.
+        coefficient: in SI units.
+        r2: of the fit up to this term; None for fixed terms but the last, for they enter together.
+        fixed: whether it was given, not chosen.
+    """
+
+    name: str
+    coefficient: float
+    r2: float | None
+    fixed: bool
+
+    def cells(self) -> tuple[str, str, str]:
+        """Term, coefficient and R² as text."""
+        return self.name, f"{self.coefficient:.3e}", "–" if self.r2 is None else f"{self.r2:.4f}"
+
+
+def final_terms(log: Sequence[Mapping[str, Any]]) -> list[Term]:
+    """Terms that the final model holds, in the order in which selection added them for good.
+
+    Args:
+        log: as for :func:`selection_table`.
+    """
+    last = {row["term"]: place for place, row in enumerate(log)}
+    return [
+        Term(row["term"], row["coefficient"], row["r2"], row["fixed"])
+        for place, row in enumerate(log)
+        if row["coefficient"] is not None and place == last[row["term"]]
+    ]

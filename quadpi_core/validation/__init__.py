@@ -10,4 +10,6 @@ Noise-free flights of the simulation get independent realisations of noise (van 
     result       coverage and width of all realisations, as JSON
     flights      noise-free flights, simulated or from bags
     published    the paper's own setting, and its two tables
+    windtunnel   its wind tunnel simulated, and its table of the HDBeetle
+    kept         models that a long computation keeps and takes up again
 """

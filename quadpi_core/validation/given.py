@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.comparison import common_confidence, load_models
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.validation.case import ValidationCase, ValidationError
 from quadpi_core.validation.flights import recorded_flight
@@ -34,33 +34,25 @@ def given_case(
         seed: of all noise.
 
     Raises:
-        ValidationError: where models or bags are missing, two models share a name, or their confidences
-            differ and none is given.
-        ModelError, LogError, VehicleError, SimulationError: for what cannot be read.
+        ValidationError: where models or bags are missing.
+        ModelError: for what is no model, two models of one name, and confidences that differ where none is
+            given.
+        LogError, VehicleError, SimulationError: for what cannot be read.
     """
     if not folders or not bags:
         missing = "model folder" if not folders else "bag of a simulated flight"
         raise ValidationError(
             f"no {missing} given: name model folders and bags, or nothing for the paper's own"
         )
-    models: dict[str, AerodynamicModel] = {}
-    for folder in folders:
-        model = AerodynamicModel.load(folder)
-        if model.name in models:
-            raise ValidationError(
-                f"{folder}: another model is called {model.name}; rename one of the folders"
-            )
-        models[model.name] = model
+    models = load_models(folders)
     first = next(iter(models.values()))
+    level = common_confidence(models, confidence)
     the_vehicle = Vehicle.load(vehicle or first.vehicle)
-    levels = {model.confidence for model in models.values()}
-    if confidence is None and len(levels) > 1:
-        raise ValidationError("the models have different confidences: give one with --confidence")
     return ValidationCase(
         vehicle=the_vehicle,
         models=models,
         flights=tuple(recorded_flight(bag, the_vehicle) for bag in bags),
         noise=SensorSuite.load(noise).states,
-        confidence=first.confidence if confidence is None else confidence,
+        confidence=level,
         seed=seed,
     )

@@ -4,27 +4,23 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from quadpi_core import __version__
-from quadpi_core.errors import ModelError
 from quadpi_core.flight import Flight
-from quadpi_core.identification import MethodName, PreparedFlight, Settings, identify
+from quadpi_core.identification import MethodName, PreparedFlight, Settings
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.pool import load_pools
-from quadpi_core.paths import write_json
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.noise import SensorSuite, StateNoise, contaminate
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import LOG_HZ
 from quadpi_core.validation.case import ValidationCase, flight_hash
 from quadpi_core.validation.flights import simulated_flights
+from quadpi_core.validation.kept import identify_or_take
 from quadpi_core.validation.realisations import noise_seed
 from quadpi_core.validation.result import VARIATIONS
 from quadpi_core.vehicle import Vehicle
@@ -117,33 +113,19 @@ def published_case(
     pools = load_pools(CANDIDATES)
     models: dict[str, AerodynamicModel] = {}
     for method in methods:
-        origin = {
-            "quadpi": __version__,
-            "method": method,
-            "settings": settings,
-            "confidence": confidence,
-            "seed": seed,
-            "vehicle": vehicle.fingerprint,
-            "candidates": hashlib.sha256(repr(pools).encode()).hexdigest(),
-            "flights": {flight.name: flight.sha256 for flight in training},
-        }
-        kept = None if folder is None else _kept(folder / method, origin)
-        if kept is not None:
-            models[method] = kept
-            continue
-        model = identify(
+        models[method] = identify_or_take(
             training,
             vehicle,
             pools,
+            None if folder is None else folder / method,
             method=method,
-            cutoff_hz=UNFILTERED_HZ,
             settings=settings,
+            cutoff_hz=UNFILTERED_HZ,
             confidence=confidence,
             seed=seed,
             device=device,
             progress=partial(_say, progress, method),
         )
-        models[method] = model if folder is None else _keep(model, folder / method, origin)
     flights = simulated_flights(
         load_scenario(VALIDATION).flights, lambda name: progress(f"Simulating {name}")
     )
@@ -166,23 +148,3 @@ def _noisy(clean: Flight, vehicle: Vehicle, noise: StateNoise, seed: int) -> Pre
 
 def _say(progress: Callable[[str], None], method: str, text: str) -> None:
     progress(f"{method}: {text}")
-
-
-def _keep(model: AerodynamicModel, folder: Path, origin: dict[str, object]) -> AerodynamicModel:
-    model = model.save(folder)
-    write_json(_origin_file(folder), origin | {"model": model.identity})
-    return model
-
-
-def _kept(folder: Path, origin: dict[str, object]) -> AerodynamicModel | None:
-    """The model that an earlier run identified from the same, if it did."""
-    try:
-        model = AerodynamicModel.load(folder)
-        kept = json.loads(_origin_file(folder).read_text())
-    except (ModelError, OSError, ValueError):
-        return None
-    return model if kept == origin | {"model": model.identity} else None
-
-
-def _origin_file(folder: Path) -> Path:
-    return folder.with_name(f"{folder.name}.origin.json")

@@ -56,7 +56,7 @@ def test_what_is_given_must_fit(bags, folder, fly, tmp_path):
         given_case([], bags)
     with pytest.raises(ValidationError, match="no bag of a simulated flight given"):
         given_case([folder], [])
-    with pytest.raises(ValidationError, match="another model is called stored"):
+    with pytest.raises(ModelError, match="another model is called stored"):
         given_case([folder, folder], bags)
     real = tmp_path / "real.mcap"
     write_bag(real, fly(1))

@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.flight import AXES
 from quadpi_core.models import AerodynamicModel
-from quadpi_core.validation import published
+from quadpi_core.validation import kept, published
 from quadpi_core.validation.published import METHODS, published_case, published_tables
 
 POOL = 'Fx: {fixed: [mu_x], candidates: ["P^2(mu_x, mu_z)"]}\n'
@@ -24,13 +24,13 @@ def identified(monkeypatch, scenario, tmp_path):
     pool.write_text(POOL)
     for name, value in (("TRAINING", scenario), ("VALIDATION", scenario), ("CANDIDATES", pool)):
         monkeypatch.setattr(published, name, str(value))
-    methods, identify = [], published.identify
+    methods, identify = [], kept.identify
 
     def record(*arguments, method, **options):
         methods.append(method)
         return identify(*arguments, method=method, **options)
 
-    monkeypatch.setattr(published, "identify", record)
+    monkeypatch.setattr(kept, "identify", record)
     return methods
 
 
