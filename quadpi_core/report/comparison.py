@@ -61,8 +61,9 @@ class Row:
         return mark + hundredths(self.groups[group]["picp"])
 
     def width(self, group: str) -> str:
-        """MPIW in the unit of the axis."""
-        return number(self.groups[group]["mpiw"])
+        """MPIW in the unit of the axis; published ones have two decimals."""
+        width = self.groups[group]["mpiw"]
+        return number(width) if self.model else f"{width:.2f}"
 
 
 def rows(comparison: Mapping[str, Any]) -> Iterator[Row]:
@@ -99,27 +100,22 @@ def comparison_table(comparison: Mapping[str, Any]) -> Group:
     """Coverage and width of each axis, model and group, with the paper's numbers where there are some."""
     confidence, groups = comparison["confidence"], list(comparison["groups"])
     shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    shown.add_column("axis", no_wrap=True)
-    shown.add_column("model")
-    for quantity in ("PICP %", "MPIW"):
-        for i, group in enumerate(groups):
-            shown.add_column(Text(f"{'' if i else quantity}\n{group}"), justify="right", overflow="fold")
+    shown.add_column("model", vertical="bottom")
+    for group in groups:
+        shown.add_column(Text(f"{group}\n{'PICP %':>7} {'MPIW':>8}"), justify="right", overflow="fold")
     axis = ""
-    found = list(rows(comparison))
-    for place, row in enumerate(found):
-        cells = [
-            Text(row.coverage(group, confidence), style="bold red" if row.short(group, confidence) else "")
-            for group in groups
-        ]
-        shown.add_row(
-            "" if row.axis == axis else f"{row.axis} [dim]{unit(row.axis)}[/dim]",
-            Text(row.model or PUBLISHED),
-            *cells,
-            *(row.width(group) for group in groups),
-            style="" if row.model else "dim",
-            end_section=place + 1 < len(found) and found[place + 1].axis != row.axis,
-        )
-        axis = row.axis
+    for row in rows(comparison):
+        if row.axis != axis:
+            axis = row.axis
+            shown.add_section()
+            shown.add_row(Text(f"{axis} [{unit(axis)}]", style="bold"))
+        cells = []
+        for group in groups:
+            style = "bold red" if row.short(group, confidence) else ""
+            cells.append(
+                Text.assemble((f"{row.coverage(group, confidence):>7}", style), f" {row.width(group):>8}")
+            )
+        shown.add_row(Text(row.model or PUBLISHED), *cells, style="" if row.model else "dim")
     nominal = percent(confidence)
     kind = "adaptive prediction intervals" if comparison["adaptive"] else "prediction intervals"
     notes = [f"▼ the confidence interval of the coverage lies below {nominal}"] * _any_short(comparison)
@@ -271,7 +267,7 @@ def _intervals(comparison: Mapping[str, Any], bins: int) -> str:
 
 def _structures(models: Mapping[str, AerodynamicModel]) -> str:
     tables = "".join(
-        f"<h3>{escape(name)}</h3>{sections.structure_table(model)}"
+        f'<h3>{escape(name)}</h3><div class="dense">{sections.structure_table(model)}</div>'
         for name, model in models.items()
         if any(model.selection.values())
     )

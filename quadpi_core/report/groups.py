@@ -87,7 +87,7 @@ def group_figure(comparison: Mapping[str, Any]) -> go.Figure:
     figure.update_xaxes(tickvals=list(range(len(groups))), ticktext=groups, showgrid=False)
     figure.update_yaxes(title_text="PICP [%]", row=1, col=1)
     figure.update_yaxes(title_text=f"MPIW over {groups[0]}", row=2, col=1, rangemode="tozero")
-    return styled(figure, height=620).update_layout(showlegend=True, margin_t=84)
+    return _with_legend_below(figure, height=620)
 
 
 def interval_figure(
@@ -101,6 +101,12 @@ def interval_figure(
         bins: parts that the flight is cut into; of each the extremes are drawn.
     """
     models, axes, colours = comparison["models"], _axes(comparison), _colours(comparison)
+    # Models that share a colour share an entry of the legend.
+    labels = {
+        name: model["method"] if list(colours.values()).count(colours[name]) > 1 else name
+        for name, model in models.items()
+    }
+    shown: set[str] = set()
     cutoffs = list(dict.fromkeys(model["cutoff_hz"] for model in models.values()))
     figure = make_subplots(
         rows=len(axes),
@@ -136,15 +142,22 @@ def interval_figure(
                     figure.add_scatter(
                         **series(result.time[drawn], values[drawn]),
                         line={"color": colours[name], "width": 1.4},
-                        name=name,
-                        legendgroup=name,
-                        showlegend=row == 1 and bound == "lower",
+                        name=labels[name],
+                        legendgroup=labels[name],
+                        showlegend=row == 1 and bound == "lower" and labels[name] not in shown,
                         **cell,
                     )
+                shown.add(labels[name])
     for row, axis in enumerate(axes, start=1):
         figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
     figure.update_xaxes(title_text="time [s]", row=len(axes))
-    return styled(figure, height=130 + 230 * len(axes)).update_layout(showlegend=True, margin_t=84)
+    return _with_legend_below(figure, height=130 + 230 * len(axes))
+
+
+def _with_legend_below(figure: go.Figure, height: int) -> go.Figure:
+    """Many entries above would lie under the buttons."""
+    styled(figure, height).update_layout(showlegend=True, margin_b=96)
+    return figure.update_layout(legend={"y": 0, "yanchor": "bottom"})
 
 
 def lines_drawn(comparison: Mapping[str, Any]) -> int:
