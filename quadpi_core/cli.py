@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperGroup
 
 from quadpi_core import __version__
 from quadpi_core.errors import QuadpiError
@@ -22,7 +23,26 @@ from quadpi_core.errors import QuadpiError
 if TYPE_CHECKING:
     from rich.console import Console
 
+
+class _Commands(TyperGroup):
+    """Says in one line that a command was interrupted, before click makes something of it."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """See click.Group."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interruption:
+            print(f"quadpi: interrupted; {interruption or 'nothing is half written'}", file=sys.stderr)
+            # What a shell gives for SIGTERM and SIGINT.
+            raise typer.Exit(143 if isinstance(interruption, _Terminated) else 130) from None
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM: what is half done is cleared away as on Ctrl-C."""
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="How far can an aerodynamic model of a quadrotor be trusted?",
     no_args_is_help=True,
     add_completion=False,
@@ -42,6 +62,10 @@ Adaptive = Annotated[
 ]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes to use; default: one per core.")]
+FileWorkers = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes to use; default: this one, from 32 flights on one per core."),
+]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler, whose workers to use instead.")
 ]
@@ -73,15 +97,30 @@ def import_(
     align: Annotated[
         bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
     ] = False,
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
 ) -> None:
     """Convert flight logs to MCAP bags with the standard topics."""
     from quadpi_core.logs.importing import import_logs
+    from quadpi_core.report.progress import counting
     from quadpi_core.vehicle import Vehicle
 
+    _check_outputs(logs, folders=[output])
     console = _console()
-    for bag, recording, alignment in import_logs(logs, Vehicle.load(vehicle), output, mapping, align=align):
-        topics = ", ".join(stream.topic for stream in recording.streams())
-        console.print(f"{bag}: {len(recording.imu)} IMU samples; topics {topics}", soft_wrap=True)
+    the_vehicle = Vehicle.load(vehicle)
+    with counting(console, "Logs", len(logs)) as progress:
+        bags = import_logs(
+            logs,
+            the_vehicle,
+            output,
+            mapping,
+            align=align,
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
+    for bag, imu_samples, topics, alignment in bags:
+        console.print(f"{bag}: {imu_samples} IMU samples; topics {', '.join(topics)}", soft_wrap=True)
         if alignment is not None:
             console.print(
                 f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
@@ -136,6 +175,8 @@ def identify(
     device: Annotated[
         Literal["cpu", "cuda"], typer.Option(help="That trains an ensemble; flying needs none.")
     ] = "cpu",
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -143,16 +184,22 @@ def identify(
     from quadpi_core.identification import CUTOFF_HZ, prepare_flights
     from quadpi_core.identification import identify as identify_model
     from quadpi_core.models.pool import load_pools, select_axes
+    from quadpi_core.models.storage import require_replaceable
+    from quadpi_core.report.progress import counting, identifying
     from quadpi_core.report.tables import held_out_table, selection_table
     from quadpi_core.vehicle import Vehicle
 
-    _check_outputs(bags, output, json_file, html_file)
+    _check_outputs(bags, json_file, html_file, folders=[output])
+    require_replaceable(output)
     console = _console()
     cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)
     pools = select_axes(load_pools(candidates), axes)
-    with console.status("Reading flights") as status:
-        flights = prepare_flights(bags, the_vehicle, cutoff)
+    with counting(console, "Reading flights", len(bags)) as read:
+        flights = prepare_flights(
+            bags, the_vehicle, cutoff, workers=workers, scheduler=scheduler, progress=read
+        )
+    with identifying(console) as progress:
         model = identify_model(
             flights,
             the_vehicle,
@@ -164,7 +211,7 @@ def identify(
             confidence=confidence,
             seed=seed,
             device=device,
-            progress=status.update,
+            progress=progress,
         ).save(output)
     for axis in model.axes:
         if model.selection[axis]:
@@ -204,6 +251,8 @@ def evaluate(
     device: Annotated[
         Literal["cpu", "cuda"], typer.Option(help="That trains the ensembles, where no model is given.")
     ] = "cpu",
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -222,7 +271,7 @@ def evaluate(
             raise QuadpiError(
                 "--vehicle: the paper's own table is of the HDBeetle; name model folders for others"
             )
-        _check_outputs([], output, json_file, html_file)
+        _check_outputs([], json_file, html_file, folders=[output])
         level = 0.95 if confidence is None else confidence
         with console.status("") as status:
             tunnel = wind_tunnel(confidence=level, device=device, folder=output, progress=status.update)
@@ -246,7 +295,7 @@ def evaluate(
         files = list(dict.fromkeys(path for group_files in members.values() for path in group_files))
         _check_outputs([*folders, *files], json_file, html_file)
         flights = {
-            cutoff: prepare_flights(files, the_vehicle, cutoff)
+            cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers, scheduler=scheduler)
             for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
         }
         names = [flight.name for flight in next(iter(flights.values()))]
@@ -269,11 +318,15 @@ def evaluate(
 @app.command()
 def replay(
     model: ModelFolder,
-    bag: Annotated[Path, typer.Argument(help="Flight to replay.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Bag to write.")],
+    bags: Bags,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Bag to write; for several flights, a folder for theirs.")
+    ],
     confidence: Confidence = None,
     adaptive: Adaptive = False,
     vehicle: OptionalVehicle = None,
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
     json_file: JsonFile = None,
 ) -> None:
     """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
@@ -282,16 +335,36 @@ def replay(
     from quadpi_core.models import AerodynamicModel
     from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
+    from quadpi_core.monitor.replay import replay_all, replay_outputs
+    from quadpi_core.report.progress import counting
     from quadpi_core.vehicle import Vehicle
 
-    _check_outputs([model, bag], output, json_file)
+    several = len(bags) > 1
+    _check_outputs([model, *bags], *(replay_outputs(bags, output) if several else [output]), json_file)
     the_model = AerodynamicModel.load(model)
     the_vehicle = Vehicle.load(vehicle or the_model.vehicle)
     the_model.require(the_vehicle)
     settings = MonitorSettings(adaptive=adaptive)
-    replayed = replay_bag(the_model, the_vehicle, bag, output, confidence=confidence, settings=settings)
-    summary = asdict(replayed)
-    _console().print_json(data=summary)
+    console = _console()
+    if several:
+        with counting(console, "Flights", len(bags)) as progress:
+            replayed = replay_all(
+                the_model,
+                the_vehicle,
+                bags,
+                output,
+                confidence=confidence,
+                settings=settings,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
+        summary = {"flights": {name: asdict(flight) for name, flight in replayed.items()}}
+    else:
+        summary = asdict(
+            replay_bag(the_model, the_vehicle, bags[0], output, confidence=confidence, settings=settings)
+        )
+    console.print_json(data=summary)
     _write_json(json_file, summary)
 
 
@@ -336,6 +409,7 @@ def simulate(
     ] = False,
 ) -> None:
     """Fly a scenario in the rotor-local simulation: a bag per flight, with its truth on /truth/…."""
+    from quadpi_core.config import is_config_path
     from quadpi_core.report.flights import flight_json, flight_table, summarise
     from quadpi_core.report.progress import flying
     from quadpi_core.simulation.choice import choose_flights, parse_effects
@@ -351,7 +425,7 @@ def simulate(
         seed=seed,
         effects=parse_effects(effect or ()),
     )
-    files = [Path(name) for name in (scenario, vehicle, noise) if name and name.endswith((".yaml", ".yml"))]
+    files = [Path(name) for name in (scenario, vehicle, noise) if name and is_config_path(name)]
     _check_outputs(files, *(output / f"{plan.name}.mcap" for plan in plans), json_file, html_file)
     console = _console()
     with flying(console, {plan.name: plan.duration_s for plan in plans}) as progress:
@@ -403,7 +477,7 @@ def validate(
     from quadpi_core.validation.result import summarise
 
     kept = (None, None) if output is None else (output / "models", output / "realisations")
-    _check_outputs(paths or [], *kept, json_file, html_file)
+    _check_outputs(paths or [], json_file, html_file, folders=kept)
     console = _console()
     training: Sequence[Any] = ()
     published = None
@@ -429,10 +503,10 @@ def validate(
             tally = run_realisations(
                 case, realisations, folder=kept[1], workers=workers, scheduler=scheduler, progress=progress
             )
-    except KeyboardInterrupt:
-        rest = "; what is finished is kept, and the next run goes on from there" if output else ""
-        print(f"quadpi: interrupted{rest}", file=sys.stderr)
-        raise typer.Exit(130) from None
+    except KeyboardInterrupt as interruption:
+        if output is not None:
+            interruption.args = ("what is finished is kept, and the next run goes on from there",)
+        raise
     result = summarise(case, tally, training=training, published=published)
     console.print(validation_tables(result))
     _write_json(json_file, result)
@@ -512,14 +586,20 @@ def _report(
     return evaluation
 
 
-def _check_outputs(inputs: list[Path], *outputs: Path | None) -> None:
-    """Refuse an output in the place of an input or of another output, or within either."""
+def _check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence[Path | None] = ()) -> None:
+    """Refuse what cannot be written, and an output in the place of an input or another output, or within."""
+    from quadpi_core.paths import require_file, require_folder
+
     taken = [path.resolve() for path in inputs]
-    for output in filter(None, outputs):
+    for output in filter(None, (*folders, *files)):
         place = output.resolve()
         if any(place.is_relative_to(path) for path in taken):
             raise QuadpiError(f"{output}: would replace or alter an input or another output; choose another")
         taken.append(place)
+    for folder in filter(None, folders):
+        require_folder(folder)
+    for file in filter(None, files):
+        require_file(file)
 
 
 def _write_json(path: Path | None, data: dict[str, Any]) -> None:
@@ -535,10 +615,13 @@ def _console() -> Console:
     return Console()
 
 
+def _terminate(*_: object) -> None:
+    raise _Terminated
+
+
 def main() -> None:
     """Entry point of the command `quadpi`."""
-    # So that what is half done is cleared away as on Ctrl-C; 143 is what a shell gives for SIGTERM.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    signal.signal(signal.SIGTERM, _terminate)
     try:
         app()
     except QuadpiError as error:

@@ -32,7 +32,7 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
     """
     path = Path(name_or_path)
     own = config_directory() / (kind if kind == "noise" else f"{kind}s")
-    if path.suffix not in {".yaml", ".yml"}:
+    if not is_config_path(name_or_path):
         path = own / f"{name_or_path}.yaml"
     try:
         return path, yaml.load(path.read_text(), _Loader)
@@ -44,6 +44,11 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
         ) from None
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as reason:
         raise error(f"{path}: not a readable YAML file: {one_line(reason)}") from reason
+
+
+def is_config_path(name_or_path: str | Path) -> bool:
+    """Whether it is the path of a file, and not a name in config."""
+    return Path(name_or_path).suffix in {".yaml", ".yml"}
 
 
 # No quantity is larger, or smaller unless it is zero; powers and products of such numbers stay finite.

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from quadpi_core.errors import LogError, ModelError
-from quadpi_core.flight import AXES, Flight, Recording
+from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.intervals.adaptive import AdaptiveFactor
 from quadpi_core.intervals.evaluate import FlightResult, evaluate_flights
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.duplicates import refuse_duplicates
+from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.ensembles.bootstrap import BootstrapEnsemble
@@ -30,6 +30,7 @@ from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.selection import StopRule
 from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.parallel import map_files
 from quadpi_core.signals.fusion import fuse
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
@@ -68,27 +69,80 @@ class PreparedFlight:
     height: Array
 
 
-def prepare_flights(paths: Sequence[Path], vehicle: Vehicle, cutoff_hz: float) -> list[PreparedFlight]:
+class Step(str):
+    """Words on how far an identification has come, with the numbers to draw it by.
+
+    Attributes:
+        task: what is being done.
+        done: axes or epochs that are finished.
+        total: of them.
+        loss: of networks, see :class:`quadpi_core.models.ensembles.training.Progress`.
+        coverage: see there.
+    """
+
+    task: str
+    done: int
+    total: int
+    loss: float | None
+    coverage: float | None
+
+    @classmethod
+    def fitting(cls, axis: str, done: int, total: int) -> Step:
+        """Before a polynomial is fitted."""
+        step = cls(f"Identifying {axis}")
+        step.task, step.done, step.total, step.loss, step.coverage = str(step), done, total, None, None
+        return step
+
+    @classmethod
+    def training(cls, state: Progress) -> Step:
+        """After an epoch."""
+        covered = "" if state.coverage is None else f", coverage {state.coverage:.1%} of what it has not seen"
+        task = f"Training {state.stage}"
+        step = cls(f"{task}: epoch {state.epoch} of {state.epochs}, loss {state.loss:.3g}{covered}")
+        step.task, step.done, step.total = task, state.epoch, state.epochs
+        step.loss, step.coverage = state.loss, state.coverage
+        return step
+
+
+def prepare_flights(
+    paths: Sequence[Path],
+    vehicle: Vehicle,
+    cutoff_hz: float,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> list[PreparedFlight]:
     """Read, fuse and filter bags; only the part in the air is kept.
+
+    Args:
+        paths: bags, or logs that need no mapping.
+        vehicle: that flew.
+        cutoff_hz: of the low-pass over all signals.
+        workers: see :func:`quadpi_core.parallel.map_files`; the flights are the same whatever does the work.
+        scheduler: see there.
+        progress: see there.
 
     Raises:
         LogError: for what cannot be read or used, and a flight present twice, naming the files.
         SignalError: naming the file, where the signals cannot be fused.
+        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
     """
-    recordings = [read_recording(path, vehicle) for path in paths]
-    hashes = refuse_duplicates(recordings)
-    return [
-        _prepare(recording, sha256, vehicle, cutoff_hz)
-        for recording, sha256 in zip(recordings, hashes, strict=True)
-    ]
+    flights = map_files(
+        _prepare, paths, shared=(vehicle, cutoff_hz), workers=workers, scheduler=scheduler, progress=progress
+    )
+    refuse_duplicates(zip(map(str, paths), (flight.sha256 for flight in flights), strict=True))
+    return flights
 
 
-def _prepare(recording: Recording, sha256: str, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
+def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
+    vehicle, cutoff_hz = task
+    recording = read_recording(path, vehicle)
     check_plausible(recording, vehicle)
     flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
     return PreparedFlight(
         name=flight.name,
-        sha256=sha256,
+        sha256=recording_hash(recording),
         time=flight.time,
         inputs=flight_inputs(flight, vehicle),
         wrench=measured_wrench(flight, vehicle),
@@ -125,7 +179,7 @@ def identify(
     confidence: float = 0.95,
     seed: int = 0,
     device: str = "cpu",
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[Step], None] = lambda _: None,
 ) -> AerodynamicModel:
     """Identify a model of every axis of `pools`, with its envelope.
 
@@ -140,7 +194,7 @@ def identify(
         confidence: nominal coverage that the monitor will use, and quality-driven bounds are trained for.
         seed: of an ensemble.
         device: that trains an ensemble, "cpu" or "cuda".
-        progress: called with words on how far it has come.
+        progress: called before each polynomial, or after each epoch of an ensemble.
 
     Raises:
         ModelError: naming the axis.
@@ -154,7 +208,7 @@ def identify(
     if method == "polynomial":
         polynomials = {axis: _polynomial(pools[axis], settings, stop) for axis in axes}
         for column, axis in enumerate(axes):
-            progress(f"Identifying {axis}")
+            progress(Step.fitting(axis, column, len(axes)))
             with _naming(axis):
                 polynomials[axis].fit(inputs, targets[:, column], labels)
         estimators = polynomials
@@ -164,7 +218,7 @@ def identify(
         ensembles = {
             axis: _ensemble(axis, pools[axis], method, settings, confidence, seed, device) for axis in axes
         }
-        fit_axes(ensembles, inputs, targets, labels, lambda state: progress(_words(state)))
+        fit_axes(ensembles, inputs, targets, labels, lambda state: progress(Step.training(state)))
         estimators = ensembles
     fitted: dict[str, FittedAxis] = {axis: estimators[axis].fitted_ for axis in axes}
     for axis in axes:
@@ -189,11 +243,6 @@ def identify(
             axis: [] if shares is None else shares.tolist() for axis, shares in coverage.items()
         },
     )
-
-
-def _words(state: Progress) -> str:
-    covered = "" if state.coverage is None else f", coverage {state.coverage:.1%} of what it has not seen"
-    return f"Training {state.stage}: epoch {state.epoch} of {state.epochs}, loss {state.loss:.3g}{covered}"
 
 
 def _polynomial(pool: CandidatePool, settings: Settings, stop: StopRule | None) -> StepwisePolynomial:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -50,19 +51,103 @@ def whole_output(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: if `path` cannot be written.
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise OutputError(f"{path}: is neither a file nor a folder: not replaced")
-    try:
+    with _naming(path):
+        _refuse_device(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        temporary = scratch / path.name
+        temporary, replaced = scratch / path.name, scratch / "replaced"
         try:
             yield temporary
             if temporary.is_dir() and path.is_dir() and not path.is_symlink():
-                path.rename(scratch / "replaced")
+                path.rename(replaced)
             temporary.replace(path)
         finally:
+            if replaced.exists() and not path.exists():
+                replaced.rename(path)
             shutil.rmtree(scratch, ignore_errors=True)
+
+
+@contextmanager
+def whole_outputs(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder, the files in which move to `folder` once the block succeeds: all or none.
+
+    They replace files of the same names there, and leave others alone. The temporary folder lies in `folder`,
+    or above it where there is none yet.
+
+    Raises:
+        OutputError: if they cannot be written there.
+    """
+    require_folder(folder)
+    with _naming(folder):
+        staging = tempfile.TemporaryDirectory(
+            prefix=f".{folder.name}.", dir=_standing(folder), ignore_cleanup_errors=True
+        )
+    with staging as name:
+        yield Path(name)
+        made = [file for file in sorted(Path(name).iterdir()) if file.is_file()]
+        for file in made:
+            require_file(folder / file.name)
+        with _naming(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            for file in made:
+                file.replace(folder / file.name)
+
+
+def staged(staging: Path, name: str) -> Path:
+    """Path of a file to write in the temporary folder of :func:`whole_outputs`.
+
+    Raises:
+        OutputError: if that is gone: workers of a cluster outlive a run that was interrupted.
+    """
+    if not staging.is_dir():
+        raise OutputError(f"{staging / name}: not written: the run that asked for it has ended")
+    return staging / name
+
+
+def require_file(path: Path) -> None:
+    """Refuse a path at which no file can be written.
+
+    Raises:
+        OutputError: if it is a folder or device, or nothing can be written beside it.
+    """
+    with _naming(path):
+        _refuse_device(path)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        _require_place(path.parent)
+
+
+def require_folder(path: Path) -> None:
+    """Refuse a path at which no folder can be made, or filled.
+
+    Raises:
+        OutputError: if it is a file or device, or nothing can be written there.
+    """
+    with _naming(path):
+        _refuse_device(path)
+        _require_place(path)
+
+
+def _require_place(folder: Path) -> None:
+    """Write something into a folder, or where it would be made: permissions alone do not tell."""
+    Path(tempfile.mkdtemp(prefix=".quadpi.", dir=_standing(folder))).rmdir()
+
+
+def _standing(folder: Path) -> Path:
+    """The folder itself, or the lowest above it that is there."""
+    return next(place for place in (folder, *folder.parents) if place.exists())
+
+
+def _refuse_device(path: Path) -> None:
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OutputError(f"{path}: is neither a file nor a folder: not replaced")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Say in an error what could not be written."""
+    try:
+        yield
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.identification import CUTOFF_HZ, identify, judge, prepare_flights
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
 from quadpi_core.paths import bags_directory, write_json
@@ -95,10 +96,10 @@ def _real_flights(data: Path, output: Path, console: Console) -> DemoFlights:
     vehicle = Vehicle.load("neurobem")
     console.rule("1  Import: flight logs to MCAP bags")
     groups: dict[str, list[Path]] = {"identification": [], "extrapolation": []}
-    for bag, recording, _ in import_logs(logs, vehicle, output / "bags"):
-        speed = float(np.linalg.norm(recording.odometry.velocity, axis=1).max())
+    for bag, imu_samples, _, _ in import_logs(logs, vehicle, output / "bags"):
+        speed = float(np.linalg.norm(read_recording(bag, vehicle).odometry.velocity, axis=1).max())
         groups["identification" if speed < FASTEST_IDENTIFIED_M_S else "extrapolation"].append(bag)
-        console.print(f"{bag}: {len(recording.imu)} IMU samples, up to {speed:.1f} m/s")
+        console.print(f"{bag}: {imu_samples} IMU samples, up to {speed:.1f} m/s")
     if len(groups["identification"]) < 2 or not groups["extrapolation"]:
         raise QuadpiError(what_to_provide)
     return DemoFlights(vehicle, groups, groups["extrapolation"][0])

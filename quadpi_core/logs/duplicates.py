@@ -34,16 +34,14 @@ def _update(digest: hashlib._Hash, time_ns: Stamps, *signals: Array) -> None:
         digest.update((values + 0.0).astype("<f4").tobytes())
 
 
-def refuse_duplicates(recordings: Iterable[Recording]) -> list[str]:
-    """Refuse a flight that is present twice; gives the hash of each (see :func:`recording_hash`).
+def refuse_duplicates(flights: Iterable[tuple[str, str]]) -> None:
+    """Refuse a flight that is present twice, of flights as source and hash (see :func:`recording_hash`).
 
     Raises:
         LogError: naming both files.
     """
     seen: dict[str, str] = {}
-    for recording in recordings:
-        digest = recording_hash(recording)
+    for source, digest in flights:
         if digest in seen:
-            raise LogError(f"{recording.source}: the same flight as {seen[digest]}; give each flight once")
-        seen[digest] = recording.source
-    return list(seen)
+            raise LogError(f"{source}: the same flight as {seen[digest]}; give each flight once")
+        seen[digest] = source

@@ -4,16 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from quadpi_core.config import is_config_path
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.logs.duplicates import refuse_duplicates
+from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
+from quadpi_core.parallel import map_files
+from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.signals.alignment import Alignment, align_pose
 from quadpi_core.vehicle import Vehicle
 
@@ -22,40 +25,81 @@ class Imported(NamedTuple):
     """A bag that was written, what it holds, and how its poses were moved in time, if they were."""
 
     bag: Path
-    recording: Recording
+    imu_samples: int
+    topics: tuple[str, ...]
     alignment: Alignment | None
 
 
 def import_logs(
-    logs: Sequence[Path], vehicle: Vehicle, folder: Path, mapping: str | None = None, *, align: bool = False
-) -> Iterator[Imported]:
-    """Write one bag per log into `folder`; gives each as soon as it is written.
+    logs: Sequence[Path],
+    vehicle: Vehicle,
+    folder: Path,
+    mapping: str | None = None,
+    *,
+    align: bool = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> list[Imported]:
+    """Write one bag per log into `folder`: all of them, or none.
 
-    With `align`, the stamps of the poses are moved so that the turns they show match the gyro's.
+    All logs are read and checked before the first bag appears there.
 
-    All logs are read and checked before the first bag is written.
+    Args:
+        logs: of any known format.
+        vehicle: that flew.
+        folder: bags of the same names in it are replaced.
+        mapping: see :func:`quadpi_core.logs.read_recording`.
+        align: move the stamps of the poses so that the turns they show match the gyro's.
+        workers: see :func:`quadpi_core.parallel.map_files`; the bytes are the same whatever does the work.
+        scheduler: see there.
+        progress: see there.
 
     Raises:
         LogError: naming file, topic and sample, for a log that cannot be read or is not plausible, a flight
             present twice, two logs of the same name, and a bag that would replace its own log.
         SignalError: naming the log, if `align` finds no pose or no offset at which the turns match.
+        OutputError: if the bags cannot be written.
+        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
     """
-    recordings = [read_recording(log, vehicle, mapping) for log in logs]
-    stems: dict[str, Path] = {}
-    for log, recording in zip(logs, recordings, strict=True):
-        if recording.name in stems:
-            raise LogError(f"{log}: would be written to the same bag as {stems[recording.name]}")
-        stems[recording.name] = log
-        if _bag(folder, recording).resolve() == log.resolve():
-            raise LogError(f"{log}: its own bag would replace it; choose another folder")
-        check_plausible(recording, vehicle)
-    refuse_duplicates(recordings)
-    aligned = [align_pose(recording) if align else (recording, None) for recording in recordings]
-    for recording, alignment in aligned:
-        bag = _bag(folder, recording)
-        write_bag(bag, recording)
-        yield Imported(bag, recording, alignment)
+    if scheduler is not None and mapping is not None and is_config_path(mapping):
+        mapping = str(Path(mapping).absolute())
+    with whole_outputs(folder) as staging:
+        task = _Conversion(vehicle, mapping, align, staging.absolute())
+        converted = map_files(
+            _convert, logs, shared=task, workers=workers, scheduler=scheduler, progress=progress
+        )
+        sources: dict[str, Path] = {}
+        for log, (imported, _) in zip(logs, converted, strict=True):
+            name = imported.bag.name
+            if name in sources:
+                raise LogError(f"{log}: would be written to the same bag as {sources[name]}")
+            sources[name] = log
+            if (folder / name).resolve() == log.resolve():
+                raise LogError(f"{log}: its own bag would replace it; choose another folder")
+        refuse_duplicates((str(log), sha256) for log, (_, sha256) in zip(logs, converted, strict=True))
+    return [imported._replace(bag=folder / imported.bag.name) for imported, _ in converted]
 
 
-def _bag(folder: Path, recording: Recording) -> Path:
-    return folder / f"{recording.name}.mcap"
+@dataclass(frozen=True)
+class _Conversion:
+    """What the conversion of each log needs."""
+
+    vehicle: Vehicle
+    mapping: str | None
+    align: bool
+    staging: Path
+
+
+def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
+    """The bag of a log in the temporary folder, and the hash of the flight."""
+    recording = read_recording(log, task.vehicle, task.mapping)
+    check_plausible(recording, task.vehicle)
+    sha256 = recording_hash(recording)
+    alignment = None
+    if task.align:
+        recording, alignment = align_pose(recording)
+    bag = staged(task.staging, f"{recording.name}.mcap")
+    write_bag(bag, recording)
+    topics = tuple(stream.topic for stream in recording.streams())
+    return Imported(bag, len(recording.imu), topics, alignment), sha256

@@ -27,7 +27,7 @@ from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.monitor.envelope import Envelope
-from quadpi_core.paths import whole_output
+from quadpi_core.paths import require_folder, whole_output
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
@@ -40,7 +40,7 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
     Raises:
         OutputError: if the folder cannot be written, or holds what is not part of a model and would be lost.
     """
-    _refuse_other_content(folder)
+    require_replaceable(folder)
     arrays: dict[str, Array] = {}
     axes: dict[str, Any] = {}
     for axis, fitted in model.fitted.items():
@@ -136,11 +136,23 @@ def _axis(method: str, axis: str, entry: dict[str, Any], arrays: dict[str, Array
         raise ModelError(f"{axis}: {error}") from error
 
 
-def _refuse_other_content(folder: Path) -> None:
-    if folder.is_dir():
-        for path in sorted(folder.iterdir()):
-            if path.name not in {MODEL_FILE, ARRAYS_FILE}:
-                raise OutputError(f"{folder}: holds {path.name}, which is not part of a model: not replaced")
+def require_replaceable(folder: Path) -> None:
+    """Refuse a folder that a model cannot take the place of.
+
+    Raises:
+        OutputError: if it cannot be replaced, or holds what is not part of a model and would be lost.
+    """
+    require_folder(folder.parent)
+    if foreign := _foreign(folder):
+        raise OutputError(f"{folder}: holds {foreign}, which is not part of a model: not replaced")
+
+
+def _foreign(folder: Path) -> str | None:
+    """Name of something in a folder that is not part of a model."""
+    if not folder.is_dir():
+        return None
+    names = sorted({path.name for path in folder.iterdir()} - {MODEL_FILE, ARRAYS_FILE})
+    return names[0] if names else None
 
 
 def _refuse_constant(text: str) -> float:

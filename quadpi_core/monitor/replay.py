@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,8 @@ from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.output import Alarms
 from quadpi_core.monitor.pairing import TIMEOUT_S, PairedSamples
+from quadpi_core.parallel import map_files
+from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
 from quadpi_core.signals.resample import interpolate, interpolate_attitude, nominal_rate
@@ -118,6 +121,81 @@ def replay(
         {"vehicle": vehicle.name, "model": model.identity, "source": recording.name, "version": __version__},
     )
     return _summarise(recording, len(samples.time_ns), len(predictions.time_ns), alarms)
+
+
+def replay_all(
+    model: AerodynamicModel,
+    vehicle: Vehicle,
+    bags: Sequence[Path],
+    folder: Path,
+    *,
+    confidence: float | None = None,
+    settings: MonitorSettings | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> dict[str, ReplaySummary]:
+    """Replay several flights, each into a bag of its name in a folder: all of them, or none.
+
+    Args:
+        model: see :func:`replay`.
+        vehicle: see there.
+        bags: of different names.
+        folder: bags of the same names in it are replaced.
+        confidence: see there.
+        settings: see there.
+        workers: see :func:`quadpi_core.parallel.map_files`; the bags are those that :func:`replay` writes.
+        scheduler: see there.
+        progress: see there.
+
+    Returns:
+        What came of each, by name.
+
+    Raises:
+        LogError: see :func:`replay`; for two bags of the same name.
+        OutputError: if the bags cannot be written.
+        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
+    """
+    outputs = replay_outputs(bags, folder)
+    with whole_outputs(folder) as staging:
+        task = _Replay(model, vehicle, confidence, settings, staging.absolute())
+        summaries = map_files(
+            _replay, bags, shared=task, workers=workers, scheduler=scheduler, progress=progress
+        )
+    return {output.stem: summary for output, summary in zip(outputs, summaries, strict=True)}
+
+
+def replay_outputs(bags: Sequence[Path], folder: Path) -> list[Path]:
+    """The bags that :func:`replay_all` writes.
+
+    Raises:
+        LogError: for two flights of the same name, and a bag in the place of its flight.
+    """
+    taken: dict[Path, Path] = {}
+    for bag in bags:
+        output = folder / f"{bag.stem}.mcap"
+        if output in taken:
+            raise LogError(f"{bag}: would be replayed to the same bag as {taken[output]}")
+        if output.resolve() == bag.resolve():
+            raise LogError(f"{bag}: the output would replace the flight; choose another folder")
+        taken[output] = bag
+    return list(taken)
+
+
+@dataclass(frozen=True)
+class _Replay:
+    """What the replay of each flight needs."""
+
+    model: AerodynamicModel
+    vehicle: Vehicle
+    confidence: float | None
+    settings: MonitorSettings | None
+    staging: Path
+
+
+def _replay(task: _Replay, bag: Path) -> ReplaySummary:
+    output = staged(task.staging, f"{bag.stem}.mcap")
+    return replay(task.model, task.vehicle, bag, output, confidence=task.confidence, settings=task.settings)
 
 
 def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[ImuStream, OdometryStream]:

@@ -6,9 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from quadpi_core.identification import Step
 
 
 @contextmanager
@@ -27,8 +31,7 @@ def flying(console: Console, durations: Mapping[str, float]) -> Iterator[Callabl
         TextColumn("· {task.fields[done]} of {task.fields[flights]} flights"),
         TimeRemainingColumn(),
     )
-    shown = console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=not shown) as bar:
+    with _bar(console, *columns) as bar:
         task = bar.add_task("", total=sum(durations.values()), done=0, flights=len(durations))
 
         def report(flight: str, seconds: float) -> None:
@@ -54,6 +57,40 @@ def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int]
         TextColumn("{task.completed} of {task.total}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with _bar(console, *columns) as bar:
         task = bar.add_task("", total=total)
         yield lambda finished: bar.update(task, completed=finished)
+
+
+@contextmanager
+def identifying(console: Console) -> Iterator[Callable[[Step], None]]:
+    """A bar over the axes or epochs of an identification; give it each step.
+
+    Args:
+        console: to draw on; where it is no terminal nothing is drawn.
+    """
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[count]}{task.fields[quality]}"),
+        TimeRemainingColumn(),
+    )
+    with _bar(console, *columns) as bar:
+        task = bar.add_task("Identifying", total=None, count="", quality="")
+
+        def report(step: Step) -> None:
+            if step.task != bar.tasks[0].description:
+                bar.reset(task, total=step.total, description=step.task)
+            count = f"{step.done} of {step.total}"
+            quality = "" if step.loss is None else f" · loss {step.loss:.3g}"
+            if step.coverage is not None:
+                quality += f" · coverage {step.coverage:.1%} of what it has not seen"
+            bar.update(task, completed=step.done, count=count, quality=quality)
+
+        yield report
+
+
+def _bar(console: Console, *columns: ProgressColumn) -> Progress:
+    """A bar, drawn on a terminal only: colours may be forced on a pipe, lines that replace lines may not."""
+    drawn = console.is_interactive and console.file.isatty()
+    return Progress(*columns, console=console, transient=True, disable=not drawn)
