@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test lint format bench environment clean
+.PHONY: help demo test lint format bench tables environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -32,6 +32,10 @@ format: environment ## format the code and mend what ruff can mend
 bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=name for one)
 	@sh tools/bootstrap.sh --train --bench
 	@$(BIN)/python -m benchmarks $(if $(ONLY),--only $(ONLY))
+
+tables: ## renew docs/paper-tables.md (TABLES_ARGS="--only tunnel --data FOLDER")
+	@sh tools/bootstrap.sh --train
+	@$(BIN)/python tools/paper_tables.py $(TABLES_ARGS)
 
 environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)
 	@sh tools/bootstrap.sh

@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Results as Markdown tables, in the form of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
+from statistics import NormalDist
+from typing import Any
+
+from quadpi_core.flight import AXES
+from quadpi_core.report import comparison as compared
+from quadpi_core.report.style import hundredths, unit
+from quadpi_core.report.tables import final_terms
+from quadpi_core.validation.result import VARIATIONS
+
+_PAPER = "*paper's*"
+_COVERAGE = ("training", *VARIATIONS)
+_WIDTH = _COVERAGE[:-1]
+_HEADINGS = dict(zip(_COVERAGE, ("train", "model", "meas.", "both"), strict=True))
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) -> str:
+    """A Markdown table.
+
+    Args:
+        headings: of the columns, as Markdown.
+        rows: cells, as Markdown.
+        texts: number of leading columns that hold text; the others are aligned right.
+    """
+    rule = [":--" if place < texts else "--:" for place in range(len(headings))]
+    lines = [headings, rule, *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
+
+
+def comparison(result: Mapping[str, Any]) -> str:
+    """Coverage and width of several models on groups of flights.
+
+    Args:
+        result: as :func:`quadpi_core.comparison.compare` gives it.
+    """
+    groups, confidence = list(result["groups"]), result["confidence"]
+    headings = ["axis", "model", *(f"PICP % {group}" for group in groups), *(f"MPIW {g}" for g in groups)]
+    rows, axis = [], ""
+    for row in compared.rows(result):
+        published = row.model is None
+        numbers = [row.coverage(group, confidence) for group in groups] + [row.width(g) for g in groups]
+        rows.append(
+            [
+                "" if row.axis == axis else f"{row.axis} [{unit(row.axis)}]",
+                row.model or _PAPER,
+                *(f"*{text}*" if published else text for text in numbers),
+            ]
+        )
+        axis = row.axis
+    return table(headings, rows, texts=2)
+
+
+def validation(results: Sequence[Mapping[str, Any]], axes: Sequence[str] = AXES) -> str:
+    """Coverage and width under noise, the settings of a method and the paper's numbers below each other.
+
+    Args:
+        results: as :func:`quadpi_core.validation.result.summarise` gives them, of the same models by name.
+        axes: to show.
+    """
+    headings = ["axis", "method", "settings"]
+    headings += [f"PICP % {_HEADINGS[key]}" for key in _COVERAGE]
+    headings += [f"NMPIW % {_HEADINGS[key]}" for key in _WIDTH]
+    published = results[0]["published"] or {}
+    rows = []
+    for axis in axes:
+        for place, name in enumerate(results[0]["models"]):
+            for again, result in enumerate(results):
+                model = result["models"][name]
+                cells = _validation_cells(model["axes"][axis], result["confidence"])
+                first = axis if place == again == 0 else ""
+                rows.append([first, "" if again else name, model["settings"], *cells])
+            if known := published.get(name, {}).get(axis):
+                cells = [f"*{cell}*" if cell else "" for cell in _validation_cells(known, None)]
+                rows.append(["", "", _PAPER, *cells])
+    return table(headings, rows, texts=3)
+
+
+def _validation_cells(found: Mapping[str, Any], confidence: float | None) -> list[str]:
+    """Percentages of one row; coverage below the confidence of the intervals is marked, if there is one."""
+    cells = []
+    for key in _COVERAGE:
+        part = found.get(key)
+        if part is None:
+            cells.append("")
+            continue
+        # Training and combined variation stand for reference.
+        short = confidence is not None and key in VARIATIONS[:2] and part["picp"] < confidence
+        cells.append(("▼ " if short else "") + hundredths(part["picp"]))
+    for key in _WIDTH:
+        part = found.get(key)
+        cells.append("" if part is None or part["nmpiw"] is None else f"{100.0 * part['nmpiw']:.2f}")
+    return cells
+
+
+def structures(selection: Mapping[str, Sequence[Mapping[str, Any]]], axes: Sequence[str]) -> str:
+    """Terms, coefficients and R² of polynomials in the order of selection; fixed terms are in italics.
+
+    Args:
+        selection: selection log by axis, as a model holds it.
+        axes: to show side by side.
+    """
+    headings = [text for axis in axes for text in (axis, "coefficient", "R²")]
+    rows = []
+    for steps in zip_longest(*(final_terms(selection[axis]) for axis in axes)):
+        cells: list[str] = []
+        for step in steps:
+            if step is None:
+                cells += ["", "", ""]
+                continue
+            term, coefficient, r2 = step.cells()
+            cells += [f"*`{term}`*" if step.fixed else f"`{term}`", coefficient, r2]
+        rows.append(cells)
+    return table(headings, rows)
+
+
+def left_out(
+    plain: Mapping[str, Mapping[str, Any]],
+    adaptive: Mapping[str, Mapping[str, Any]],
+    names: Mapping[str, str],
+) -> str:
+    """Coverage of flights by models of the others, and width over that of an ideal constant interval.
+
+    Args:
+        plain: by flight, comparison of models of the other flights on it, as
+            :func:`quadpi_core.comparison.compare` gives it with the one group `all`.
+        adaptive: the same with adaptive intervals.
+        names: of the flights as to be shown.
+    """
+    first = next(iter(plain.values()))
+    axes = compared.held_axes(first)
+    rows = []
+    for flight, name in names.items():
+        for place, model in enumerate(first["models"]):
+            for kind, results in (("fixed", plain), ("adaptive", adaptive)):
+                result = results[flight]
+                found = result["models"][model]["groups"]["all"]["axes"]
+                cells = [_ratio_cell(found[axis], result["confidence"]) for axis in axes]
+                shown = name if place == 0 and kind == "fixed" else ""
+                rows.append([shown, model if kind == "fixed" else "", kind, *cells])
+    return table(["flight", "model", "intervals", *axes], rows, texts=3)
+
+
+def _ratio_cell(metrics: Mapping[str, Any], confidence: float) -> str:
+    ratio = metrics["mpiw"] / ideal_width(metrics, confidence)
+    return f"{100.0 * metrics['picp']:.1f} · {ratio:.2f}"
+
+
+def ideal_width(metrics: Mapping[str, Any], confidence: float) -> float:
+    """Width that a perfect constant interval would need on normal errors of that RMSE."""
+    return 2.0 * NormalDist().inv_cdf(0.5 + 0.5 * confidence) * float(metrics["rmse"])
