@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -13,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.errors import OutputError
 from quadpi_core.flight import Stamps
+from quadpi_core.paths import require_file, whole_outputs
 from quadpi_core.simulation.bags import write_simulated_bag
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.noise import SensorSuite
@@ -65,30 +64,21 @@ def simulate(
     vehicles = {plan.vehicle: SimulatedVehicle.load(plan.vehicle) for plan in plans}
     suites = {plan.noise: SensorSuite.load(plan.noise) for plan in plans}
     steps = [np.zeros(1, dtype=np.int64) for _ in plans]
-    if output.exists() and not output.is_dir():
-        raise OutputError(f"{output}: is no folder")
     for plan in plans:
-        if (output / f"{plan.name}.mcap").is_dir():
-            raise OutputError(f"{output / plan.name}.mcap: is a folder")
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        beside = output if output.is_dir() else output.parent
-        with tempfile.TemporaryDirectory(prefix=".simulate.", dir=beside) as staging:
-            # Threads suffice: flight, random numbers and compression run outside the interpreter's lock.
-            with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-                futures = [
-                    pool.submit(_one, plan, vehicles[plan.vehicle], suites[plan.noise], Path(staging), done)
-                    for plan, done in zip(plans, steps, strict=True)
-                ]
-                try:
-                    _watch(plans, steps, futures, progress)
-                finally:
-                    pool.shutdown(wait=False, cancel_futures=True)
-            flights = [future.result() for future in futures]
-            output.mkdir(exist_ok=True)
-            return [replace(flight, bag=flight.bag.replace(output / flight.bag.name)) for flight in flights]
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written: {error.strerror or error}") from error
+        require_file(output / f"{plan.name}.mcap")
+    with whole_outputs(output) as staging:
+        # Threads suffice: flight, random numbers and compression run outside the interpreter's lock.
+        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+            futures = [
+                pool.submit(_one, plan, vehicles[plan.vehicle], suites[plan.noise], staging, done)
+                for plan, done in zip(plans, steps, strict=True)
+            ]
+            try:
+                _watch(plans, steps, futures, progress)
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+        flights = [future.result() for future in futures]
+    return [replace(flight, bag=output / flight.bag.name) for flight in flights]
 
 
 def _one(

@@ -100,4 +100,11 @@ def test_folder_in_the_place_of_a_bag(refused, tmp_path):
     taken = tmp_path / "bags" / "centre_5.mcap"
     taken.mkdir(parents=True)
     options = ("--flight", "centre_3", "--flight", "centre_5")
-    refused("bags/centre_5.mcap: is a folder", "simulate", "orbit", "-o", tmp_path / "bags", *options)
+    refused(
+        "bags/centre_5.mcap: cannot be written: Is a directory",
+        "simulate",
+        "orbit",
+        "-o",
+        tmp_path / "bags",
+        *options,
+    )
