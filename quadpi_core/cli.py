@@ -7,9 +7,10 @@ Each command imports what it needs when it runs, so that `--help` answers at onc
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -32,7 +33,7 @@ class _Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as interruption:
-            print(f"quadpi: interrupted; {interruption or 'nothing is half written'}", file=sys.stderr)
+            print(f"quadpi: interrupted; {str(interruption) or 'nothing is half written'}", file=sys.stderr)
             # What a shell gives for SIGTERM and SIGINT.
             raise typer.Exit(143 if isinstance(interruption, _Terminated) else 130) from None
 
@@ -257,62 +258,60 @@ def evaluate(
     html_file: HtmlFile = None,
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
-    from quadpi_core.comparison import common_confidence, compare, load_models
-    from quadpi_core.identification import prepare_flights
+    from quadpi_core.comparison import compare, given_comparison
     from quadpi_core.report.comparison import comparison_table, write_comparison_page
     from quadpi_core.report.tables import evaluation_table
-    from quadpi_core.vehicle import Vehicle
 
     console = _console()
-    if not paths and not group:
-        from quadpi_core.validation.windtunnel import published_table, wind_tunnel
+    if paths or group:
+        if output is not None:
+            raise QuadpiError(
+                "-o: keeps what the paper's table is made from, where no model and flight is given"
+            )
+        if not paths:
+            raise QuadpiError(
+                "no model given: name model folders first, or nothing at all for the paper's table"
+            )
+        folders = [path for place, path in enumerate(paths) if place == 0 or path.is_dir()]
+        members = group_bags([path for path in paths if path not in folders], group or [])
+        _check_outputs(
+            [*folders, *(path for bags in members.values() for path in bags)], json_file, html_file
+        )
+        comparison = given_comparison(
+            folders, members, vehicle=vehicle, confidence=confidence, workers=workers, scheduler=scheduler
+        )
+    else:
+        from quadpi_core.validation.windtunnel import wind_tunnel
 
         if vehicle is not None:
             raise QuadpiError(
-                "--vehicle: the paper's own table is of the HDBeetle; name model folders for others"
+                "--vehicle: the paper's table is of the HDBeetle; of others name models and flights"
             )
-        _check_outputs([], json_file, html_file, folders=[output])
-        level = 0.95 if confidence is None else confidence
+        kept = (None, None) if output is None else (output / "bags", output / "models")
+        _check_outputs([], json_file, html_file, folders=kept)
         with console.status("") as status:
-            tunnel = wind_tunnel(confidence=level, device=device, folder=output, progress=status.update)
-        models, flights, groups = tunnel.models, tunnel.flights, tunnel.groups
-        published = published_table()
-    else:
-        if output is not None:
-            raise QuadpiError("-o: keeps what the paper's own table is made from; give no models and flights")
-        folders = [path for path in paths or [] if path.is_dir()]
-        if not folders:
-            first = f"{paths[0]}: is no model folder" if paths else "no model folder given"
-            raise QuadpiError(
-                f"{first}: name model folders and flights, or nothing for the paper's own table"
+            comparison = wind_tunnel(
+                confidence=0.95 if confidence is None else confidence,
+                device=device,
+                folder=output,
+                workers=workers,
+                scheduler=scheduler,
+                progress=status.update,
             )
-        models, published = load_models(folders), None
-        the_vehicle = Vehicle.load(vehicle or next(iter(models.values())).vehicle)
-        for model in models.values():
-            model.require(the_vehicle)
-        level = common_confidence(models, confidence)
-        members = group_bags([path for path in paths or [] if path not in folders], group or [])
-        files = list(dict.fromkeys(path for group_files in members.values() for path in group_files))
-        _check_outputs([*folders, *files], json_file, html_file)
-        flights = {
-            cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers, scheduler=scheduler)
-            for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
-        }
-        names = [flight.name for flight in next(iter(flights.values()))]
-        name_of = dict(zip(files, names, strict=True))
-        groups = {name: [name_of[path] for path in group_files] for name, group_files in members.items()}
+    models = comparison.models
     if len(models) == 1:
         (model,) = models.values()
+        flights, level = comparison.flights[model.cutoff_hz], comparison.confidence
         evaluation = _report(
-            model, flights[model.cutoff_hz], groups, level, json_file, html_file, adaptive=adaptive
+            model, flights, comparison.groups, level, json_file, html_file, adaptive=adaptive
         )
         console.print(evaluation_table(evaluation))
         return
-    results, comparison = compare(models, flights, groups, level, adaptive=adaptive, published=published)
-    console.print(comparison_table(comparison))
-    _write_json(json_file, comparison)
+    results, compared = compare(comparison, adaptive=adaptive)
+    console.print(comparison_table(compared))
+    _write_json(json_file, compared)
     if html_file is not None:
-        write_comparison_page(html_file, comparison, results, models)
+        write_comparison_page(html_file, compared, results, models)
 
 
 @app.command()
@@ -568,8 +567,8 @@ def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
 
 def _report(
     model: Any,
-    flights: list[Any],
-    groups: dict[str, list[str]],
+    flights: Sequence[Any],
+    groups: Mapping[str, Sequence[str]],
     confidence: float,
     json_file: Path | None,
     html_file: Path | None,
@@ -622,6 +621,8 @@ def _terminate(*_: object) -> None:
 def main() -> None:
     """Entry point of the command `quadpi`."""
     signal.signal(signal.SIGTERM, _terminate)
+    # Where Dask is interrupted, it does not fetch what its tasks raise for that reason.
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     try:
         app()
     except QuadpiError as error:

@@ -11,12 +11,11 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from quadpi_core.identification import CUTOFF_HZ, MethodName, PreparedFlight, Settings, prepare_flights
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.comparison import Comparison
+from quadpi_core.identification import CUTOFF_HZ, MethodName, Settings, prepare_flights
 from quadpi_core.models.pool import load_pools
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.run import simulate
@@ -61,38 +60,28 @@ def published_table() -> dict[str, dict[str, dict[str, dict[str, float]]]]:
     return table
 
 
-@dataclass(frozen=True)
-class WindTunnel:
-    """Models and flights of the paper's wind tunnel, simulated.
-
-    Attributes:
-        models: by method and settings, such as "bootstrap-paper".
-        flights: all of them, after each low-pass (Hz) that the models take.
-        groups: names of the flights in each group.
-    """
-
-    models: dict[str, AerodynamicModel]
-    flights: dict[float, list[PreparedFlight]]
-    groups: dict[str, list[str]]
-
-
 def wind_tunnel(
     *,
     methods: Sequence[MethodName] = METHODS,
     confidence: float = 0.95,
     device: str = "cpu",
     folder: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> WindTunnel:
+) -> Comparison:
     """Fly the scenario, and identify a model by each method and settings on the first group.
 
-    Flights are the same bytes each time, so they are flown anew and replaced.
+    Flights are the same bytes each time, so they are flown anew and replaced. Models are named after method
+    and settings, such as "bootstrap-paper".
 
     Args:
         methods: to identify.
         confidence: of the intervals.
         device: that trains the ensembles.
         folder: where `bags` and `models` are kept, and models taken from when they come from the same.
+        workers: see :func:`quadpi_core.identification.prepare_flights`; as many flights fly at a time.
+        scheduler: see there.
         progress: called with what is being done.
 
     Raises:
@@ -105,12 +94,19 @@ def wind_tunnel(
     groups = {name: _in_wind(plans, winds) for name, winds in GROUPS.items()}
     used = [plan for plan in plans if any(plan.name in members for members in groups.values())]
     with tempfile.TemporaryDirectory() if folder is None else nullcontext(folder) as place:
-        flown = simulate(used, Path(place) / "bags", progress=lambda flight, _: progress(f"Flying {flight}"))
+        flown = simulate(
+            used,
+            Path(place) / "bags",
+            workers=workers,
+            progress=lambda flight, _: progress(f"Flying {flight}"),
+        )
         bags = [flight.bag for flight in flown]
         flights = {}
         for settings in SETTINGS:
             progress(f"Reading flights for {settings} settings")
-            flights[CUTOFF_HZ[settings]] = prepare_flights(bags, vehicle, CUTOFF_HZ[settings])
+            flights[CUTOFF_HZ[settings]] = prepare_flights(
+                bags, vehicle, CUTOFF_HZ[settings], workers=workers, scheduler=scheduler
+            )
     learned_from = set(next(iter(groups.values())))
     models = {}
     for method in methods:
@@ -128,7 +124,7 @@ def wind_tunnel(
                 device=device,
                 progress=partial(_say, progress, name),
             )
-    return WindTunnel(models, flights, groups)
+    return Comparison(models, flights, groups, confidence, published_table())
 
 
 def _in_wind(plans: Sequence[FlightPlan], winds: Sequence[float]) -> list[str]:
