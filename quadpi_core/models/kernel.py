@@ -29,6 +29,7 @@ class CompiledPolynomials:
     coefficients: Array
     whitening: Array
     inflation: Array
+    growth: Array
     rms_spread: Array
     polynomials: Mapping[str, FittedPolynomial]
 
@@ -41,7 +42,7 @@ class CompiledPolynomials:
         count = np.zeros(len(AXES), dtype=np.int64)
         coefficients = np.zeros((len(AXES), longest))
         whitening = np.zeros((len(AXES), longest, longest))
-        inflation, rms_spread = np.zeros(len(AXES)), np.ones(len(AXES))
+        inflation, growth, rms_spread = np.zeros(len(AXES)), np.zeros(len(AXES)), np.ones(len(AXES))
         start = 0
         for axis, polynomial in polynomials.items():
             k, size = AXES.index(axis), len(polynomial.regressors)
@@ -50,12 +51,13 @@ class CompiledPolynomials:
             count[k] = size
             coefficients[k, :size] = polynomial.coefficients
             whitening[k, :size, :size] = polynomial.whitening
-            inflation[k] = polynomial.inflation
+            inflation[k] = polynomial.shape.inflation
+            growth[k] = polynomial.shape.growth
             rms_spread[k] = polynomial.rms_spread
-        return cls(program, terms, count, coefficients, whitening, inflation, rms_spread, polynomials)
+        return cls(program, terms, count, coefficients, whitening, inflation, growth, rms_spread, polynomials)
 
     def factors(self, confidence: float) -> Array:
-        """Half width (6,) of each axis' interval at zero leverage."""
+        """Half width (6,) of each axis' interval where the spread is one."""
         factors = np.zeros(len(AXES))
         for axis, polynomial in self.polynomials.items():
             factors[AXES.index(axis)] = polynomial.rule.factor(confidence)
@@ -76,6 +78,7 @@ class CompiledPolynomials:
             self.coefficients,
             self.whitening,
             self.inflation,
+            self.growth,
             self.rms_spread,
             factors,
             out,
@@ -94,6 +97,7 @@ def evaluate_kernel(
     coefficients: Any,
     whitening: Any,
     inflation: Any,
+    growth: Any,
     rms_spread: Any,
     factors: Any,
     out: Any,
@@ -102,6 +106,8 @@ def evaluate_kernel(
     rows = np.empty((BASE_ROWS + first.shape[0], 1))
     for i in range(inputs.shape[0]):
         rows_kernel(inputs[i : i + 1], first, second, weights, rows)
+        # u, v and w come first.
+        speed_squared = inputs[i, 0] ** 2 + inputs[i, 1] ** 2 + inputs[i, 2] ** 2
         for axis in range(terms.shape[0]):
             size = term_count[axis]
             predicted = 0.0
@@ -112,7 +118,7 @@ def evaluate_kernel(
                 for b in range(a + 1):
                     whitened += whitening[axis, a, b] * rows[terms[axis, b], 0]
                 leverage += whitened * whitened
-            spread = np.sqrt(1.0 + inflation[axis] * leverage)
+            spread = np.sqrt(1.0 + inflation[axis] * leverage + growth[axis] * speed_squared)
             out[0, i, axis] = predicted
             out[1, i, axis] = predicted - factors[axis] * spread
             out[2, i, axis] = predicted + factors[axis] * spread

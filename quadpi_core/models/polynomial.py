@@ -15,7 +15,6 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.gram import Gram, flight_grams, sum_grams
-from quadpi_core.models.leverage import LeveragedErrors, fit_inflation, leverage_of, spread_of
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
 from quadpi_core.models.rules import (
@@ -27,6 +26,7 @@ from quadpi_core.models.rules import (
     rule_from_json,
 )
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, fit_coefficients, select
+from quadpi_core.models.spread import PlacedErrors, SpreadShape, fit_shape, leverage_of, squared_speed
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]
 
@@ -42,17 +42,16 @@ class FittedPolynomial:
         regressors: s terms, the bias first, the fixed ones before the selected.
         coefficients: (s,), SI units.
         whitening: (s, s) lower triangular W with leverage h = |W z|².
-        inflation: weight κ of the leverage in the spread √(1 + κ h).
+        shape: of the spread over the inputs.
         rule: gives the interval's factor on the spread.
-        rms_spread: root mean square over the training samples of √(1 + inflation · h), the unit of relative
-            width; the leverages of N samples add up to s, so it is √(1 + inflation · s / N).
+        rms_spread: root mean square of the spread over the training samples, the unit of relative width.
     """
 
     method: ClassVar[str] = "polynomial"
     regressors: tuple[Regressor, ...]
     coefficients: Array
     whitening: Array
-    inflation: float
+    shape: SpreadShape
     rule: AnyRule
     rms_spread: float
 
@@ -66,8 +65,8 @@ class FittedPolynomial:
         return leverage_of(self.program.evaluate(inputs), self.whitening)
 
     def spread(self, inputs: Array) -> Array:
-        """√(1 + inflation · h) (N,): the shape of the interval over the inputs."""
-        return spread_of(self.leverage(inputs), self.inflation)
+        """Spread (N,) at input vectors (N, 19)."""
+        return self.shape.of(self.leverage(inputs), squared_speed(inputs))
 
     def arrays(self) -> dict[str, Array]:
         """What a stored model keeps as arrays, by name."""
@@ -77,7 +76,8 @@ class FittedPolynomial:
         """What a stored model keeps beside the arrays."""
         return {
             "regressors": self.terms,
-            "inflation": self.inflation,
+            "inflation": self.shape.inflation,
+            "growth": self.shape.growth,
             "rule": self.rule.to_json(),
             "rms_spread": self.rms_spread,
         }
@@ -93,10 +93,15 @@ class FittedPolynomial:
         coefficients, whitening, size = arrays["coefficients"], arrays["whitening"], len(regressors)
         if coefficients.shape != (size,) or whitening.shape != (size, size):
             raise ModelError(f"shapes do not fit the {size} regressors")
-        inflation, rms_spread = float(data["inflation"]), float(data["rms_spread"])
-        if not inflation >= 0.0 or not rms_spread >= 1.0:
-            raise ModelError(f"inflation {inflation} or rms_spread {rms_spread} is impossible")
-        return cls(regressors, coefficients, whitening, inflation, rule_from_json(data["rule"]), rms_spread)
+        shape, rms_spread = (
+            SpreadShape(float(data["inflation"]), float(data["growth"])),
+            float(data["rms_spread"]),
+        )
+        if not (
+            0.0 <= shape.inflation < np.inf and 0.0 <= shape.growth < np.inf and 1.0 <= rms_spread < np.inf
+        ):
+            raise ModelError(f"{shape} or rms_spread {rms_spread} is impossible")
+        return cls(regressors, coefficients, whitening, shape, rule_from_json(data["rule"]), rms_spread)
 
     @property
     def terms(self) -> list[str]:
@@ -204,21 +209,23 @@ class StepwisePolynomial:
         coefficients, whitening = fit_coefficients(gram, active)
         chosen = tuple(regressors[k] for k in active)
         rule: AnyRule
+        error, leverage = _errors(chosen, coefficients, whitening, X, y)
+        speed = squared_speed(X)
         if self.noise == "residual":
             freedom = float(len(y) - 2)
             std = float(np.sqrt(gram.residual_square(active, coefficients) / freedom))
-            inflation, rule, self.held_out_ = 1.0, ResidualRule(std, freedom), None
+            shape, rule, self.held_out_ = SpreadShape(1.0, 0.0), ResidualRule(std, freedom), None
         else:
             held_out = self._held_out_errors(grams, X, y, flights)
             # κ = N says that all training samples are worth a single one.
-            inflation = fit_inflation(held_out, highest=len(y))
-            error, leverage = _errors(chosen, coefficients, whitening, X, y)
+            shape = fit_shape(held_out, most_inflation=len(y))
             members = [flights == k for k in range(len(grams))]
-            trained = [LeveragedErrors(error[m], leverage[m], np.ones(m.sum(), dtype=bool)) for m in members]
-            self.held_out_ = [flight.spread(inflation) for flight in held_out]
-            rule = calibrate(self.held_out_, [flight.spread(inflation) for flight in trained])
-        rms_spread = float(np.sqrt(1.0 + inflation * len(chosen) / len(y)))
-        self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, inflation, rule, rms_spread)
+            everywhere = np.ones(len(y), dtype=bool)
+            trained = [PlacedErrors(error[m], leverage[m], speed[m], everywhere[m]) for m in members]
+            self.held_out_ = [flight.under(shape) for flight in held_out]
+            rule = calibrate(self.held_out_, [flight.under(shape) for flight in trained])
+        rms_spread = float(np.sqrt(np.mean(np.square(shape.of(leverage, speed)))))
+        self.fitted_ = FittedPolynomial(chosen, coefficients, whitening, shape, rule, rms_spread)
         self.n_features_in_ = X.shape[1]
         return self
 
@@ -288,7 +295,7 @@ class StepwisePolynomial:
 
     def _held_out_errors(
         self, grams: list[Gram], X: Array, y: Array, flights: npt.NDArray[np.int64]
-    ) -> list[LeveragedErrors]:
+    ) -> list[PlacedErrors]:
         """Errors on each flight of a model selected and fitted without it."""
         if len(grams) < 2:
             raise ModelError("intervals from held-out flights need two flights or more, or noise='residual'")
@@ -304,7 +311,7 @@ class StepwisePolynomial:
             error, leverage = _errors(chosen, *fit_coefficients(sum_grams(rest), active), X, y)
             mine = flights == left_out
             inside = inside_range(X[mine], of=X[~mine])
-            held_out.append(LeveragedErrors(error[mine], leverage[mine], inside))
+            held_out.append(PlacedErrors(error[mine], leverage[mine], squared_speed(X[mine]), inside))
         return held_out
 
 

@@ -3,9 +3,10 @@
 """How wide an interval must be: rules that turn a confidence into a factor on a method's own spread.
 
 Every method gives a centre and a spread at each input; the interval is centre ± factor(confidence) · spread.
-A polynomial's spread is √(1 + κ h) with its leverage h, a bootstrap ensemble's the standard deviation of
-model and noise, a quality-driven ensemble's half the distance of its bounds. :class:`HeldOutRule` is the
-default for all of them; the others are the textbook rules that the paper uses.
+The spread of a polynomial is √(1 + κ h + γ V²) with its leverage h and the airspeed V, that of a bootstrap
+ensemble the standard deviation of model and noise, that of a quality-driven ensemble half the distance of its
+bounds. :class:`HeldOutRule` is the default for all of them; the others are the textbook rules that the paper
+uses.
 """
 
 from __future__ import annotations
