@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
-from statistics import NormalDist
+from statistics import NormalDist, fmean
 from typing import Any
 
 from quadpi_core.flight import AXES
@@ -120,36 +120,68 @@ def structures(selection: Mapping[str, Sequence[Mapping[str, Any]]], axes: Seque
     return table(headings, rows)
 
 
-def left_out(
-    plain: Mapping[str, Mapping[str, Any]],
-    adaptive: Mapping[str, Mapping[str, Any]],
-    names: Mapping[str, str],
-) -> str:
-    """Coverage of flights by models of the others, and width over that of an ideal constant interval.
+def left_out(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+    """Coverage of each flight by models of the others, and width over that of an ideal constant interval.
 
     Args:
-        plain: by flight, comparison of models of the other flights on it, as
-            :func:`quadpi_core.comparison.compare` gives it with the one group `all`.
-        adaptive: the same with adaptive intervals.
-        names: of the flights as to be shown.
+        results: by flight and kind of intervals ("fixed", "adaptive"), models of the other flights on it, as
+            :func:`quadpi_core.comparison.compare` gives them with the one group `all`.
     """
-    first = next(iter(plain.values()))
-    axes = compared.held_axes(first)
+    axes, models, kinds = _left_out_parts(results)
     rows = []
-    for flight, name in names.items():
-        for place, model in enumerate(first["models"]):
-            for kind, results in (("fixed", plain), ("adaptive", adaptive)):
-                result = results[flight]
-                found = result["models"][model]["groups"]["all"]["axes"]
-                cells = [_ratio_cell(found[axis], result["confidence"]) for axis in axes]
-                shown = name if place == 0 and kind == "fixed" else ""
-                rows.append([shown, model if kind == "fixed" else "", kind, *cells])
+    for flight, of_flight in results.items():
+        for model in models:
+            for kind in kinds:
+                found = _on_all(of_flight[kind], model)
+                confidence = of_flight[kind]["confidence"]
+                cells = [
+                    f"{100.0 * found[axis]['picp']:.1f} · {_ratio(found[axis], confidence):.2f}"
+                    if axis in found
+                    else ""
+                    for axis in axes
+                ]
+                starts = (model == models[0] and kind == kinds[0], kind == kinds[0])
+                rows.append([flight if starts[0] else "", model if starts[1] else "", kind, *cells])
     return table(["flight", "model", "intervals", *axes], rows, texts=3)
 
 
-def _ratio_cell(metrics: Mapping[str, Any], confidence: float) -> str:
-    ratio = metrics["mpiw"] / ideal_width(metrics, confidence)
-    return f"{100.0 * metrics['picp']:.1f} · {ratio:.2f}"
+def left_out_summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+    """Least and mean coverage over flights, and the largest width over that of an ideal constant interval.
+
+    Args:
+        results: as for :func:`left_out`.
+    """
+    axes, models, kinds = _left_out_parts(results)
+    rows = []
+    for model in models:
+        for kind in kinds:
+            cells = []
+            for axis in axes:
+                found = [(_on_all(r[kind], model).get(axis), r[kind]["confidence"]) for r in results.values()]
+                known = [(metrics, confidence) for metrics, confidence in found if metrics is not None]
+                coverage = [100.0 * metrics["picp"] for metrics, _ in known]
+                widest = max((_ratio(*pair) for pair in known), default=0.0)
+                cells.append(f"{min(coverage):.1f} / {fmean(coverage):.1f} · {widest:.2f}" if known else "")
+            rows.append([model if kind == kinds[0] else "", kind, *cells])
+    return table(["model", "intervals", *axes], rows, texts=2)
+
+
+def _left_out_parts(
+    results: Mapping[str, Mapping[str, Mapping[str, Any]]],
+) -> tuple[list[str], list[str], list[str]]:
+    """Axes, models and kinds of intervals, the same for every flight."""
+    of_flight = next(iter(results.values()))
+    first = next(iter(of_flight.values()))
+    return compared.held_axes(first), list(first["models"]), list(of_flight)
+
+
+def _on_all(result: Mapping[str, Any], model: str) -> Mapping[str, Any]:
+    axes: Mapping[str, Any] = result["models"][model]["groups"]["all"]["axes"]
+    return axes
+
+
+def _ratio(metrics: Mapping[str, Any], confidence: float) -> float:
+    return float(metrics["mpiw"]) / ideal_width(metrics, confidence)
 
 
 def ideal_width(metrics: Mapping[str, Any], confidence: float) -> float:
