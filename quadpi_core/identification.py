@@ -44,6 +44,8 @@ MethodName: TypeAlias = Literal["polynomial", "bootstrap", "quality-driven"]
 # Low-pass over all signals: the paper's, and one that keeps what rotors and measured moments still share
 # (their coherence is gone above about 25 Hz on two data sets).
 CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
+# Each is left out in turn to calibrate the intervals.
+_FEWEST_FLIGHTS = 2
 # The rotors carry the vehicle while their thrust exceeds this share of its weight.
 _CARRYING_SHARE = 0.5
 
@@ -197,8 +199,10 @@ def identify(
         progress: called before each polynomial, or after each epoch of an ensemble.
 
     Raises:
-        ModelError: naming the axis.
+        ModelError: for too few flights for the settings; naming the flight, for samples that are not finite;
+            naming the axis, for what cannot be identified.
     """
+    _require_flights(flights, settings)
     inputs = np.concatenate([flight.inputs for flight in flights])
     wrench = np.concatenate([flight.wrench for flight in flights])
     labels = np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights])
@@ -243,6 +247,25 @@ def identify(
             axis: [] if shares is None else shares.tolist() for axis, shares in coverage.items()
         },
     )
+
+
+def _require_flights(flights: Sequence[PreparedFlight], settings: Settings) -> None:
+    """Refuse flights that no method can be identified on, whatever the axis."""
+    if settings == "default" and len(flights) < _FEWEST_FLIGHTS:
+        raise ModelError(
+            f"too few flights: {len(flights)} given, {_FEWEST_FLIGHTS} or more needed, each of which is left "
+            "out in turn to calibrate the intervals; give more, or take settings paper, which need one and do "
+            "not calibrate"
+        )
+    if not flights:
+        raise ModelError("no flights to identify on: at least one is needed")
+    for flight in flights:
+        finite = np.isfinite(flight.inputs).all(axis=1) & np.isfinite(flight.wrench).all(axis=1)
+        if not finite.all():
+            raise ModelError(
+                f"{flight.name}: {np.sum(~finite)} of {len(finite)} samples are not finite, "
+                f"the first is sample {np.argmin(finite)}"
+            )
 
 
 def _polynomial(pool: CandidatePool, settings: Settings, stop: StopRule | None) -> StepwisePolynomial:

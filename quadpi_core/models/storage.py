@@ -77,8 +77,10 @@ def load_model(folder: Path) -> AerodynamicModel:
     """Read a model folder.
 
     Raises:
-        ModelError: naming the file that is missing, altered or not understood.
+        ModelError: naming the file that is missing, altered, not understood or no part of a model.
     """
+    if foreign := _foreign(folder):
+        raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
     path = folder / MODEL_FILE
     text = _read(path).decode(errors="replace")
     array_bytes = _read(folder / ARRAYS_FILE)

@@ -131,7 +131,9 @@ def test_an_ensemble_needs_inputs_and_has_no_stop_rule(flights, vehicle):
 
 def test_errors_name_the_axis(flights, vehicle):
     with pytest.raises(ModelError, match=r"^Fx: .*at least two flights"):
-        identify(flights[:1], vehicle, POOLS, cutoff_hz=CUTOFF_HZ)
+        identify(
+            flights[:1], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, settings="paper", stop="leave-one-flight-out"
+        )
     with pytest.raises(ModelError, match=r"^Fx: confidence 1\.5"):
         identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, confidence=1.5)
 

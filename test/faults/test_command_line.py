@@ -238,7 +238,7 @@ class TestFlightsThatDoNotExciteTheModel:
 
     def test_one_flight_cannot_calibrate(self, refused, bags, tmp_path):
         refused(
-            "Fx: .*at least two flights; settings paper take one",
+            "too few flights: 1 given, 2 or more needed.*settings paper, which need one",
             "identify",
             bags[0],
             "--vehicle",
