@@ -10,10 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import OdometryStream, WindStream
 from quadpi_core.identification import identify, prepare_flights
 from quadpi_core.logs import read_recording
-from quadpi_core.models import load_pools
+from quadpi_core.models import AerodynamicModel, load_pools
+from quadpi_core.models.methods import METHODS
 from quadpi_core.vehicle import Vehicle
 
 CUTOFF_HZ = 30.0
@@ -56,6 +58,19 @@ def model(bags, pool, tmp_path_factory):
     vehicle = Vehicle.load("neurobem")
     flights = prepare_flights(bags[1:], vehicle, CUTOFF_HZ)
     identify(flights, vehicle, load_pools(pool), cutoff_hz=CUTOFF_HZ).save(folder)
+    return folder
+
+
+@pytest.fixture(scope="session", params=METHODS)
+def each_model(request, model, bags, tmp_path_factory):
+    """The folder of a good model of each method; ensembles have random weights."""
+    if request.param == "polynomial":
+        return model
+    good = AerodynamicModel.load(model)
+    X = prepare_flights(bags[:1], Vehicle.load("neurobem"), CUTOFF_HZ)[0].inputs
+    inputs = {axis: simulation_inputs()[axis] for axis in good.axes}
+    folder = tmp_path_factory.mktemp("models") / request.param
+    replace(good, fitted=random_ensembles(request.param, X, inputs)).save(folder)
     return folder
 
 

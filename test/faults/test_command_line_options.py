@@ -4,43 +4,54 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import pickle
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from safetensors.numpy import save
 
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.paths import config_directory
+from quadpi_core.paths import bags_directory, config_directory
 
 
 class TestModels:
     @pytest.fixture
-    def copy(self, model, tmp_path):
-        return shutil.copytree(model, tmp_path / "copy")
+    def copy(self, each_model, tmp_path):
+        return shutil.copytree(each_model, tmp_path / "copy")
 
     @pytest.fixture
     def refused_model(self, refused, copy, bags, tmp_path):
         def run(message):
             refused(message, "evaluate", copy, bags[0], "--json", tmp_path / "data.json")
             refused(message, "replay", copy, bags[0], "-o", tmp_path / "out.mcap")
+            refused(message, "info", copy)
 
         return run
 
-    def test_absent(self, refused_model, copy):
-        shutil.rmtree(copy)
-        refused_model(r"copy/model\.json: cannot be read: No such file")
+    def test_good(self, quadpi, copy, bags, tmp_path):
+        assert quadpi("evaluate", copy, bags[0]).status == 0
+        assert quadpi("replay", copy, bags[0], "-o", tmp_path / "out.mcap").status == 0
 
     @pytest.mark.parametrize("name", ["model.json", "arrays.safetensors"])
-    def test_file_missing(self, refused_model, copy, name):
+    def test_file_missing(self, refused, copy, bags, tmp_path, name):
         (copy / name).unlink()
-        refused_model(rf"copy/{name}: cannot be read: No such file")
+        message = rf"copy/{name}: cannot be read: No such file"
+        refused(message, "evaluate", copy, bags[0], "--json", tmp_path / "data.json")
+        refused(message, "replay", copy, bags[0], "-o", tmp_path / "out.mcap")
 
     def test_altered_numbers(self, refused_model, copy):
         arrays = bytearray((copy / "arrays.safetensors").read_bytes())
         arrays[-1] ^= 1
         (copy / "arrays.safetensors").write_bytes(arrays)
+        refused_model(r"copy: arrays\.safetensors: its hash .* the file was altered")
+
+    def test_numbers_of_another_model(self, refused_model, copy):
+        (copy / "arrays.safetensors").write_bytes(save({"Fx.coefficients": np.zeros(3)}))
         refused_model(r"copy: arrays\.safetensors: its hash .* the file was altered")
 
     @pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": 1}', '{"format": 99}'])
@@ -54,8 +65,61 @@ class TestModels:
         (copy / "model.json").write_text(json.dumps(description))
         refused_model(r"copy/model\.json: not a quadpi model")
 
-    def test_a_bag_is_no_model(self, refused, bags):
-        refused(r"flight0\.mcap/model\.json: cannot be read", "evaluate", bags[0], bags[1])
+    def test_pickle_in_place_of_the_numbers(self, refused_model, copy, trap):
+        (copy / "arrays.safetensors").write_bytes(trap.pickled)
+        refused_model(r"copy: arrays\.safetensors: its hash .* the file was altered")
+        description = json.loads((copy / "model.json").read_text())
+        description["arrays_sha256"] = hashlib.sha256(trap.pickled).hexdigest()
+        (copy / "model.json").write_text(json.dumps(description))
+        refused_model(r"copy/model\.json: not a quadpi model: SafetensorError")
+        assert not trap.sprung()
+
+    @pytest.mark.parametrize(
+        "name", ["model.pkl", "model.py", "__init__.py", "sitecustomize.py", "more/x.py"]
+    )
+    def test_foreign_file(self, refused_model, copy, trap, name):
+        place = copy / name
+        place.parent.mkdir(exist_ok=True)
+        place.write_bytes(trap.pickled if name.endswith(".pkl") else trap.code)
+        refused_model(rf"copy: holds {name.partition('/')[0]}, which is not part of a model: take it out")
+        assert not trap.sprung()
+
+    def test_absent(self, refused, bags, tmp_path):
+        nowhere, options = tmp_path / "nowhere", ("-o", tmp_path / "out.mcap")
+        message = r"nowhere/model\.json: cannot be read: No such file"
+        refused(message, "evaluate", nowhere, bags[0])
+        refused(message, "replay", nowhere, bags[0], *options)
+
+    def test_a_bag_is_no_model(self, refused, bags, tmp_path):
+        options = ("-o", tmp_path / "out.mcap")
+        message = r"flight0\.mcap/model\.json: cannot be read"
+        refused(message, "evaluate", bags[0], bags[1])
+        refused(message, "replay", bags[0], bags[1], *options)
+
+
+class Trap:
+    """Writes a file if it is unpickled or run."""
+
+    def __init__(self, mark):
+        self.mark = mark
+        self.pickled = pickle.dumps(self)
+        self.code = f"open({str(mark)!r}, 'w')".encode()
+
+    def __reduce__(self):
+        return open, (str(self.mark), "w")
+
+    def sprung(self):
+        return self.mark.exists()
+
+
+@pytest.fixture
+def trap(tmp_path_factory):
+    """Outside the folder that is compared."""
+    trap = Trap(tmp_path_factory.mktemp("trap") / "sprung")
+    pickle.loads(trap.pickled).close()
+    assert trap.sprung()
+    trap.mark.unlink()
+    return trap
 
 
 class TestVehicles:
@@ -67,6 +131,12 @@ class TestVehicles:
     def test_bag_of_another_vehicle(self, refused_everywhere, foreign):
         assert foreign.exists()
         refused_everywhere("is a flight of vehicle hdbeetle, not of neurobem")
+
+    def test_realisations_of_a_flight_of_another_vehicle(self, refused, model):
+        flight = bags_directory() / "interpolation.mcap"
+        refused(
+            "interpolation.mcap: is a flight of vehicle bebop2, not of neurobem", "validate", model, flight
+        )
 
     def test_info_with_another_vehicle(self, refused, foreign):
         refused(
@@ -161,6 +231,36 @@ class TestOutputs:
         refused(r"folder\.mcap: cannot be written: ", "replay", model, bags[0], "-o", folder)
         for option in ("--json", "--html"):
             refused(r"folder\.mcap: cannot be written: ", "evaluate", model, bags[0], option, folder)
+
+    @pytest.mark.parametrize("option", ["--json", "--html"])
+    def test_report_is_refused_before_the_work(self, refused, bags, model, tmp_path, option, monkeypatch):
+        def work(*_, **__):
+            raise AssertionError("began to work")
+
+        for place in (
+            "quadpi_core.identification.prepare_flights",
+            "quadpi_core.simulation.run.simulate",
+            "quadpi_core.validation.chunks.run_realisations",
+            "quadpi_core.validation.published.published_case",
+        ):
+            monkeypatch.setattr(place, work)
+        (tmp_path / "file").write_text("mine")
+        page = (option, tmp_path / "file" / "page")
+        message = "file/page: cannot be written: Not a directory"
+        vehicle = ("--vehicle", "neurobem")
+        refused(message, "identify", *bags, *vehicle, "-o", tmp_path / "m", *page)
+        refused(message, "evaluate", model, *bags, *page)
+        refused(message, "simulate", "orbit", "-o", tmp_path / "bags", *page)
+        refused(message, "validate", *page)
+
+    def test_model_folder_is_refused_before_the_work(self, refused, bags, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadpi_core.identification.prepare_flights", None)
+        (tmp_path / "mine").mkdir()
+        (tmp_path / "mine" / "thesis.tex").write_text("mine")
+        options = ("--vehicle", "neurobem", "-o", tmp_path / "mine")
+        refused(
+            "mine: holds thesis.tex, which is not part of a model: not replaced", "identify", *bags, *options
+        )
 
     def test_folder_of_something_else(self, refused, bags, pool, tmp_path):
         (tmp_path / "thesis.tex").write_text("mine")
