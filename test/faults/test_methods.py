@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What no method can be identified on, and what training needs: exit status 2, one line, no model left."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import quadpi_core
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import OdometryStream
+from quadpi_core.identification import identify, prepare_flights
+from quadpi_core.logs import read_recording
+from quadpi_core.logs.bags import write_bag
+from quadpi_core.models import load_pools
+from quadpi_core.models.methods import METHODS
+from quadpi_core.vehicle import Vehicle
+
+ENSEMBLES = [method for method in METHODS if method != "polynomial"]
+WITHOUT_TORCH = """
+import sys
+
+class NotInstalled:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "torch":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, NotInstalled())
+from quadpi_core.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_flight_is_too_few_to_calibrate(refused, bags, tmp_path, method):
+    message = (
+        "too few flights: 1 given, 2 or more needed, .*; give more, or take settings paper, which need one"
+    )
+    options = ("--vehicle", "neurobem", "--method", method, "-o", tmp_path / "model")
+    refused(message, "identify", bags[0], *options)
+
+
+@pytest.mark.parametrize("settings", ["default", "paper"])
+@pytest.mark.parametrize("method", METHODS)
+def test_no_flight_at_all(method, settings):
+    with pytest.raises(ModelError, match=r"flights.* needed"):
+        identify(
+            [],
+            Vehicle.load("neurobem"),
+            load_pools("quadrotor"),
+            cutoff_hz=30.0,
+            method=method,
+            settings=settings,
+        )
+
+
+@pytest.mark.parametrize("settings", ["default", "paper"])
+@pytest.mark.parametrize("method", METHODS)
+def test_constant_target_is_named(refused, bags, tmp_path, method, settings):
+    """Flights that slide without turning: no moment is measured."""
+    flights = [tmp_path / bag.name for bag in bags[:2]]
+    for bag, path in zip(bags, flights, strict=False):
+        good = read_recording(bag, None)
+        stamps, position, still = good.pose.time_ns, good.pose.position, 0.0 * good.pose.position
+        level = np.tile([1.0, 0.0, 0.0, 0.0], (len(stamps), 1))
+        force = np.zeros_like(good.imu.specific_force)
+        force[:, 0], force[:, 2] = 0.1 * np.sin(0.01 * np.arange(len(force))), -9.81
+        imu = replace(good.imu, angular_velocity=0.0 * force, specific_force=force)
+        odometry = OdometryStream(stamps, position, level, still, still)
+        write_bag(path, replace(good, imu=imu, pose=None, odometry=odometry))
+    options = ("--vehicle", "neurobem", "--method", method, "--settings", settings, "-o", tmp_path / "model")
+    message = "Mz: the target is constant: there is nothing to identify"
+    refused(message, "identify", *flights, "--axes", "Mz", *options)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_samples_that_are_not_finite_are_counted(bags, method):
+    """Of flights that were prepared elsewhere: those that quadpi reads are refused as they are read."""
+    vehicle = Vehicle.load("neurobem")
+    flights = prepare_flights(bags[:2], vehicle, 30.0)
+    flights[1].wrench[[7, 9], 2] = np.nan
+    flights[1].inputs[9, 0] = np.inf
+    message = rf"^flight1: 2 of {len(flights[1].time)} samples are not finite, the first is sample 7$"
+    with pytest.raises(ModelError, match=message):
+        identify(flights, vehicle, load_pools("quadrotor"), cutoff_hz=30.0, method=method)
+
+
+@pytest.mark.parametrize("method", ENSEMBLES)
+def test_stop_rule_of_an_ensemble(refused, bags, tmp_path, method):
+    options = ("--vehicle", "neurobem", "--method", method, "--stop", "pse", "-o", tmp_path / "model")
+    refused(f"a stop rule is for polynomials: the {method} method has none", "identify", *bags, *options)
+
+
+@pytest.mark.parametrize("method", ENSEMBLES)
+def test_inputs_missing_from_the_candidates(refused, bags, pool, tmp_path, method):
+    options = ("--vehicle", "neurobem", "--method", method, "--candidates", pool, "-o", tmp_path / "model")
+    refused("Fx: the candidate file lists no `inputs` for networks", "identify", *bags, *options)
+
+
+@pytest.mark.parametrize("method", ENSEMBLES)
+def test_graphics_card_that_is_not_there(refused, bags, tmp_path, method):
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    options = ("--vehicle", "neurobem", "--method", method, "--device", "cuda", "-o", tmp_path / "model")
+    refused("device 'cuda' is not there: ", "identify", *bags, *options)
+
+
+@pytest.mark.parametrize("method", ENSEMBLES)
+def test_training_without_pytorch_names_the_extra(bags, tmp_path, method):
+    options = ("--vehicle", "neurobem", "--method", method, "-o", tmp_path / "model")
+    ran = subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH, "identify", *bags, *options],
+        env=os.environ | {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    message = "quadpi: training needs PyTorch, installed by quadpi-monitor[train]: No module named 'torch'\n"
+    assert (ran.returncode, ran.stdout, ran.stderr) == (2, "", message)
+    assert list(tmp_path.iterdir()) == []
