@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich import box
+from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -20,10 +22,13 @@ from quadpi_core.logs.inspect import Inspection, inspect_recording, inspect_topi
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.storage import MODEL_FILE
 from quadpi_core.report.style import number, percent
+from quadpi_core.report.tables import structure_tables
 from quadpi_core.vehicle import Vehicle
 
 
-def describe(path: Path, vehicle: str | None, mapping: str | None) -> tuple[list[Table], dict[str, Any]]:
+def describe(
+    path: Path, vehicle: str | None, mapping: str | None
+) -> tuple[Sequence[RenderableType], dict[str, Any]]:
     """Tables and the same content as JSON, for a log, a bag or a model folder.
 
     A bag names its vehicle itself; `vehicle` is for logs that do not, and vehicles of one's own. Without a
@@ -109,18 +114,14 @@ def _finding_table(inspection: Inspection) -> Table:
     return table
 
 
-def model_tables(model: AerodynamicModel) -> list[Table]:
-    """Axes, training flights and envelope of a model."""
-    axes = Table(
-        title=f"{model.identity or model.name} · vehicle {model.vehicle} · {model.settings} settings · "
-        f"{percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
-        box=box.SIMPLE_HEAD,
+def model_tables(model: AerodynamicModel) -> list[RenderableType]:
+    """What a model is, its terms or inputs, training flights and envelope."""
+    heading = Text(
+        f"{model.identity or model.name} · vehicle {model.vehicle} · {model.method}, {model.settings} "
+        f"settings · {percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
+        style="bold",
     )
-    axes.caption = model.calibration()
-    axes.add_column("axis")
-    axes.add_column("regressors")
-    for axis in model.axes:
-        axes.add_row(axis, Text(", ".join(model.fitted[axis].terms)))
+    calibration = Text(model.calibration(), style="dim")
     flights = Table(title="identified on", box=box.SIMPLE_HEAD)
     flights.add_column("flight")
     flights.add_column("samples", justify="right")
@@ -133,7 +134,16 @@ def model_tables(model: AerodynamicModel) -> list[Table]:
     envelope.add_column("highest", justify="right")
     for name, lower, upper in zip(INPUT_NAMES, model.envelope.lower, model.envelope.upper, strict=True):
         envelope.add_row(name, number(float(lower)), number(float(upper)))
-    return [axes, flights, envelope]
+    return [heading, calibration, structure_tables(model) or _input_table(model), flights, envelope]
+
+
+def _input_table(model: AerodynamicModel) -> Table:
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("axis")
+    table.add_column("inputs")
+    for axis in model.axes:
+        table.add_row(axis, Text(", ".join(model.fitted[axis].terms)))
+    return table
 
 
 def _model_json(model: AerodynamicModel) -> dict[str, Any]:

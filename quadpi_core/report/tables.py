@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich import box
+from rich.columns import Columns
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
@@ -136,3 +137,22 @@ def final_terms(log: Sequence[Mapping[str, Any]]) -> list[Term]:
         for place, row in enumerate(log)
         if row["coefficient"] is not None and place == last[row["term"]]
     ]
+
+
+def structure_tables(model: AerodynamicModel) -> Columns | None:
+    """Terms, coefficients and R² of each axis in the form of the paper, side by side where there is room.
+
+    None for a model that was not selected term by term.
+    """
+    tables = []
+    for axis in model.axes:
+        if not model.selection[axis]:
+            return None
+        table = Table(title=axis, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        table.add_column("term", no_wrap=True)
+        for heading in ("coefficient", "R²"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        for term in final_terms(model.selection[axis]):
+            table.add_row(*(Text(cell) for cell in term.cells()), style="dim" if term.fixed else "")
+        tables.append(table)
+    return Columns(tables, padding=(0, 3))

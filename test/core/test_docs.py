@@ -20,8 +20,8 @@ from quadpi_core.inputs import INPUT_NAMES
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-# Its files are made by test/core/logs/test_data_set_guide.py, which runs its commands.
-RUN_ELSEWHERE = {"add-a-data-set.md"}
+# The first by test/core/logs/test_data_set_guide.py, which makes its files; the second by `make tables`, for long.
+RUN_ELSEWHERE = {"add-a-data-set.md", "paper-tables.md"}
 ON_REAL_FLIGHTS = {"commands.md"}
 QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
 
@@ -91,12 +91,15 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
     page = (ROOT / "docs" / "commands.md").read_text()
     named = set(re.findall(r"`([^`\n]+)`", page))
     documented = {key for path in named for key in re.split(r"[.…\[\]]+", path)}
-    names = {*AXES, *INPUT_NAMES, *(bag.stem for bag in bags), "all"}
+    other = tmp_path / "other"
+    names = {*AXES, *INPUT_NAMES, *(bag.stem for bag in bags), "all", model.name, other.name}
     runs = [
         ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "-o", model),
         ("info", bags[0]),
         ("info", model),
         ("evaluate", model, *bags),
+        ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "--settings", "paper", "-o", other),
+        ("evaluate", model, other, *bags),
         ("replay", model, bags[0], "-o", tmp_path / "out.mcap"),
         ("simulate", scenario, "-o", tmp_path / "simulated"),
     ]
