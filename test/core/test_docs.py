@@ -20,7 +20,7 @@ from quadpi_core.inputs import INPUT_NAMES
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-# The first by test/core/logs/test_data_set_guide.py, which makes its files; the second by `make tables`, for long.
+# The first by test/core/logs/test_data_set_guide.py, which makes its files; the second by `make tables`.
 RUN_ELSEWHERE = {"add-a-data-set.md", "paper-tables.md"}
 ON_REAL_FLIGHTS = {"commands.md"}
 QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
