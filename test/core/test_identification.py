@@ -144,6 +144,16 @@ def test_a_copy_of_a_flight_is_refused(paths, vehicle, tmp_path):
         prepare_flights([*paths[:2], copy], vehicle, CUTOFF_HZ)
 
 
+@pytest.mark.slow
+def test_a_cluster_prepares_the_same_flights(paths, vehicle, flights, cluster):
+    for own, theirs in zip(
+        flights, prepare_flights(paths, vehicle, CUTOFF_HZ, scheduler=cluster), strict=True
+    ):
+        assert (own.name, own.sha256) == (theirs.name, theirs.sha256)
+        for name in ("time", "inputs", "wrench", "height"):
+            np.testing.assert_array_equal(getattr(own, name), getattr(theirs, name))
+
+
 def test_flight_of_another_vehicle_is_refused(paths):
     with pytest.raises(LogError, match=rf"{paths[0]}: is a flight of vehicle neurobem, not of bebop2"):
         prepare_flights(paths[:1], Vehicle.load("bebop2"), CUTOFF_HZ)

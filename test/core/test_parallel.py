@@ -7,13 +7,14 @@ from __future__ import annotations
 import os
 import signal
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from quadpi_core import parallel
 from quadpi_core.errors import LogError
-from quadpi_core.parallel import ParallelError, map_tasks
+from quadpi_core.parallel import ParallelError, map_files, map_tasks
 
 pytestmark = pytest.mark.slow
 
@@ -34,9 +35,17 @@ def tasks():
             raise LogError("b.mcap: topic imu: sample 3: not finite")
         return item
 
+    def refuse_late(_, item):
+        time.sleep(0.5 if item == 1 else 0.0)
+        if item:
+            raise LogError(f"{item}.mcap: the file is empty")
+
     def process(_, _item):
         time.sleep(0.2)
         return os.getpid()
+
+    def path(_, path):
+        return str(path)
 
     def variable(_, name):
         return os.environ.get(name)
@@ -64,6 +73,11 @@ def test_results_are_in_the_order_of_the_items(tasks, place):
 def test_known_errors_come_back_as_they_are(tasks, place):
     with pytest.raises(LogError, match=r"^b.mcap: topic imu: sample 3: not finite$"):
         map_tasks(tasks.refuse, [0, 1, 2], shared=None, **place)
+
+
+def test_of_several_that_fail_the_first_item_is_reported(tasks, place):
+    with pytest.raises(LogError, match=r"^1.mcap: the file is empty$"):
+        map_tasks(tasks.refuse_late, [0, 1, 2, 3], shared=None, **place)
 
 
 def test_nothing_to_do_needs_no_workers(tasks):
@@ -113,3 +127,23 @@ def test_a_worker_that_dies_is_said(tasks):
         pytest.raises(ParallelError, match="a worker ended before its task did"),
     ):
         map_tasks(tasks.die, [1, 2], shared=None, workers=2)
+
+
+class TestFiles:
+    def test_few_are_read_in_this_process_and_many_in_others(self, tasks, monkeypatch):
+        monkeypatch.setattr(parallel, "MANY_FILES", 3)
+        monkeypatch.setattr(os, "cpu_count", lambda: 2)
+        paths = [Path("a"), Path("b"), Path("c")]
+        assert map_files(tasks.process, paths[:2], shared=None) == [os.getpid()] * 2
+        assert os.getpid() not in map_files(tasks.process, paths, shared=None)
+        assert map_files(tasks.process, paths, shared=None, workers=1) == [os.getpid()] * 3
+
+    def test_a_cluster_is_given_absolute_paths(self, tasks, cluster, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        assert map_files(tasks.path, [Path("a")], shared=None) == ["a"]
+        assert map_files(tasks.path, [Path("a")], shared=None, scheduler=cluster) == [f"{tmp_path}/a"]
+
+    def test_finished_files_are_counted(self, tasks, place):
+        counts = []
+        map_files(tasks.path, [Path("a"), Path("b")], shared=None, progress=counts.append, **place)
+        assert counts == [1, 2]

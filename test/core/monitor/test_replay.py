@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from quadpi_core.logs.mcap import Bag
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import Pairing
-from quadpi_core.monitor.replay import replay
+from quadpi_core.monitor.replay import replay, replay_all
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.odometry import fused_sample
 
@@ -308,3 +309,49 @@ def test_real_fast_flight_leaves_a_slow_envelope(model, vehicle, shared_data, tm
     assert summary.dropped == 0
     assert summary.alarm_fraction > 0.8
     assert "u" in {name for names in alarms.inputs_outside for name in names}
+
+
+class TestSeveral:
+    @pytest.fixture
+    def flights(self, with_pose, with_odometry, bag_of):
+        return [bag_of(with_pose), bag_of(with_odometry)]
+
+    @pytest.mark.slow
+    def test_bags_and_summaries_are_those_of_one_by_one(
+        self, each_model, vehicle, flights, cluster, tmp_path, monkeypatch
+    ):
+        """Workers have another working folder."""
+        settings = MonitorSettings(adaptive=True)
+        outputs = [tmp_path / "alone" / flight.name for flight in flights]
+        alone = {
+            flight.stem: replay(each_model, vehicle, flight, output, confidence=0.9, settings=settings)
+            for flight, output in zip(flights, outputs, strict=True)
+        }
+        monkeypatch.chdir(tmp_path)
+        for place in ({}, {"scheduler": cluster}):
+            together = replay_all(
+                each_model, vehicle, flights, Path("together"), confidence=0.9, settings=settings, **place
+            )
+            assert together == alone
+            for output in outputs:
+                assert (tmp_path / "together" / output.name).read_bytes() == output.read_bytes()
+            assert len(list((tmp_path / "together").iterdir())) == len(flights)
+
+    def test_one_that_fails_is_named_and_nothing_is_written(self, model, vehicle, flights, tmp_path):
+        bad = tmp_path / "bad.mcap"
+        bad.write_bytes(flights[0].read_bytes()[:-8])
+        with pytest.raises(LogError, match=f"^{bad}: cut off"):
+            replay_all(model, vehicle, [*flights, bad], tmp_path / "out")
+        assert sorted(tmp_path.iterdir()) == sorted([bad, *flights])
+
+    def test_two_of_the_same_name(self, model, vehicle, flights, tmp_path):
+        message = f"^{flights[0]}: would be replayed to the same bag as {flights[0]}$"
+        with pytest.raises(LogError, match=message):
+            replay_all(model, vehicle, [flights[0], flights[0]], tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+    def test_in_the_place_of_a_flight(self, model, vehicle, flights):
+        before = flights[1].read_bytes()
+        with pytest.raises(LogError, match="the output would replace the flight; choose another folder"):
+            replay_all(model, vehicle, flights, flights[1].parent)
+        assert flights[1].read_bytes() == before

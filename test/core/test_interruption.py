@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ctrl-C and SIGTERM: one line, a status that tells, and every folder as it was."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import quadpi_core
+from quadpi_core.paths import bags_directory, whole_output
+
+# A command that says on its output when it has come somewhere. A step of the work is one of training, or a
+# flight or chunk that workers have finished; the work waits there, or goes on.
+COMMAND = """
+import sys, time
+from quadpi_core import identification, parallel
+from quadpi_core.cli import main
+
+def announced(step, waits):
+    def announce(*arguments):
+        print("working", flush=True)
+        time.sleep(waits)
+        return step(*arguments)
+    return announce
+
+identification.Step.training = announced(identification.Step.training, waits=0.0)
+map_tasks = parallel.map_tasks
+def announced_tasks(*arguments, done=lambda *_: None, **options):
+    return map_tasks(*arguments, done=announced(done, waits=60.0), **options)
+parallel.map_tasks = announced_tasks
+main()
+"""
+KEPT = "what is finished is kept, and the next run goes on from there"
+INTERRUPTED = "quadpi: interrupted; nothing is half written\n"
+
+
+@pytest.fixture
+def interrupted():
+    """interrupted(number, command, …) → exit status and errors of a command that was at work."""
+
+    def run(number, *arguments):
+        with subprocess.Popen(
+            [sys.executable, "-c", COMMAND, *map(str, arguments)],
+            env=os.environ | {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1])},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            first = process.stdout.readline()
+            # A terminal sends Ctrl-C to workers as well, others send SIGTERM to one process.
+            if number == signal.SIGINT:
+                os.killpg(process.pid, number)
+            else:
+                process.send_signal(number)
+            output, errors = process.communicate()
+        assert first == "working\n", errors
+        assert set(output.splitlines()) <= {"working"}
+        return process.returncode, errors
+
+    return run
+
+
+def contents(folder):
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "number", "status"),
+    [("bootstrap", signal.SIGINT, 130), ("quality-driven", signal.SIGTERM, 143)],
+    ids=["Ctrl-C", "SIGTERM"],
+)
+def test_training_leaves_the_model_that_stood_there(
+    quadpi, interrupted, bags, tmp_path, method, number, status
+):
+    pytest.importorskip("torch")
+    options = ("--vehicle", "neurobem", "--axes", "Fx", "-o", tmp_path / "model")
+    assert quadpi("identify", *bags[:2], *options).status == 0
+    before = contents(tmp_path)
+    page = ("--json", tmp_path / "data.json", "--html", tmp_path / "page.html")
+    ran = interrupted(number, "identify", *bags, *options, "--method", method, *page)
+    assert ran == (status, INTERRUPTED)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.slow
+def test_workers_end_quietly(interrupted, bags, tmp_path):
+    (tmp_path / "bags").mkdir()
+    (tmp_path / "bags" / "flight0.mcap").write_text("mine")
+    before = contents(tmp_path)
+    options = ("--vehicle", "neurobem", "-o", tmp_path / "bags", "--workers", 2)
+    assert interrupted(signal.SIGINT, "import", *bags, *options) == (130, INTERRUPTED)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.slow
+def test_realisations_that_are_finished_are_kept(quadpi, interrupted, tmp_path):
+    train_1, train_2, flight = (
+        bags_directory() / f"{name}.mcap" for name in ("train_1", "train_2", "interpolation")
+    )
+    model, kept = tmp_path / "model", tmp_path / "kept"
+    identified = quadpi("identify", train_1, train_2, "--vehicle", "bebop2", "--axes", "Fx", "-o", model)
+    assert identified.status == 0
+    options = ("-o", kept, "--realisations", 10, "--workers", 1)
+    status, errors = interrupted(signal.SIGINT, "validate", model, flight, *options)
+    assert (status, errors) == (130, f"quadpi: interrupted; {KEPT}\n")
+    assert not [path for path in tmp_path.rglob(".*") if path.exists()]
+
+
+def test_a_folder_that_was_about_to_be_replaced_is_there_again(tmp_path, monkeypatch):
+    folder = tmp_path / "model"
+    folder.mkdir()
+    (folder / "old").write_text("old")
+
+    def interrupt(*_):
+        assert not folder.exists()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt), whole_output(folder) as temporary:
+        temporary.mkdir()
+    assert contents(tmp_path) == {folder: None, folder / "old": b"old"}
