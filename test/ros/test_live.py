@@ -20,6 +20,7 @@ from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.rules import ResidualRule
+from quadpi_core.models.spread import SpreadShape
 from quadpi_core.monitor.alarm import LEVEL_ALARM
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.monitor.replay import replay
@@ -84,7 +85,9 @@ def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
         z = RegressorProgram.compile(regressors).evaluate(inputs)
         whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
         rule = ResidualRule(0.2, 500.0)
-        polynomials[axis] = FittedPolynomial(regressors, np.array([0.1, 0.01]), whitening, 1.0, rule, 1.0)
+        polynomials[axis] = FittedPolynomial(
+            regressors, np.array([0.1, 0.01]), whitening, SpreadShape(1.0, 0.0), rule, 1.0
+        )
     leverage, width = np.zeros((count, len(AXES))), np.zeros((count, len(AXES)))
     for axis, polynomial in polynomials.items():
         leverage[:, AXES.index(axis)] = polynomial.leverage(inputs)

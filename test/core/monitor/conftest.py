@@ -17,6 +17,7 @@ from quadpi_core.models import AerodynamicModel, FittedPolynomial
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.rules import ResidualRule
+from quadpi_core.models.spread import SpreadShape
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.signals.chain import SignalChain
@@ -84,7 +85,12 @@ def model(vehicle, training_inputs) -> AerodynamicModel:
         z = RegressorProgram.compile(regressors).evaluate(training_inputs)
         whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
         polynomials[axis] = FittedPolynomial(
-            regressors, np.linspace(0.1, 0.01, len(terms)), whitening, 1.0, ResidualRule(0.2, 1000.0), 1.0
+            regressors,
+            np.linspace(0.1, 0.01, len(terms)),
+            whitening,
+            SpreadShape(1.0, 0.0),
+            ResidualRule(0.2, 1000.0),
+            1.0,
         )
     return model_of(polynomials, vehicle, training_inputs)
 

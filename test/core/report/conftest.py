@@ -16,6 +16,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.rules import LEVELS, HeldOutRule
+from quadpi_core.models.spread import SpreadShape
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.report.live import LiveReplay
 
@@ -95,7 +96,9 @@ def case():
     out = {"term": "p", "coefficient": None, "r2": 0.95, "fixed": False, "criterion": 0.2}
     bias = {"term": "1", "coefficient": -0.2, "r2": None, "fixed": True}
     rule = HeldOutRule(np.ones((2, len(LEVELS))), flights_inside=1)
-    polynomial = FittedPolynomial((Regressor.parse("bias"),), np.zeros(1), np.eye(1), 1.0, rule, 1.0)
+    polynomial = FittedPolynomial(
+        (Regressor.parse("bias"),), np.zeros(1), np.eye(1), SpreadShape(1.0, 0.0), rule, 1.0
+    )
     model = AerodynamicModel(
         name="m",
         vehicle="v",
