@@ -103,9 +103,15 @@ def validation(job: Job) -> str:
         count = ("--realisations", job.realisations)
         job.quadpi("validate", "--settings", settings, *count, "-o", folder, "--json", found)
         results.append(json.loads(found.read_text()))
+    flights = len(results[0]["flights"])
     return "\n\n".join(
-        f"**{title}**\n\n{markdown.validation(results, axes)}"
-        for title, axes in (("Forces", AXES[:3]), ("Moments", AXES[3:]))
+        [
+            f"Realisations of the noise: {job.realisations}, on each of {flights} flights.",
+            *(
+                f"**{title}**\n\n{markdown.validation(results, axes)}"
+                for title, axes in (("Forces", AXES[:3]), ("Moments", AXES[3:]))
+            ),
+        ]
     )
 
 
