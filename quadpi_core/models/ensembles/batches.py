@@ -68,13 +68,13 @@ class Batches:
         self.rows = torch.from_numpy(rows).to(device)
         self.unit = torch.from_numpy(samples.unit).to(device)
         self.trained, self.judged = (
-            torch.from_numpy(np.ascontiguousarray(flags.T, dtype=np.uint8)).to(device)
+            torch.from_numpy(np.ascontiguousarray(flags, dtype=np.float32)).to(device)
             for flags in (samples.trained, samples.judged)
         )
         # Fresh memory costs more than what is written to it, so it is taken once.
         together = _STEPS_TOGETHER * self.size
         self._rows = torch.empty((together, rows.shape[1]), device=device)
-        self._flags = torch.empty((together, len(samples.trained)), dtype=torch.uint8, device=device)
+        self._weights = torch.empty(len(samples.trained) * together, device=device)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -86,19 +86,20 @@ class Batches:
         order = torch.cat([torch.randperm(len(self), generator=random) for _ in range(rounds)])
         for chosen in order[: steps * self.size].split(_STEPS_TOGETHER * self.size):
             together = self._gather(chosen.to(self.rows.device))
-            yield from map(Batch, *together)
+            yield from map(Batch, *(part.unbind() for part in together))
 
     def _gather(self, chosen: Tensor) -> Batch:
         """The chosen samples as whole steps (S, …)."""
-        count = len(chosen)
+        networks, count = len(self.trained), len(chosen)
         rows = torch.index_select(self.rows, 0, chosen, out=self._rows[:count])
-        units = self.unit.index_select(0, chosen)
-        flags = torch.index_select(self.trained, 0, units, out=self._flags[:count])
-        return self._batch(rows.unflatten(0, (-1, self.size)), flags.unflatten(0, (-1, self.size)))
+        weights = self._weights[: networks * count].view(networks, count)
+        torch.index_select(self.trained, 1, self.unit.index_select(0, chosen), out=weights)
+        steps = (-1, self.size)
+        return self._batch(rows.unflatten(0, steps), weights.unflatten(1, steps).transpose(0, 1))
 
     def chosen(self, chosen: Tensor, flags: Tensor) -> Batch:
-        """The chosen samples as one batch, with `trained` or `judged` as flags (U, M)."""
-        return self._batch(self.rows[chosen], flags[self.unit[chosen]])
+        """The chosen samples as one batch, with `trained` or `judged` as flags (M, U)."""
+        return self._batch(self.rows[chosen], flags.index_select(1, self.unit[chosen]))
 
     def inputs(self) -> Tensor:
         """Inputs (A, K, N) of all samples."""
@@ -116,8 +117,7 @@ class Batches:
         tables, width = self.input_shape
         return columns[..., tables * width :, :].contiguous().unflatten(-2, self.target_shape)
 
-    def _batch(self, rows: Tensor, flags: Tensor) -> Batch:
+    def _batch(self, rows: Tensor, weights: Tensor) -> Batch:
         columns = rows.transpose(-1, -2)
-        weights = flags.transpose(-1, -2).to(torch.float32, memory_format=torch.contiguous_format)
-        weights.div_(weights.sum(-1, keepdim=True).clamp(min=1.0))
+        weights.div_(weights.sum(-1, keepdim=True).clamp_(min=1.0))
         return Batch(self._inputs(columns), self._targets(columns), weights)

@@ -4,7 +4,8 @@
 
 All act on the networks of one batch together. Outputs (A, M, O, n) are those of A tables with M networks
 each; targets (A, 1 or M, C, n) hold C numbers per sample; weights (M, n) add up to one for each network over
-the samples that it sees, the others having none. Everything is standardised.
+the samples that it sees, the others having none. Everything is standardised. What is so or not is one or
+zero, in the place of what it is found from: truth values and their products with numbers take far longer.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Loss(Protocol):
         """What networks (A, M) are judged by on samples that they do not see, the less the better."""
 
     def covered(self, outputs: Tensor, targets: Tensor, loss: Tensor) -> Tensor:
-        """Which samples (A, M, n) lie in a nominal interval of a network with training loss (A, M)."""
+        """One where samples (A, M, n) lie in a nominal interval of a network with training loss (A, M)."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,8 @@ class SquaredError:
         return self.value(outputs, targets, weights)
 
     def covered(self, outputs: Tensor, targets: Tensor, loss: Tensor) -> Tensor:
-        """Whether the error is below 1.96 times the root of the training loss."""
-        return (outputs - targets).square()[:, :, 0] <= 2.0 * _NOMINAL**2 * loss[..., None]
+        """Where the error is below 1.96 times the root of the mean square, which is twice the loss."""
+        return (outputs - targets).square_()[:, :, 0].le_(2.0 * _NOMINAL**2 * loss[..., None])
 
 
 @dataclass(frozen=True)
@@ -109,8 +110,8 @@ class GaussianNoise:
         return self.value(outputs, targets, weights)
 
     def covered(self, outputs: Tensor, targets: Tensor, loss: Tensor) -> Tensor:  # noqa: ARG002
-        """Whether the error is below 1.96 √v."""
-        return targets[:, :, 0] <= _NOMINAL**2 * self._variance(outputs, targets)
+        """Where the error is below 1.96 √v."""
+        return self._variance(outputs, targets).mul_(_NOMINAL**2).ge_(targets[:, :, 0])
 
     def _variance(self, outputs: Tensor, targets: Tensor) -> Tensor:
         return (softplus(outputs[:, :, 0]) + self.floor[..., None]).square() + targets[:, :, 1]
@@ -151,40 +152,45 @@ class QualityDriven:
 
     def gradient(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
         """Of both terms and the penalty; membership of MPIW_c counts as constant."""
-        lower, upper, y = outputs[:, :, 0], outputs[:, :, 1], targets[:, :, 0]
-        held = self._held(lower, upper, y) * weights
-        held /= held.sum(-1, keepdim=True).clamp_(min=1e-6)
-        above, below = self._soft(lower, upper, y)
-        soft = above * below
-        missing = (self.confidence - (soft * weights).sum(-1, keepdim=True)).clamp_(min=0.0)
-        push = (2.0 * self.softening) * self._weight * missing * (soft * weights)
-        crossed = (lower - upper).clamp_(min=0.0).mul_(weights).mul_(2.0 * self.crossing)
-        return torch.stack(
-            [push * (1.0 - above) - held + crossed, held - push * (1.0 - below) - crossed], dim=2
-        )
+        above, below = self._inside(outputs, targets)
+        held = torch.minimum(above, below).ge_(0.0).mul_(weights)
+        held.div_(held.sum(-1, keepdim=True).clamp_(min=1e-6))
+        narrower = held.addcmul_((above + below).clamp_(max=0.0), weights, value=2.0 * self.crossing)
+        above.mul_(self.softening).sigmoid_()
+        below.mul_(self.softening).sigmoid_()
+        wider = (above * below).mul_(weights)
+        missing = (self.confidence - wider.sum(-1, keepdim=True)).clamp_(min=0.0)
+        wider.mul_(missing.mul_(2.0 * self.softening * self._weight))
+        # Both by how far inside a bound the target is: the softened membership m has the slope m (1 − m).
+        narrower.sub_(wider)
+        torch.addcmul(narrower, wider, above, out=outputs[:, :, 0]).neg_()
+        torch.addcmul(narrower, wider, below, out=outputs[:, :, 1])
+        return outputs
 
     def value(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
         """Loss of each network."""
-        lower, upper, y = outputs[:, :, 0], outputs[:, :, 1], targets[:, :, 0]
-        held = self._held(lower, upper, y) * weights
-        width = ((upper - lower) * held).sum(-1) / held.sum(-1).clamp(min=1e-6)
-        above, below = self._soft(lower, upper, y)
-        missing = (self.confidence - (above * below * weights).sum(-1)).clamp(min=0.0)
-        crossed = ((lower - upper).clamp(min=0.0).square() * weights).sum(-1)
-        return width + self._weight * missing.square() + self.crossing * crossed
+        above, below = self._inside(outputs, targets)
+        width = above + below
+        held = torch.minimum(above, below).ge_(0.0).mul_(weights)
+        mean_width = (width * held).sum(-1) / held.sum(-1).clamp(min=1e-6)
+        soft = torch.sigmoid(above * self.softening) * torch.sigmoid(below * self.softening)
+        missing = (self.confidence - (soft * weights).sum(-1)).clamp(min=0.0)
+        crossed = (width.clamp(max=0.0).square() * weights).sum(-1)
+        return mean_width + self._weight * missing.square() + self.crossing * crossed
 
     def score(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
         """The interval score of Winkler: width, plus 2/α times the distance outside.
 
         Other than the loss, it tells bounds that miss by little from those that miss by much.
         """
-        lower, upper, y = outputs[:, :, 0], outputs[:, :, 1], targets[:, :, 0]
-        outside = (lower - y).clamp(min=0.0) + (y - upper).clamp(min=0.0)
-        return (((upper - lower).abs() + 2.0 / (1.0 - self.confidence) * outside) * weights).sum(-1)
+        above, below = self._inside(outputs, targets)
+        outside = above.clamp(max=0.0).add_(below.clamp(max=0.0))
+        widths = above.add_(below).abs_()
+        return widths.sub_(outside, alpha=2.0 / (1.0 - self.confidence)).mul_(weights).sum(-1)
 
     def covered(self, outputs: Tensor, targets: Tensor, loss: Tensor) -> Tensor:  # noqa: ARG002
-        """Whether the bounds hold the target."""
-        return self._held(outputs[:, :, 0], outputs[:, :, 1], targets[:, :, 0])
+        """Where the bounds hold the target."""
+        return torch.minimum(*self._inside(outputs, targets)).ge_(0.0)
 
     @property
     def _weight(self) -> float:
@@ -195,8 +201,7 @@ class QualityDriven:
         return self.factor * self.samples / (self.confidence * (1.0 - self.confidence))
 
     @staticmethod
-    def _held(lower: Tensor, upper: Tensor, y: Tensor) -> Tensor:
-        return (lower <= y) & (y <= upper)
-
-    def _soft(self, lower: Tensor, upper: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.sigmoid((y - lower) * self.softening), torch.sigmoid((upper - y) * self.softening)
+    def _inside(outputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+        """How far (A, M, n) the target is above the lower and below the upper bound."""
+        y = targets[:, :, 0]
+        return y - outputs[:, :, 0], outputs[:, :, 1] - y

@@ -7,14 +7,16 @@ weights. So ensembles, their subsets and flights left out in turn are one comput
 networks are one matrix product, their gradients another, and Adam updates one vector of all parameters.
 
 Shapes: A tables (axes) of M networks each, Q outputs, H hidden units, K inputs with the one for the bias, n
-samples. Units come before samples, so that what is done unit by unit runs along memory.
+samples.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -25,11 +27,12 @@ from quadpi_core.errors import ModelError
 from quadpi_core.models.ensembles.batches import Batch, Batches, Floats, Samples
 from quadpi_core.models.ensembles.losses import Loss
 from quadpi_core.models.ensembles.network import Networks
+from quadpi_core.models.ensembles.passes import Backward, Forward, Parts, evaluate
 
 # Samples that the networks are judged on after an epoch, at most.
 _JUDGED = 10_000
-# Samples that trained networks are evaluated on at a time.
-_TOGETHER = 1000
+# Activations of a step for which a further thread pays: with less to do, threads rather wait for each other.
+_PER_THREAD = 150_000
 # Adam's usual constants (Kingma and Ba 2015).
 _BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-8
 
@@ -55,8 +58,6 @@ class Progress:
 
 Report: TypeAlias = Callable[[Progress], None]
 Keep: TypeAlias = Literal["last", "best", "best on average"]
-# Hidden weights with the biases last (A, K, M, H), output weights (A, M, Q, H) and their biases (A, M, Q).
-Parts: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,8 @@ def train(
     Raises:
         ModelError: for a device that is not there.
     """
-    with torch.inference_mode():
+    activations = samples.inputs.shape[1] * len(samples.trained) * schedule.hidden * schedule.batch
+    with torch.inference_mode(), _threads_for(activations):
         training = Training(samples, loss, schedule, start)
         best = None if schedule.keep == "last" else _Best(training)
         for epoch in range(1, schedule.epochs + 1):
@@ -138,18 +140,16 @@ class Training:
         # On the processor for every device: all start from the same weights and see the same batches.
         self.random = torch.Generator().manual_seed(schedule.seed)
         self.parameters = torch.zeros(A * M * (K * H + Q * H + Q), device=device)
-        self.gradient, self.mean, self.square, self._scratch = (
-            torch.zeros_like(self.parameters) for _ in range(4)
-        )
-        self.weights, self._slopes = self.parts(self.parameters), self.parts(self.gradient)
+        # The gradient and its square, of both of which Adam takes a moving mean.
+        self._powers = self.parameters.new_zeros((2, *self.parameters.shape))
+        self._moments, self._scratch = torch.zeros_like(self._powers), torch.zeros_like(self.parameters)
+        self._rates = self.parameters.new_tensor([[1.0 - _BETA_1], [1.0 - _BETA_2]])
+        self.gradient = self._powers[0]
+        self.weights = self.parts(self.parameters)
+        self._forward = Forward(self.weights, n)
+        self._backward = Backward(self.weights, self.parts(self.gradient), self._forward)
         self._epsilon = torch.tensor(_EPSILON, device=device)
         self._steps = 0
-        self._activations = torch.empty((A, M * H, n), device=device)
-        # With one output, sensitivities take the place of the activations, which nothing needs any more.
-        sensitivities = self._activations if Q == 1 else torch.empty((A, M * Q * H, n), device=device)
-        self._sensitivities = sensitivities.view(A, M, Q, H, n), sensitivities.transpose(1, 2)
-        self._outputs = torch.empty((A, M, Q, n), device=device)
-        self._products = torch.empty((A, K, M, Q, H), device=device)
         if start is None:
             self._initialise()
         else:
@@ -159,7 +159,7 @@ class Training:
         """Views of a vector of all parameters."""
         A, M, Q, H, K = self.shape
         hidden, output, biases = vector.split([A * K * M * H, A * M * Q * H, A * M * Q])
-        return hidden.view(A, K, M, H), output.view(A, M, Q, H), biases.view(A, M, Q)
+        return Parts(hidden.view(A, K, M, H), output.view(A, M, Q, H), biases.view(A, M, Q))
 
     def _initialise(self) -> None:
         """Uniform weights of Glorot and Bengio (2010), biases zero but for those that the loss wants."""
@@ -181,49 +181,31 @@ class Training:
         """One step of Adam."""
         self.differentiate(batch)
         self._steps += 1
-        self.mean.lerp_(self.gradient, 1.0 - _BETA_1)
-        self.square.lerp_(torch.mul(self.gradient, self.gradient, out=self._scratch), 1.0 - _BETA_2)
+        gradient, square = self._powers
+        torch.mul(gradient, gradient, out=square)
+        mean, spread = self._moments.lerp_(self._powers, self._rates)
         unbias = math.sqrt(1.0 - _BETA_2**self._steps)
-        torch.sqrt(self.square, out=self._scratch).add_(self._epsilon, alpha=unbias)
+        torch.sqrt(spread, out=self._scratch).add_(self._epsilon, alpha=unbias)
         rate = self.schedule.learning_rate * unbias / (1.0 - _BETA_1**self._steps)
-        self.parameters.addcdiv_(self.mean, self._scratch, value=-rate)
+        self.parameters.addcdiv_(mean, self._scratch, value=-rate)
 
     def differentiate(self, batch: Batch) -> None:
-        """Fill `gradient`.
-
-        With S = [hidden unit is active] · ∂loss/∂output, over samples for each hidden unit and output, and
-        R = inputs · Sᵀ, the gradient of hidden weights is output weight · R, summed over outputs, and that of
-        output weights the inner product of hidden weights and R: one large product serves both.
-        """
-        hidden, output, _ = self.weights
-        hidden_slope, output_slope, bias_slope = self._slopes
-        _forward(self.weights, batch.inputs, self._activations, self._outputs)
-        slope = self.loss.gradient(self._outputs, batch.targets, batch.weights)
-        torch.sum(slope, -1, out=bias_slope)
-        sensitivities, transposed = self._sensitivities
-        active = self._activations.sign_().unflatten(1, (self.shape[1], 1, -1))
-        torch.mul(active, slope[:, :, :, None], out=sensitivities)
-        torch.bmm(batch.inputs, transposed, out=self._products.flatten(2))
-        torch.sum(self._products * hidden[:, :, :, None], 1, out=output_slope)
-        torch.sum(self._products * output[:, None], 3, out=hidden_slope)
+        """Fill `gradient`."""
+        outputs = self._forward(batch.inputs)
+        self._backward(batch.inputs, self.loss.gradient(outputs, batch.targets, batch.weights))
 
     def predictions(self, networks: slice) -> Floats:
         """Outputs (A, M', Q, N) of some of the networks of each table for all samples."""
         with torch.inference_mode():
             hidden, output, biases = self.weights
-            some = hidden[:, :, networks], output[:, networks], biases[:, networks]
-            blocks = self.batches.inputs().split(_TOGETHER, dim=2)
-            predictions: Floats = torch.cat([_evaluated(some, block).cpu() for block in blocks], 3).numpy()
+            some = Parts(hidden[:, :, networks], output[:, networks], biases[:, networks])
+            predictions: Floats = evaluate(some, self.batches.inputs()).cpu().numpy()
             return predictions
 
     def judge(self) -> tuple[Tensor, Tensor, float | None]:
         """Losses (A, M) where trained; scores (A, M), NaN for none, and mean coverage where judged."""
-        batches = self.batches
-        step = -(-len(batches) // _JUDGED)
-        chosen = torch.arange(0, len(batches), step, device=self.parameters.device)
-        trained, judged = (batches.chosen(chosen, flags) for flags in (batches.trained, batches.judged))
-        blocks = trained.inputs.split(_TOGETHER, dim=2)
-        outputs = torch.cat([_evaluated(self.weights, block) for block in blocks], 3)
+        trained, judged = self._to_judge
+        outputs = evaluate(self.weights, trained.inputs)
         losses = self.loss.value(outputs, trained.targets, trained.weights)
         seen = judged.weights.any(-1)
         scores = self.loss.score(outputs, judged.targets, judged.weights).masked_fill(~seen, torch.nan)
@@ -231,6 +213,14 @@ class Training:
             return losses, scores, None
         covered = self.loss.covered(outputs, judged.targets, losses) * judged.weights
         return losses, scores, float(covered.sum(-1)[:, seen].mean())
+
+    @cached_property
+    def _to_judge(self) -> tuple[Batch, Batch]:
+        """Some of all samples, with weights where networks are trained, and where they are judged."""
+        batches = self.batches
+        step = -(-len(batches) // _JUDGED)
+        chosen = torch.arange(0, len(batches), step, device=self.parameters.device)
+        return batches.chosen(chosen, batches.trained), batches.chosen(chosen, batches.judged)
 
     def networks(self) -> list[Networks]:
         """The networks of each table as they are."""
@@ -263,23 +253,15 @@ class _Best:
         self.training.parameters.copy_(self.parameters)
 
 
-def _forward(weights: Parts, inputs: Tensor, activations: Tensor, outputs: Tensor) -> None:
-    """Fill activations (A, M H, n) and outputs (A, M, Q, n) for inputs (A, K, n)."""
-    hidden, output, biases = weights
-    torch.bmm(hidden.flatten(2).transpose(1, 2), inputs, out=activations)
-    activations.relu_()
-    units = activations.view(-1, hidden.shape[3], inputs.shape[2])
-    torch.bmm(output.flatten(0, 1), units, out=outputs.flatten(0, 1))
-    outputs.add_(biases[..., None])
-
-
-def _evaluated(weights: Parts, inputs: Tensor) -> Tensor:
-    """Outputs (A, M, Q, n) for inputs (A, K, n)."""
-    hidden, _, biases = weights
-    activations = inputs.new_empty((len(hidden), hidden[0, 0].numel(), inputs.shape[2]))
-    outputs = inputs.new_empty((*biases.shape, inputs.shape[2]))
-    _forward(weights, inputs, activations, outputs)
-    return outputs
+@contextmanager
+def _threads_for(activations: int) -> Iterator[None]:
+    """No more threads than pay for steps with so many activations."""
+    usual = torch.get_num_threads()
+    torch.set_num_threads(max(1, min(usual, activations // _PER_THREAD)))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(usual)
 
 
 def device_of(name: str) -> torch.device:
