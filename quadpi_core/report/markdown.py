@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from itertools import zip_longest
 from statistics import NormalDist, fmean
 from typing import Any
@@ -21,15 +21,15 @@ _WIDTH = _COVERAGE[:-1]
 _HEADINGS = dict(zip(_COVERAGE, ("train", "model", "meas.", "both"), strict=True))
 
 
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) -> str:
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]], texts: Container[int] = (0,)) -> str:
     """A Markdown table.
 
     Args:
         headings: of the columns, as Markdown.
         rows: cells, as Markdown.
-        texts: number of leading columns that hold text; the others are aligned right.
+        texts: places of the columns that hold text; the others are aligned right.
     """
-    rule = [":--" if place < texts else "--:" for place in range(len(headings))]
+    rule = [":--" if place in texts else "--:" for place in range(len(headings))]
     lines = [headings, rule, *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
 
@@ -54,7 +54,7 @@ def comparison(result: Mapping[str, Any]) -> str:
             ]
         )
         axis = row.axis
-    return table(headings, rows, texts=2)
+    return table(headings, rows, texts=range(2))
 
 
 def validation(results: Sequence[Mapping[str, Any]], axes: Sequence[str] = AXES) -> str:
@@ -79,7 +79,7 @@ def validation(results: Sequence[Mapping[str, Any]], axes: Sequence[str] = AXES)
             if known := published.get(name, {}).get(axis):
                 cells = [f"*{cell}*" if cell else "" for cell in _validation_cells(known, None)]
                 rows.append(["", "", _PAPER, *cells])
-    return table(headings, rows, texts=3)
+    return table(headings, rows, texts=range(3))
 
 
 def _validation_cells(found: Mapping[str, Any], confidence: float | None) -> list[str]:
@@ -117,7 +117,7 @@ def structures(selection: Mapping[str, Sequence[Mapping[str, Any]]], axes: Seque
             term, coefficient, r2 = step.cells()
             cells += [f"*`{term}`*" if step.fixed else f"`{term}`", coefficient, r2]
         rows.append(cells)
-    return table(headings, rows)
+    return table(headings, rows, texts=range(0, len(headings), 3))
 
 
 def left_out(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
@@ -142,7 +142,7 @@ def left_out(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
                 ]
                 starts = (model == models[0] and kind == kinds[0], kind == kinds[0])
                 rows.append([flight if starts[0] else "", model if starts[1] else "", kind, *cells])
-    return table(["flight", "model", "intervals", *axes], rows, texts=3)
+    return table(["flight", "model", "intervals", *axes], rows, texts=range(3))
 
 
 def left_out_summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
@@ -163,7 +163,7 @@ def left_out_summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> 
                 widest = max((_ratio(*pair) for pair in known), default=0.0)
                 cells.append(f"{min(coverage):.1f} / {fmean(coverage):.1f} · {widest:.2f}" if known else "")
             rows.append([model if kind == kinds[0] else "", kind, *cells])
-    return table(["model", "intervals", *axes], rows, texts=2)
+    return table(["model", "intervals", *axes], rows, texts=range(2))
 
 
 def _left_out_parts(
