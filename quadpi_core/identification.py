@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import LogError, ModelError
 from quadpi_core.flight import AXES, Flight
@@ -260,7 +261,8 @@ def _require_flights(flights: Sequence[PreparedFlight], settings: Settings) -> N
     if not flights:
         raise ModelError("no flights to identify on: at least one is needed")
     for flight in flights:
-        finite = np.isfinite(flight.inputs).all(axis=1) & np.isfinite(flight.wrench).all(axis=1)
+        samples = np.column_stack((flight.inputs, flight.wrench))
+        finite: npt.NDArray[np.bool_] = np.isfinite(samples).all(axis=1)
         if not finite.all():
             raise ModelError(
                 f"{flight.name}: {np.sum(~finite)} of {len(finite)} samples are not finite, "

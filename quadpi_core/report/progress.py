@@ -71,21 +71,23 @@ def identifying(console: Console) -> Iterator[Callable[[Step], None]]:
     """
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[count]}{task.fields[quality]}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.fields[state]}"),
         TimeRemainingColumn(),
     )
     with _bar(console, *columns) as bar:
-        task = bar.add_task("Identifying", total=None, count="", quality="")
+        task = bar.add_task("Identifying", total=None, state="")
 
         def report(step: Step) -> None:
-            if step.task != bar.tasks[0].description:
-                bar.reset(task, total=step.total, description=step.task)
-            count = f"{step.done} of {step.total}"
-            quality = "" if step.loss is None else f" · loss {step.loss:.3g}"
+            state = f"{step.done} of {step.total}"
+            if step.loss is not None:
+                state = f"epoch {state} · loss {step.loss:.3g}"
             if step.coverage is not None:
-                quality += f" · coverage {step.coverage:.1%} of what it has not seen"
-            bar.update(task, completed=step.done, count=count, quality=quality)
+                state += f" · coverage {step.coverage:.1%}"
+            if step.task == bar.tasks[0].description:
+                bar.update(task, completed=step.done, state=state)
+            else:
+                bar.reset(task, completed=step.done, total=step.total, description=step.task, state=state)
 
         yield report
 

@@ -40,7 +40,7 @@ def test_progress_is_told_until_the_end(tmp_path):
 
 def test_a_file_in_the_place_of_the_folder(tmp_path):
     (tmp_path / "bags").write_text("mine")
-    with pytest.raises(OutputError, match="bags.* cannot be written: Not a directory"):
+    with pytest.raises(OutputError, match=r"bags.* cannot be written: Not a directory"):
         simulate([HOVER], tmp_path / "bags")
     assert [path.name for path in tmp_path.iterdir()] == ["bags"]
     assert (tmp_path / "bags").read_text() == "mine"
