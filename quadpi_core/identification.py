@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.errors import LogError, ModelError
 from quadpi_core.flight import AXES, Flight
@@ -262,10 +261,10 @@ def _require_flights(flights: Sequence[PreparedFlight], settings: Settings) -> N
         raise ModelError("no flights to identify on: at least one is needed")
     for flight in flights:
         samples = np.column_stack((flight.inputs, flight.wrench))
-        finite: npt.NDArray[np.bool_] = np.isfinite(samples).all(axis=1)
+        finite = np.isfinite(samples).all(axis=1)
         if not finite.all():
             raise ModelError(
-                f"{flight.name}: {np.sum(~finite)} of {len(finite)} samples are not finite, "
+                f"{flight.name}: {np.sum(~finite)} of {len(samples)} samples are not finite, "
                 f"the first is sample {np.argmin(finite)}"
             )
 
