@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs PyTorch")
 
 from quadpi_core.errors import ModelError  # noqa: E402
+from quadpi_core.models.ensembles import passes  # noqa: E402
+from quadpi_core.models.ensembles import training as training_module  # noqa: E402
 from quadpi_core.models.ensembles.batches import Batch, Samples  # noqa: E402
 from quadpi_core.models.ensembles.losses import (  # noqa: E402
     GaussianNoise,
@@ -148,7 +151,10 @@ def test_crossing_bounds_cost() -> None:
 
 
 @pytest.mark.parametrize("loss", [SquaredError(), gaussian(), quality_driven()], ids=str)
-def test_training_again_gives_the_same_numbers_on_any_number_of_threads(loss: Loss) -> None:
+def test_training_again_gives_the_same_numbers_on_any_number_of_threads(
+    loss: Loss, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training_module, "_PER_THREAD", 1)
     threads = torch.get_num_threads()
     try:
         trained = []
@@ -161,7 +167,32 @@ def test_training_again_gives_the_same_numbers_on_any_number_of_threads(loss: Lo
     assert not torch.equal(train(samples_for(loss), loss, replace(SCHEDULE, seed=4)).parameters, trained[0])
 
 
-def test_numbers_of_the_networks_give_what_pytorch_predicts() -> None:
+def test_few_networks_take_one_thread_and_leave_the_number_as_it_was() -> None:
+    threads, seen = torch.get_num_threads(), []
+    try:
+        torch.set_num_threads(3)
+        with pytest.raises(KeyboardInterrupt):
+            train(samples_for(SquaredError()), SquaredError(), SCHEDULE, report=interrupt(seen))
+        after = torch.get_num_threads()
+    finally:
+        torch.set_num_threads(threads)
+    assert seen == [1]
+    assert after == 3
+
+
+def interrupt(seen: list[int]) -> Callable[[Progress], None]:
+    def report(progress: Progress) -> None:  # noqa: ARG001
+        seen.append(torch.get_num_threads())
+        raise KeyboardInterrupt
+
+    return report
+
+
+@pytest.mark.parametrize("together", [500, 128, 100], ids="blocks of {}".format)
+def test_numbers_of_the_networks_give_what_pytorch_predicts(
+    together: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(passes, "_TOGETHER", together)
     samples = samples_for(quality_driven())
     training = train(samples, quality_driven(), SCHEDULE)
     predictions = training.predictions(slice(1, 3))
