@@ -32,7 +32,7 @@ from quadpi_core.report.page import (
 )
 from quadpi_core.report.style import covers_too_little, hundredths, number, percent, unit
 
-PUBLISHED = "paper's"
+PUBLISHED = "published"
 # All intervals together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 300_000
 

@@ -15,7 +15,7 @@ from quadpi_core.report.style import hundredths, unit
 from quadpi_core.report.tables import final_terms
 from quadpi_core.validation.result import VARIATIONS
 
-_PAPER = "*paper's*"
+_PUBLISHED = "*published*"
 _COVERAGE = ("training", *VARIATIONS)
 _WIDTH = _COVERAGE[:-1]
 _HEADINGS = dict(zip(_COVERAGE, ("train", "model", "meas.", "both"), strict=True))
@@ -49,7 +49,7 @@ def comparison(result: Mapping[str, Any]) -> str:
         rows.append(
             [
                 "" if row.axis == axis else f"{row.axis} [{unit(row.axis)}]",
-                row.model or _PAPER,
+                row.model or _PUBLISHED,
                 *(f"*{text}*" if published else text for text in numbers),
             ]
         )
@@ -78,7 +78,7 @@ def validation(results: Sequence[Mapping[str, Any]], axes: Sequence[str] = AXES)
                 rows.append([first, "" if again else name, model["settings"], *cells])
             if known := published.get(name, {}).get(axis):
                 cells = [f"*{cell}*" if cell else "" for cell in _validation_cells(known, None)]
-                rows.append(["", "", _PAPER, *cells])
+                rows.append(["", "", _PUBLISHED, *cells])
     return table(headings, rows, texts=range(3))
 
 

@@ -59,9 +59,9 @@ def test_published_numbers_follow_the_models_of_their_method(comparison):
     heading, *body = cells(markdown.comparison(comparison))
     assert heading[2:] == ["PICP % known", "PICP % new & fast", "MPIW known", "MPIW new & fast"]
     assert len(body) == len(order)
-    assert body[2][1:] == ["*paper's*", "*98.19*", "*98.19*", "*0.70*", "*0.70*"]
+    assert body[2][1:] == ["*published*", "*98.19*", "*98.19*", "*0.70*", "*0.70*"]
     assert body[0][0] == "Fx [N]"
-    assert all(row[3].startswith("▼") != (row[1] == "*paper's*") for row in body)
+    assert all(row[3].startswith("▼") != (row[1] == "*published*") for row in body)
 
 
 def test_terms_stand_in_the_order_of_selection(case):
@@ -90,7 +90,7 @@ def test_validation_has_both_settings_above_the_papers_numbers():
 
     heading, *body = cells(markdown.validation([result("paper", 0.9437), result("default", 1.0)], AXES[2:4]))
     assert len(heading) == 10
-    assert [row[2] for row in body] == ["paper", "default", "*paper's*"] * 2
+    assert [row[2] for row in body] == ["paper", "default", "*published*"] * 2
     # Training and combined variation stand for reference: they are not judged.
     assert body[0][3:] == ["94.37", "▼ 94.37", "▼ 94.37", "94.37", "3.45", "3.45", "3.45"]
     assert body[2][3:] == ["*96.68*", "*100.00*", "*99.94*", "", "*8.13*", "*27.32*", "*21.78*"]
