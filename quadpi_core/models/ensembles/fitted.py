@@ -148,8 +148,8 @@ class FittedQualityDriven(FittedEnsemble):
     """Members that predict a lower and an upper bound.
 
     Each bound of the ensemble is the mean of the members', moved outward by `outward` standard deviations
-    (B − 1); centre and spread are the middle of the two and half their distance, whichever is the larger, but
-    no less than the floor.
+    (B − 1), for both the mean of the two bounds': a member astray on one side would else pull the middle
+    after it. Centre and spread are the middle of the two and half their distance, but no less than the floor.
 
     Attributes:
         outward: 1.96 with the standard deviation, 1.96/√B with the standard error of the mean.
@@ -162,10 +162,10 @@ class FittedQualityDriven(FittedEnsemble):
         """Centre and spread (N,) in numpy: the reference for the compiled kernels."""
         bounds = self.members.outputs(self.features(X))
         mean, deviation = bounds.mean(axis=0), bounds.std(axis=0, ddof=1)
-        lower, upper = (mean + self.outward * deviation * np.array([-1.0, 1.0])).T
-        spread = np.maximum(0.5 * np.abs(upper - lower), self.floor)
+        half = 0.5 * (mean[:, 1] - mean[:, 0]) + self.outward * deviation.mean(axis=1)
+        spread = np.maximum(np.abs(half), self.floor)
         scale = self.scaling.target_scale
-        return self.scaling.target_mean + scale * 0.5 * (lower + upper), scale * spread
+        return self.scaling.target_mean + scale * mean.mean(axis=1), scale * spread
 
     def arrays(self) -> dict[str, Array]:
         """What a stored model keeps as arrays, by name."""

@@ -282,12 +282,11 @@ def _intervals(
             noise = scale * _softplus(outputs[_NOISE, 0, 0, i]) + floor
             spread = math.sqrt(share * variance + noise * noise)
         else:
-            lower, variance = _moments(outputs, 0, networks, i)
-            lower -= share * math.sqrt(variance)
-            upper, variance = _moments(outputs, 1, networks, i)
-            upper += share * math.sqrt(variance)
+            lower, lower_variance = _moments(outputs, 0, networks, i)
+            upper, upper_variance = _moments(outputs, 1, networks, i)
             centre = 0.5 * (lower + upper)
-            spread = max(0.5 * abs(upper - lower), floor)
+            outward = 0.5 * share * (math.sqrt(lower_variance) + math.sqrt(upper_variance))
+            spread = max(abs(0.5 * (upper - lower) + outward), floor)
         out[0, start + i, axis] = centre
         out[1, start + i, axis] = centre - factor * spread
         out[2, start + i, axis] = centre + factor * spread

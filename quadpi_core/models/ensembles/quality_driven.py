@@ -176,9 +176,9 @@ class QualityDrivenEnsemble(Ensemble):
         """
         bounds = members.predictions(plan.networks(ensemble))
         mean, deviation = bounds.mean(axis=1), bounds.std(axis=1, ddof=1)
-        lower, upper = (mean[:, k] + side * self._outward * deviation[:, k] for k, side in ((0, -1), (1, 1)))
+        half = 0.5 * (mean[:, 1] - mean[:, 0]) + self._outward * deviation.mean(axis=1)
         errors = table.targets - mean_over(bounds.mean(axis=2), plan.unseen(ensemble))
-        return 0.5 * (lower + upper), 0.5 * np.abs(upper - lower), errors
+        return mean.mean(axis=1), np.abs(half), errors
 
     def _uncalibrated(self) -> AnyRule:
         return TrainedRule(self.confidence)

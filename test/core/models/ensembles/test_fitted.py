@@ -70,8 +70,8 @@ def test_bootstrap_is_mean_and_variance_of_members_and_noise(X: Array) -> None:
 def test_quality_driven_bounds_move_outward(X: Array) -> None:
     ensemble = random_ensemble("quality-driven", X, REGRESSORS, members=4, units=5)
     bounds = ensemble.members.outputs(ensemble.features(X))
-    lower = bounds[:, :, 0].mean(axis=0) - 1.96 * bounds[:, :, 0].std(axis=0, ddof=1)
-    upper = bounds[:, :, 1].mean(axis=0) + 1.96 * bounds[:, :, 1].std(axis=0, ddof=1)
+    outward = 1.96 * bounds.std(axis=0, ddof=1).mean(axis=1)
+    lower, upper = bounds.mean(axis=0).T + outward * [[-1.0], [1.0]]
     assert np.all(lower < upper)
     centre, spread = ensemble.centre_and_spread(X)
     np.testing.assert_allclose(centre - spread, 1.0 + 0.3 * lower)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.ensembles.fitted import AnyFitted, FittedBootstrap
 from quadpi_core.models.ensembles.kernel import CompiledEnsembles
+from quadpi_core.models.ensembles.network import Networks
 from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.rules import NormalRule, TrainedRule
@@ -67,36 +69,48 @@ def test_axes_need_not_be_of_one_size(method: str, X: Array) -> None:
 
 
 def test_equals_torch(fitted: dict[str, AnyFitted], X: Array) -> None:
-    """Mean of the members, each a torch network of double precision."""
+    """Prediction and bounds from members that are torch networks of double precision, one each."""
     torch = pytest.importorskip("torch")
     evaluation = evaluate(fitted, X)
     for k, axis in enumerate(AXES):
         ensemble = fitted[axis]
         features = torch.from_numpy(ensemble.features(X))
-        networks = ensemble.members
-        outputs = []
-        for member in range(len(networks)):
-            network = torch.nn.Sequential(
-                torch.nn.Linear(*networks.hidden_weights.shape[:0:-1], dtype=torch.float64),
-                torch.nn.ReLU(),
-                torch.nn.Linear(*networks.output_weights.shape[:0:-1], dtype=torch.float64),
-            )
-            parameters = (
-                networks.hidden_weights,
-                networks.hidden_biases,
-                networks.output_weights,
-                networks.output_biases,
-            )
-            with torch.no_grad():
-                for own, values in zip(network.parameters(), parameters, strict=True):
-                    own.copy_(torch.from_numpy(values[member]))
-                outputs.append(network(features))
-        bounds = torch.stack(outputs)
-        mean, deviation = bounds.mean(dim=0), bounds.std(dim=0)
-        if not isinstance(ensemble, FittedBootstrap):
-            mean = mean + ensemble.outward * deviation * torch.tensor([-1.0, 1.0])
-        centre = ensemble.scaling.target_mean + ensemble.scaling.target_scale * mean.mean(dim=1)
-        np.testing.assert_allclose(evaluation.predicted[:, k], centre.numpy(), rtol=0.0, atol=1e-5)
+
+        def outputs(networks: Networks, features: Any = features) -> Any:
+            given = []
+            for member in range(len(networks)):
+                network = torch.nn.Sequential(
+                    torch.nn.Linear(*networks.hidden_weights.shape[:0:-1], dtype=torch.float64),
+                    torch.nn.ReLU(),
+                    torch.nn.Linear(*networks.output_weights.shape[:0:-1], dtype=torch.float64),
+                )
+                parameters = (
+                    networks.hidden_weights,
+                    networks.hidden_biases,
+                    networks.output_weights,
+                    networks.output_biases,
+                )
+                with torch.no_grad():
+                    for own, values in zip(network.parameters(), parameters, strict=True):
+                        own.copy_(torch.from_numpy(values[member]))
+                    given.append(network(features))
+            return torch.stack(given)
+
+        of_members = outputs(ensemble.members)
+        mean, deviation = of_members.mean(dim=0), of_members.std(dim=0)
+        if isinstance(ensemble, FittedBootstrap):
+            noise = torch.nn.functional.softplus(outputs(ensemble.noise)[0, :, 0]) + ensemble.floor
+            spread = (ensemble.model_share * deviation[:, 0].square() + noise.square()).sqrt()
+        else:
+            half = 0.5 * (mean[:, 1] - mean[:, 0]) + ensemble.outward * deviation.mean(dim=1)
+            spread = half.abs().clamp(min=ensemble.floor)
+        scale = ensemble.scaling.target_scale
+        centre = ensemble.scaling.target_mean + scale * mean.mean(dim=1)
+        half_width = ensemble.rule.factor(0.95) * scale * spread
+        expected = (centre, centre - half_width, centre + half_width)
+        found = (evaluation.predicted, evaluation.lower, evaluation.upper)
+        for ours, theirs in zip(found, expected, strict=True):
+            np.testing.assert_allclose(ours[:, k], theirs.numpy(), rtol=0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("block", [1, 2, 15, 16, 17, 255, 256, 257])
