@@ -254,8 +254,8 @@ def _require_flights(flights: Sequence[PreparedFlight], settings: Settings) -> N
     if settings == "default" and len(flights) < _FEWEST_FLIGHTS:
         raise ModelError(
             f"too few flights: {len(flights)} given, {_FEWEST_FLIGHTS} or more needed, each of which is left "
-            "out in turn to calibrate the intervals; give more, or take settings paper, which need one and do "
-            "not calibrate"
+            "out in turn to calibrate the intervals; give more, or take settings paper, which need one and "
+            "do not calibrate"
         )
     if not flights:
         raise ModelError("no flights to identify on: at least one is needed")
