@@ -65,7 +65,7 @@ Confidence = Annotated[float | None, typer.Option(help="Coverage of the interval
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes to use; default: one per core.")]
 FileWorkers = Annotated[
     int | None,
-    typer.Option(min=1, help="Processes to use; default: this one, from 32 flights on one per core."),
+    typer.Option(min=1, help="Processes to use; default: this one, from 64 flights on one per core."),
 ]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler, whose workers to use instead.")

@@ -22,7 +22,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # Starting processes takes about as long as reading so many flights of half a minute.
-MANY_FILES = 32
+MANY_FILES = 64
 _ANSWER_S = 30.0
 # What Dask sets for workers before they start. By default it also tells glibc to give memory back at once,
 # which costs array code a third of its time.

@@ -186,6 +186,28 @@ def test_import_keeps_every_stream(quadpi, bags, tmp_path):
         assert [len(stream) for stream in again.streams()] == [len(stream) for stream in original.streams()]
 
 
+@pytest.mark.slow
+def test_a_cluster_reads_for_every_command(quadpi, bags, pool, cluster, tmp_path):
+    """`--scheduler`, and the same results as without."""
+    results = []
+    for place, options in (("here", ()), ("there", ("--scheduler", cluster))):
+        folder = tmp_path / place
+        model, data = folder / "model", folder / "data.json"
+        vehicle = ("--vehicle", "neurobem")
+        runs = [
+            ("import", *bags, *vehicle, "-o", folder / "bags"),
+            ("identify", *bags, *vehicle, "--candidates", pool, "-o", model, "--json", data),
+            ("evaluate", model, *bags, "--json", folder / "evaluation.json"),
+            ("replay", model, *bags, "-o", folder / "replayed", "--json", folder / "replays.json"),
+        ]
+        for run in runs:
+            result = quadpi(*run, *options)
+            assert (result.status, result.errors) == (0, ""), run
+        results.append({file.relative_to(folder): file.read_bytes() for file in folder.rglob("*.*")})
+    assert results[0] == results[1]
+    assert len(results[0]) == 2 * len(bags) + 2 + 3
+
+
 def test_import_aligns_motion_capture_with_the_gyro(quadpi, fly, tmp_path):
     recording = fly(0)
     late = replace(recording.pose, time_ns=recording.pose.time_ns + 40_000_000)
@@ -242,6 +264,19 @@ class TestJsonKeys:
         output = tmp_path / "out.mcap"
         assert quadpi("replay", model, bags[0], "-o", output, "--json", tmp_path / "replay.json").status == 0
         assert set(read_json(tmp_path / "replay.json")) == REPLAY
+
+    def test_replay_of_several(self, quadpi, model, bags, tmp_path):
+        out, data = tmp_path / "out", tmp_path / "replay.json"
+        replayed = quadpi("replay", model, *bags, "-o", out, "--json", data)
+        assert (replayed.status, replayed.errors) == (0, "")
+        flights = read_json(data)["flights"]
+        assert read_json(data) == json.loads(replayed.output) == {"flights": flights}
+        assert list(flights) == ["flight0", "flight1", "flight2"]
+        assert sorted(path.name for path in out.iterdir()) == [bag.name for bag in bags]
+        alone = tmp_path / "alone.mcap"
+        assert quadpi("replay", model, bags[1], "-o", alone, "--json", data).status == 0
+        assert read_json(data) == flights["flight1"]
+        assert alone.read_bytes() == (out / "flight1.mcap").read_bytes()
 
 
 def test_axes_and_confidence_are_those_asked_for(quadpi, bags, pool, tmp_path):

@@ -101,6 +101,7 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
         ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "--settings", "paper", "-o", other),
         ("evaluate", model, other, *bags),
         ("replay", model, bags[0], "-o", tmp_path / "out.mcap"),
+        ("replay", model, *bags, "-o", tmp_path / "replayed"),
         ("simulate", scenario, "-o", tmp_path / "simulated"),
     ]
     for run in runs:
