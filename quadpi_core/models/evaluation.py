@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from quadpi_core.frames import Array
 
 
-@dataclass(frozen=True)
-class Evaluation:
+class Evaluation(NamedTuple):
     """What a model says of N samples; columns Fx … Mz, zero for axes that the model does not hold.
 
     Attributes:

@@ -49,10 +49,9 @@ class _Tables(NamedTuple):
         hidden_biases: (6, banks, units).
         output_weights: (6, banks, outputs, units).
         output_biases: (6, banks, outputs, networks).
-        scale: (6,) of the target.
-        floor: (6,) least noise or spread, in the target's own unit.
-        share: (6,) how much the members' deviation counts: `model_share` or `outward`.
-        rms_spread: (6,).
+        interval: (6, 4) scale of the target; least noise or spread, in the target's own unit; how much the
+            members' deviation counts, `model_share` or `outward`; `rms_spread`. One array, for each argument
+            of a kernel costs as much as a network.
     """
 
     source: npt.NDArray[np.int64]
@@ -61,10 +60,7 @@ class _Tables(NamedTuple):
     hidden_biases: Array
     output_weights: Array
     output_biases: Array
-    scale: Array
-    floor: Array
-    share: Array
-    rms_spread: Array
+    interval: Array
 
     @classmethod
     def for_banks(cls, banks: Iterable[Networks]) -> _Tables:
@@ -79,10 +75,7 @@ class _Tables(NamedTuple):
             hidden_biases=np.zeros((axes, _BANKS, total)),
             output_weights=np.zeros((axes, _BANKS, _MOST_OUTPUTS, total)),
             output_biases=np.zeros((axes, _BANKS, _MOST_OUTPUTS, networks)),
-            scale=np.ones(axes),
-            floor=np.ones(axes),
-            share=np.zeros(axes),
-            rms_spread=np.ones(axes),
+            interval=np.ones((axes, 4)),
         )
 
     def fill(self, axis: int, bank: int, networks: Networks) -> None:
@@ -126,12 +119,9 @@ class CompiledEnsembles:
             start += size
             for bank, networks in enumerate(banks[axis]):
                 tables.fill(k, bank, networks)
-            tables.scale[k] = ensemble.scaling.target_scale
-            tables.floor[k] = ensemble.scaling.target_scale * ensemble.floor
-            tables.share[k] = (
-                ensemble.model_share if isinstance(ensemble, FittedBootstrap) else ensemble.outward
-            )
-            tables.rms_spread[k] = ensemble.rms_spread
+            scale = ensemble.scaling.target_scale
+            share = ensemble.model_share if isinstance(ensemble, FittedBootstrap) else ensemble.outward
+            tables.interval[k] = scale, scale * ensemble.floor, share, ensemble.rms_spread
         return cls(program, tables, ensembles)
 
     def factors(self, confidence: float) -> Array:
@@ -147,7 +137,7 @@ class CompiledEnsembles:
         out = np.zeros((5, len(inputs), len(AXES)))
         program = self.program
         evaluate_kernel(inputs, program.first, program.second, program.weights, *self.tables, factors, out)
-        return Evaluation(out[0], out[1], out[2], out[3], out[4])
+        return Evaluation(*out)
 
 
 def _banks(ensemble: AnyFitted) -> tuple[Networks, ...]:
@@ -183,10 +173,7 @@ def evaluate_kernel(
     hidden_biases: Any,
     output_weights: Any,
     output_biases: Any,
-    scale: Any,
-    floor: Any,
-    share: Any,
-    rms_spread: Any,
+    interval: Any,
     factors: Any,
     out: Any,
 ) -> None:
@@ -199,10 +186,7 @@ def evaluate_kernel(
         hidden_biases,
         output_weights,
         output_biases,
-        scale,
-        floor,
-        share,
-        rms_spread,
+        interval,
     )
     samples = inputs.shape[0]
     width = min(_BLOCK, samples + -samples % LANES)
@@ -274,8 +258,7 @@ def _intervals(
 ) -> None:
     """Fill samples from `start` on of `out` (5, N, 6) from the outputs of both banks."""
     networks, count = tables.sizes[axis, _MEMBERS, 2], tables.sizes[axis, _MEMBERS, 3]
-    scale, floor, share = tables.scale[axis], tables.floor[axis], tables.share[axis]
-    rms_spread = tables.rms_spread[axis]
+    scale, floor, share, rms_spread = tables.interval[axis]
     for i in range(samples):
         if count == 1:
             centre, variance = _moments(outputs, 0, networks, i)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,9 +81,7 @@ def folder(model: AerodynamicModel, tmp_path: Path) -> Path:
 
 
 def same(one: Evaluation, other: Evaluation) -> bool:
-    return all(
-        np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Evaluation)
-    )
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in Evaluation._fields)
 
 
 @pytest.mark.parametrize("confidence", [0.8, 0.95])
@@ -113,8 +111,8 @@ def test_compiled_evaluation_equals_that_of_each_axis(
 def test_axes_not_held_are_zero(model: AerodynamicModel, inputs: Array) -> None:
     assert model.axes == ("Fx", "Fz", "Mz")
     evaluation = model.evaluate(inputs)
-    for field in fields(Evaluation):
-        assert np.all(getattr(evaluation, field.name)[:, [1, 3, 4]] == 0.0)
+    for name in Evaluation._fields:
+        assert np.all(getattr(evaluation, name)[:, [1, 3, 4]] == 0.0)
 
 
 def test_own_confidence_is_the_default(model: AerodynamicModel, inputs: Array) -> None:
@@ -129,9 +127,9 @@ def test_own_confidence_is_the_default(model: AerodynamicModel, inputs: Array) -
 def test_blocks_give_the_same_bits_as_the_whole(model: AerodynamicModel, inputs: Array, block: int) -> None:
     whole = model.evaluate(inputs)
     parts = [model.evaluate(inputs[start : start + block]) for start in range(0, len(inputs), block)]
-    for field in fields(Evaluation):
-        joined = np.concatenate([getattr(part, field.name) for part in parts])
-        np.testing.assert_array_equal(joined, getattr(whole, field.name))
+    for name in Evaluation._fields:
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(whole, name))
 
 
 def test_inputs_of_another_shape_are_refused(model: AerodynamicModel, inputs: Array) -> None:

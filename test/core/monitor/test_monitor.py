@@ -209,7 +209,7 @@ def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
         def evaluate(self, inputs, confidence=None) -> Evaluation:
             evaluation = super().evaluate(inputs, confidence)
             far = inputs[:, INPUT_INDEX["u"]] > 2.0
-            return replace(evaluation, upper=np.where(far[:, None], np.inf, evaluation.upper))
+            return evaluation._replace(upper=np.where(far[:, None], np.inf, evaluation.upper))
 
     columns = {field.name: getattr(model, field.name) for field in fields(model)}
     predictions, alarms = Monitor(Overflowing(**columns), vehicle, RATE_HZ).step(*samples)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import pickle
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -162,10 +162,8 @@ def test_a_single_member_has_no_deviation(ensemble: AnyFitted) -> None:
 
 def test_saved_model_evaluates_to_the_same_bits(model: AerodynamicModel, folder: Path, X: Array) -> None:
     loaded = AerodynamicModel.load(folder)
-    for field in fields(Evaluation):
-        np.testing.assert_array_equal(
-            getattr(loaded.evaluate(X), field.name), getattr(model.evaluate(X), field.name)
-        )
+    for name in Evaluation._fields:
+        np.testing.assert_array_equal(getattr(loaded.evaluate(X), name), getattr(model.evaluate(X), name))
     assert loaded.method == model.method
     assert loaded.save(folder.parent / "again" / "model").identity == loaded.identity
     for name in (MODEL_FILE, ARRAYS_FILE):
