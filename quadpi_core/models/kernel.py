@@ -83,7 +83,7 @@ class CompiledPolynomials:
             factors,
             out,
         )
-        return Evaluation(*out)
+        return Evaluation(out[0], out[1], out[2], out[3], out[4])
 
 
 @njit(cache=True)
