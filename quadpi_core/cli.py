@@ -182,7 +182,7 @@ def identify(
     html_file: HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
-    from quadpi_core.identification import CUTOFF_HZ, prepare_flights
+    from quadpi_core.identification import CUTOFF_HZ, prepare_flights, require_options
     from quadpi_core.identification import identify as identify_model
     from quadpi_core.models.pool import load_pools, select_axes
     from quadpi_core.models.storage import require_replaceable
@@ -196,6 +196,7 @@ def identify(
     cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)
     pools = select_axes(load_pools(candidates), axes)
+    require_options(pools, method=method, settings=settings, stop=stop, confidence=confidence, device=device)
     with counting(console, "Reading flights", len(bags)) as read:
         flights = prepare_flights(
             bags, the_vehicle, cutoff, workers=workers, scheduler=scheduler, progress=read

@@ -23,11 +23,12 @@ from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.ensembles.bootstrap import BootstrapEnsemble
-from quadpi_core.models.ensembles.estimator import Ensemble, fit_axes
+from quadpi_core.models.ensembles.estimator import Ensemble, fit_axes, require_training
 from quadpi_core.models.ensembles.quality_driven import QualityDrivenEnsemble
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool
+from quadpi_core.models.rules import require_confidence
 from quadpi_core.models.selection import StopRule
 from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.parallel import map_files
@@ -199,9 +200,10 @@ def identify(
         progress: called before each polynomial, or after each epoch of an ensemble.
 
     Raises:
-        ModelError: for too few flights for the settings; naming the flight, for samples that are not finite;
-            naming the axis, for what cannot be identified.
+        ModelError: see :func:`require_options`; for too few flights for the settings; naming the flight, for
+            samples that are not finite; naming the axis, for what cannot be identified.
     """
+    require_options(pools, method=method, settings=settings, stop=stop, confidence=confidence, device=device)
     _require_flights(flights, settings)
     inputs = np.concatenate([flight.inputs for flight in flights])
     wrench = np.concatenate([flight.wrench for flight in flights])
@@ -217,17 +219,12 @@ def identify(
                 polynomials[axis].fit(inputs, targets[:, column], labels)
         estimators = polynomials
     else:
-        if stop is not None:
-            raise ModelError(f"a stop rule is for polynomials: the {method} method has none")
         ensembles = {
-            axis: _ensemble(axis, pools[axis], method, settings, confidence, seed, device) for axis in axes
+            axis: _ensemble(pools[axis], method, settings, confidence, seed, device) for axis in axes
         }
         fit_axes(ensembles, inputs, targets, labels, lambda state: progress(Step.training(state)))
         estimators = ensembles
     fitted: dict[str, FittedAxis] = {axis: estimators[axis].fitted_ for axis in axes}
-    for axis in axes:
-        with _naming(axis):
-            fitted[axis].rule.factor(confidence)
     compiled = METHODS[method].compile(fitted)
     evidence = compiled.evaluate(inputs, compiled.factors(confidence))
     coverage = {axis: estimators[axis].held_out_coverage(confidence) for axis in axes}
@@ -247,6 +244,34 @@ def identify(
             axis: [] if shares is None else shares.tolist() for axis, shares in coverage.items()
         },
     )
+
+
+def require_options(
+    pools: Mapping[str, CandidatePool],
+    *,
+    method: MethodName,
+    settings: Settings,
+    stop: StopRule | None,
+    confidence: float,
+    device: str,
+) -> None:
+    """Refuse what no flights can be identified with; to be asked before they are read, which takes longer.
+
+    Args are those of :func:`identify`.
+
+    Raises:
+        ModelError: for a confidence that the settings cannot give; for an ensemble with a stop rule, without
+            PyTorch or the device; naming the axis, for candidates without inputs for networks.
+    """
+    require_confidence(confidence, calibrated=settings == "default")
+    if method == "polynomial":
+        return
+    if stop is not None:
+        raise ModelError(f"a stop rule is for polynomials: the {method} method has none")
+    for axis in AXES:
+        if axis in pools and not pools[axis].inputs:
+            raise ModelError(f"{axis}: the candidate file lists no `inputs` for networks")
+    require_training(device)
 
 
 def _require_flights(flights: Sequence[PreparedFlight], settings: Settings) -> None:
@@ -275,7 +300,6 @@ def _polynomial(pool: CandidatePool, settings: Settings, stop: StopRule | None) 
 
 
 def _ensemble(
-    axis: str,
     pool: CandidatePool,
     method: MethodName,
     settings: Settings,
@@ -283,8 +307,6 @@ def _ensemble(
     seed: int,
     device: str,
 ) -> Ensemble:
-    if not pool.inputs:
-        raise ModelError(f"{axis}: the candidate file lists no `inputs` for networks")
     kind = BootstrapEnsemble if method == "bootstrap" else QualityDrivenEnsemble
     ensemble = kind.paper(pool.inputs) if settings == "paper" else kind(pool.inputs)
     trained_for = {} if method == "bootstrap" else {"confidence": confidence}

@@ -139,7 +139,7 @@ class HeldOutRule:
 
     def factor(self, confidence: float) -> float:
         """The factor that covers FLIGHT_SHARE of the flights, or all while there are too few to tell."""
-        _check_confidence(confidence, float(LEVELS[0]), float(LEVELS[-1]))
+        require_confidence(confidence, calibrated=True)
         return _ranked_factor(self.flight_factors, confidence)
 
     def held_out_coverage(self, held_out: Sequence[FlightErrors], confidence: float) -> Array:
@@ -242,6 +242,15 @@ def conformal_rank(flights: int) -> int:
 def _ranked_factor(flight_factors: Array, confidence: float) -> float:
     factors = np.sort([np.interp(confidence, LEVELS, row) for row in flight_factors])
     return float(factors[conformal_rank(len(factors)) - 1])
+
+
+def require_confidence(confidence: float, *, calibrated: bool) -> None:
+    """Refuse a confidence of which no intervals can be identified, whether calibrated on flights or not.
+
+    Raises:
+        ModelError: naming what is possible.
+    """
+    _check_confidence(confidence, *((float(LEVELS[0]), float(LEVELS[-1])) if calibrated else (0.0, 1.0)))
 
 
 def _check_confidence(confidence: float, lowest: float, highest: float) -> None:

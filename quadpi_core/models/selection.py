@@ -241,7 +241,7 @@ def _score(grams: list[Gram], total: Gram, stop: StopRule) -> _Score:
     if stop == "leave-one-flight-out":
         if len(grams) < 2:
             raise ModelError(
-                "the stop rule leave-one-flight-out needs at least two flights; settings paper take one"
+                "the stop rule leave-one-flight-out needs two flights or more; pse, r2 and bic take one"
             )
         rests = [total - gram for gram in grams]
         return lambda active, _: _held_out_error(active, grams, rests)

@@ -130,11 +130,11 @@ def test_an_ensemble_needs_inputs_and_has_no_stop_rule(flights, vehicle):
 
 
 def test_errors_name_the_axis(flights, vehicle):
-    with pytest.raises(ModelError, match=r"^Fx: .*at least two flights"):
+    with pytest.raises(ModelError, match=r"^Fx: .*needs two flights or more; pse, r2 and bic take one$"):
         identify(
             flights[:1], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, settings="paper", stop="leave-one-flight-out"
         )
-    with pytest.raises(ModelError, match=r"^Fx: confidence 1\.5"):
+    with pytest.raises(ModelError, match=r"^confidence 1\.5"):
         identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, confidence=1.5)
 
 

@@ -38,7 +38,20 @@ main()
 """
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.fixture(params=METHODS)
+def method(request):
+    """Each method that can be identified here."""
+    if request.param in ENSEMBLES:
+        pytest.importorskip("torch", reason="training needs PyTorch")
+    return request.param
+
+
+@pytest.fixture
+def unread(tmp_path):
+    """What is noticed too late if it is noticed after this flight."""
+    return tmp_path / "is_not_there.mcap"
+
+
 def test_one_flight_is_too_few_to_calibrate(refused, bags, tmp_path, method):
     message = (
         "too few flights: 1 given, 2 or more needed, .*; give more, or take settings paper, which need one"
@@ -48,7 +61,6 @@ def test_one_flight_is_too_few_to_calibrate(refused, bags, tmp_path, method):
 
 
 @pytest.mark.parametrize("settings", ["default", "paper"])
-@pytest.mark.parametrize("method", METHODS)
 def test_no_flight_at_all(method, settings):
     with pytest.raises(ModelError, match=r"flights.* needed"):
         identify(
@@ -62,7 +74,6 @@ def test_no_flight_at_all(method, settings):
 
 
 @pytest.mark.parametrize("settings", ["default", "paper"])
-@pytest.mark.parametrize("method", METHODS)
 def test_constant_target_is_named(refused, bags, tmp_path, method, settings):
     """Flights that slide without turning: no moment is measured."""
     flights = [tmp_path / bag.name for bag in bags[:2]]
@@ -80,7 +91,6 @@ def test_constant_target_is_named(refused, bags, tmp_path, method, settings):
     refused(message, "identify", *flights, "--axes", "Mz", *options)
 
 
-@pytest.mark.parametrize("method", METHODS)
 def test_samples_that_are_not_finite_are_counted(bags, method):
     """Of flights that were prepared elsewhere: those that quadpi reads are refused as they are read."""
     vehicle = Vehicle.load("neurobem")
@@ -93,31 +103,31 @@ def test_samples_that_are_not_finite_are_counted(bags, method):
 
 
 @pytest.mark.parametrize("method", ENSEMBLES)
-def test_stop_rule_of_an_ensemble(refused, bags, tmp_path, method):
+def test_stop_rule_of_an_ensemble(refused, unread, tmp_path, method):
     options = ("--vehicle", "neurobem", "--method", method, "--stop", "pse", "-o", tmp_path / "model")
-    refused(f"a stop rule is for polynomials: the {method} method has none", "identify", *bags, *options)
+    refused(f"a stop rule is for polynomials: the {method} method has none", "identify", unread, *options)
 
 
 @pytest.mark.parametrize("method", ENSEMBLES)
-def test_inputs_missing_from_the_candidates(refused, bags, pool, tmp_path, method):
+def test_inputs_missing_from_the_candidates(refused, unread, pool, tmp_path, method):
     options = ("--vehicle", "neurobem", "--method", method, "--candidates", pool, "-o", tmp_path / "model")
-    refused("Fx: the candidate file lists no `inputs` for networks", "identify", *bags, *options)
+    refused("Fx: the candidate file lists no `inputs` for networks", "identify", unread, *options)
 
 
 @pytest.mark.parametrize("method", ENSEMBLES)
-def test_graphics_card_that_is_not_there(refused, bags, tmp_path, method):
+def test_graphics_card_that_is_not_there(refused, unread, tmp_path, method):
     torch = pytest.importorskip("torch")
     if torch.cuda.is_available():
         pytest.skip("there is one")
     options = ("--vehicle", "neurobem", "--method", method, "--device", "cuda", "-o", tmp_path / "model")
-    refused("device 'cuda' is not there: ", "identify", *bags, *options)
+    refused("device 'cuda' is not there: ", "identify", unread, *options)
 
 
 @pytest.mark.parametrize("method", ENSEMBLES)
-def test_training_without_pytorch_names_the_extra(bags, tmp_path, method):
+def test_training_without_pytorch_names_the_extra(unread, tmp_path, method):
     options = ("--vehicle", "neurobem", "--method", method, "-o", tmp_path / "model")
     ran = subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH, "identify", *bags, *options],
+        [sys.executable, "-c", WITHOUT_TORCH, "identify", unread, *options],
         env=os.environ | {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1])},
         capture_output=True,
         text=True,

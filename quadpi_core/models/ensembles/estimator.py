@@ -208,6 +208,19 @@ class Ensemble:
         raise NotImplementedError
 
 
+def require_training(device: str) -> None:
+    """Refuse a device that cannot train.
+
+    Raises:
+        ModelError: if PyTorch is missing, or the device is not there.
+    """
+    try:
+        from quadpi_core.models.ensembles.training import device_of
+    except ImportError as error:
+        raise ModelError(f"training needs PyTorch, installed by quadpi-monitor[train]: {error}") from error
+    device_of(device)
+
+
 def fit_axes(
     estimators: Mapping[str, Ensemble],
     X: Array,
@@ -228,6 +241,7 @@ def fit_axes(
         ModelError: naming the axis, see :meth:`Ensemble.fit`; estimators that differ.
     """
     first, *others = estimators.values()
+    require_training(first.device)
     wanted = first.get_params() | {"inputs": None}
     if any(type(o) is not type(first) or o.get_params() | {"inputs": None} != wanted for o in others):
         raise ModelError("axes that are trained together must have the same parameters but for their inputs")
@@ -242,10 +256,7 @@ def fit_axes(
             )
         folds = min(count, first.folds)
     plan = Plan.make(table.flights, first.members, first.subset, first.split, folds, first.seed)
-    try:
-        trained = first._train(table, plan, report)
-    except ImportError as error:
-        raise ModelError(f"training needs PyTorch, installed by quadpi-monitor[train]: {error}") from error
+    trained = first._train(table, plan, report)
     for axis, estimator in enumerate(estimators.values()):
         _fit_axis(estimator, inputs[axis], table, plan, trained, axis)
 
