@@ -22,6 +22,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.noise import StateNoise
+from quadpi_core.validation.kept import code_fingerprint
 from quadpi_core.vehicle import Vehicle
 
 
@@ -124,6 +125,7 @@ class ValidationCase:
         digest = hashlib.sha256()
         facts = {
             "quadpi": __version__,
+            "code": code_fingerprint(),
             "vehicle": self.vehicle.fingerprint,
             "noise": asdict(self.noise),
             "confidence": self.confidence,

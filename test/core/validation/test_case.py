@@ -14,6 +14,7 @@ from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.validation import case as case_module
 from quadpi_core.validation.case import ValidationError, low_passed
 from quadpi_core.validation.flights import recorded_flight
 from quadpi_core.validation.given import given_case
@@ -108,3 +109,11 @@ def test_a_case_travels_without_what_was_computed(case):
     arrived = pickle.loads(pickle.dumps(case))
     assert set(vars(arrived)) == {"vehicle", "models", "flights", "noise", "confidence", "seed"}
     assert arrived.fingerprint == fingerprint
+
+
+def test_counts_of_other_code_are_not_taken_for_these(bags, folder, monkeypatch):
+    """Stored numbers stay the same where only the code changes that makes intervals of them."""
+    fingerprint = given_case([folder], bags).fingerprint
+    assert given_case([folder], bags).fingerprint == fingerprint
+    monkeypatch.setattr(case_module, "code_fingerprint", lambda: "other")
+    assert given_case([folder], bags).fingerprint != fingerprint
