@@ -259,7 +259,7 @@ def evaluate(
     html_file: HtmlFile = None,
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
-    from quadpi_core.comparison import compare, given_comparison
+    from quadpi_core.comparison import compare, given_comparison, is_model_folder
     from quadpi_core.report.comparison import comparison_table, write_comparison_page
     from quadpi_core.report.tables import evaluation_table
 
@@ -273,7 +273,7 @@ def evaluate(
             raise QuadpiError(
                 "no model given: name model folders first, or nothing at all for the paper's table"
             )
-        folders = [path for place, path in enumerate(paths) if place == 0 or path.is_dir()]
+        folders = [path for place, path in enumerate(paths) if place == 0 or is_model_folder(path)]
         members = group_bags([path for path in paths if path not in folders], group or [])
         _check_outputs(
             [*folders, *(path for bags in members.values() for path in bags)], json_file, html_file
@@ -469,6 +469,7 @@ def validate(
     html_file: HtmlFile = None,
 ) -> None:
     """Put noise on simulated flights a thousand times: do the intervals hold? The paper's tables."""
+    from quadpi_core.comparison import is_model_folder
     from quadpi_core.report.progress import counting
     from quadpi_core.report.validation import validation_tables
     from quadpi_core.validation.chunks import run_realisations
@@ -482,7 +483,7 @@ def validate(
     training: Sequence[Any] = ()
     published = None
     if paths:
-        folders = [path for path in paths if path.is_dir()]
+        folders = [path for path in paths if is_model_folder(path)]
         bags = [path for path in paths if path not in folders]
         case = given_case(folders, bags, vehicle=vehicle, noise=noise, confidence=confidence, seed=seed)
     else:

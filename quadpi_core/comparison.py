@@ -13,8 +13,15 @@ from quadpi_core import __version__
 from quadpi_core.errors import ModelError
 from quadpi_core.identification import PreparedFlight, judge, prepare_flights
 from quadpi_core.intervals.evaluate import FlightResult
+from quadpi_core.logs import FORMATS
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.storage import MODEL_FILE
 from quadpi_core.vehicle import Vehicle
+
+
+def is_model_folder(path: Path) -> bool:
+    """Whether a path that may be that of a model or of a flight is of a model: a folder that is no bag."""
+    return (path / MODEL_FILE).is_file() or (path.is_dir() and not FORMATS["bag"].recognise(path))
 
 
 def load_models(folders: Sequence[Path]) -> dict[str, AerodynamicModel]:

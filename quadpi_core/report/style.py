@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import cycle
 from typing import Any
 
 MEASURED = "#7a7f87"
@@ -47,9 +48,11 @@ def group_colours(groups: Iterable[str]) -> dict[str, str]:
 
 
 def method_colours(names: Iterable[str]) -> dict[str, str]:
-    """A colour per model, by method where it is named after one."""
-    left = iter(colour for colour in (*GROUPS, *GROUPS) if colour != PREDICTED)
-    return {name: METHODS.get(name) or next(left) for name in dict.fromkeys(names)}
+    """A colour per model, by method where it is named after one; colours come again when all are taken."""
+    distinct = dict.fromkeys(names)
+    taken = {PREDICTED, *(METHODS[name] for name in distinct if name in METHODS)}
+    left = cycle(colour for colour in GROUPS if colour not in taken)
+    return {name: METHODS.get(name) or next(left) for name in distinct}
 
 
 def translucent(colour: str, opacity: float) -> str:

@@ -5,12 +5,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadpi_core.identification import identify, prepare_flights
+from quadpi_core.logs.definitions import typestore
+from quadpi_core.logs.mcap import Bag
 from quadpi_core.models.pool import CandidatePool
+from quadpi_core.report.style import GROUPS, METHODS, method_colours
 from quadpi_core.vehicle import Vehicle
 
 FORCES = {
@@ -113,3 +118,33 @@ def test_a_model_of_another_vehicle_is_refused(quadpi, folders, groups, bags, tm
     ran = quadpi("evaluate", folders["thrust"], other, *groups)
     assert ran.status == 2
     assert "model other was identified with another mass" in ran.errors
+
+
+def test_a_folder_may_be_that_of_a_bag(quadpi, folders, bags, tmp_path):
+    recorded, data = tmp_path / "recorded", tmp_path / "data.json"
+    with (
+        Bag(bags[2]) as flight,
+        Writer(recorded, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        for topic in flight.read([connection.topic for connection in flight.connections]).values():
+            connection = writer.add_connection(topic.name, topic.type_name, typestore=typestore())
+            for stamp, payload in zip(topic.log_time_ns.tolist(), topic.payloads, strict=True):
+                writer.write(connection, stamp, payload)
+    models = folders["thrust"], folders["faithful"]
+    assert quadpi("evaluate", *models, recorded, "--json", data).status == 0
+    result = json.loads(data.read_text())
+    assert list(result["models"]) == ["thrust", "faithful"]
+    assert result["groups"] == {"all": ["recorded"]}
+    spoiled = shutil.copytree(folders["faithful"], tmp_path / "spoiled")
+    shutil.copy(bags[2], spoiled)
+    ran = quadpi("evaluate", folders["thrust"], spoiled, recorded)
+    assert ran.status == 2
+    assert f"spoiled: holds {bags[2].name}, which is not part of a model" in ran.errors
+
+
+def test_every_model_has_a_colour_and_none_that_of_a_method():
+    names = [f"mine {k}" for k in range(3 * len(GROUPS))]
+    colours = method_colours([*METHODS, *names])
+    assert {method: colours[method] for method in METHODS} == METHODS
+    assert not {colours[name] for name in names} & set(METHODS.values())
+    assert colours["mine 0"] != colours["mine 1"]
