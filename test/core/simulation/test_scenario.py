@@ -17,9 +17,11 @@ import yaml
 
 from quadpi_core.errors import SimulationError
 from quadpi_core.paths import config_directory
+from quadpi_core.simulation.motion import Motion
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reachable import require_reachable
 from quadpi_core.simulation.scenario import Scenario, load_scenario
+from quadpi_core.simulation.signals import Signal
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 SHIPPED = sorted(file.stem for file in (config_directory() / "scenarios").glob("*.yaml"))
@@ -76,11 +78,15 @@ class TestShipped:
         assert {"x", "y", "height", "yaw"} in moved.values()
 
     def test_validation_is_coupled_only_and_differs_from_training(self):
+        def coupling(motion: Motion) -> dict[str, set[type[Signal]]]:
+            return {axis: {type(signal) for signal in signals} for axis, signals in motion.items()}
+
         known = [plan.motion for plan in load_scenario("training").flights]
         for plan in load_scenario("validation").flights:
             assert len(plan.motion) >= 2
             signals = {axis: set(signals) for axis, signals in plan.motion.items()}
             for other in known:
+                assert coupling(plan.motion) != coupling(other)
                 assert not any(signals[axis] & set(other.get(axis, ())) for axis in signals)
 
     def test_paper_is_training_then_validation(self):
