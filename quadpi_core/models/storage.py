@@ -79,10 +79,11 @@ def load_model(folder: Path) -> AerodynamicModel:
     Raises:
         ModelError: naming the file that is missing, altered, not understood or no part of a model.
     """
+    path = folder / MODEL_FILE
+    # First, for what stands in a folder that is no model at all is nothing to take out.
+    text = _read(path).decode(errors="replace")
     if foreign := _foreign(folder):
         raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
-    path = folder / MODEL_FILE
-    text = _read(path).decode(errors="replace")
     array_bytes = _read(folder / ARRAYS_FILE)
     try:
         content = json.loads(text, parse_constant=_refuse_constant)

@@ -95,6 +95,7 @@ class TestModels:
         message = r"flight0\.mcap/model\.json: cannot be read"
         refused(message, "evaluate", bags[0], bags[1])
         refused(message, "replay", bags[0], bags[1], *options)
+        refused(rf"{bags[0].parent}/model\.json: cannot be read", "evaluate", bags[0].parent, bags[1])
 
 
 class Trap:
