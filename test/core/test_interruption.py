@@ -16,7 +16,7 @@ import quadpi_core
 from quadpi_core.paths import bags_directory, whole_output
 
 # A command that says on its output when it has come somewhere. A step of the work is one of training, or a
-# flight or chunk that workers have finished; the work waits there, or goes on.
+# flight or chunk that workers have finished; after it the work waits, or goes on.
 COMMAND = """
 import sys, time
 from quadpi_core import identification, parallel
@@ -24,9 +24,10 @@ from quadpi_core.cli import main
 
 def announced(step, waits):
     def announce(*arguments):
+        result = step(*arguments)
         print("working", flush=True)
         time.sleep(waits)
-        return step(*arguments)
+        return result
     return announce
 
 identification.Step.training = announced(identification.Step.training, waits=0.0)
@@ -111,6 +112,7 @@ def test_realisations_that_are_finished_are_kept(quadpi, interrupted, tmp_path):
     options = ("-o", kept, "--realisations", 10, "--workers", 1)
     status, errors = interrupted(signal.SIGINT, "validate", model, flight, *options)
     assert (status, errors) == (130, f"quadpi: interrupted; {KEPT}\n")
+    assert [path.name for path in kept.rglob("*.npz")] == ["000000-000005.npz"]
     assert not [path for path in tmp_path.rglob(".*") if path.exists()]
 
 
