@@ -67,6 +67,10 @@ FileWorkers = Annotated[
     int | None,
     typer.Option(min=1, help="Processes to use; default: this one, from 64 flights on one per core."),
 ]
+PublishedDevice = Annotated[
+    Literal["cpu", "cuda"] | None,
+    typer.Option(help="That trains the ensembles, where no model is given; default: cpu."),
+]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler, whose workers to use instead.")
 ]
@@ -250,9 +254,7 @@ def evaluate(
     confidence: Confidence = None,
     adaptive: Adaptive = False,
     vehicle: OptionalVehicle = None,
-    device: Annotated[
-        Literal["cpu", "cuda"], typer.Option(help="That trains the ensembles, where no model is given.")
-    ] = "cpu",
+    device: PublishedDevice = None,
     workers: FileWorkers = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
@@ -269,6 +271,8 @@ def evaluate(
             raise QuadpiError(
                 "-o: keeps what the paper's table is made from, where no model and flight is given"
             )
+        if device is not None:
+            raise QuadpiError("--device: trains for the paper's table, where no model and flight is given")
         if not paths:
             raise QuadpiError(
                 "no model given: name model folders first, or nothing at all for the paper's table"
@@ -293,7 +297,7 @@ def evaluate(
         with console.status("") as status:
             comparison = wind_tunnel(
                 confidence=0.95 if confidence is None else confidence,
-                device=device,
+                device=device or "cpu",
                 folder=output,
                 workers=workers,
                 scheduler=scheduler,
@@ -456,13 +460,12 @@ def validate(
     seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 0,
     noise: Annotated[str, typer.Option(help="Noise on states, in config/noise, or a YAML file.")] = "paper",
     settings: Annotated[
-        Literal["default", "paper"], typer.Option(help="Of the paper's methods, where no model is given.")
-    ] = "paper",
+        Literal["default", "paper"] | None,
+        typer.Option(help="Of the paper's methods, where no model is given; default: paper."),
+    ] = None,
     confidence: Confidence = None,
     vehicle: OptionalVehicle = None,
-    device: Annotated[
-        Literal["cpu", "cuda"], typer.Option(help="That trains the ensembles, where no model is given.")
-    ] = "cpu",
+    device: PublishedDevice = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
@@ -483,17 +486,20 @@ def validate(
     training: Sequence[Any] = ()
     published = None
     if paths:
+        for option, value in (("--settings", settings), ("--device", device)):
+            if value is not None:
+                raise QuadpiError(f"{option}: is for the paper's own validation, where no model is given")
         folders = [path for path in paths if is_model_folder(path)]
         bags = [path for path in paths if path not in folders]
         case = given_case(folders, bags, vehicle=vehicle, noise=noise, confidence=confidence, seed=seed)
     else:
         with console.status("") as status:
             own = published_case(
-                settings=settings,
+                settings=settings or "paper",
                 noise=noise,
                 confidence=0.95 if confidence is None else confidence,
                 seed=seed,
-                device=device,
+                device=device or "cpu",
                 folder=kept[0],
                 progress=status.update,
             )

@@ -139,6 +139,12 @@ class TestVehicles:
             "interpolation.mcap: is a flight of vehicle bebop2, not of neurobem", "validate", model, flight
         )
 
+    @pytest.mark.parametrize("option", [("--settings", "default"), ("--device", "cpu")])
+    def test_options_of_models_that_are_yet_to_be_identified(self, refused, model, option):
+        flight = bags_directory() / "interpolation.mcap"
+        message = f"{option[0]}: is for the paper's own validation, where no model is given"
+        refused(message, "validate", model, flight, *option)
+
     def test_info_with_another_vehicle(self, refused, foreign):
         refused(
             "bad.mcap: is a flight of vehicle hdbeetle, not of bebop2", "info", foreign, "--vehicle", "bebop2"

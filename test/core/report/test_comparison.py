@@ -87,6 +87,7 @@ def test_what_cannot_be_compared_is_refused(quadpi, folders, groups, bags, tmp_p
         ("evaluate", *groups): "no model given",
         ("evaluate", model, folders["faithful"]): "no flights given",
         ("evaluate", model, bags[0], "-o", tmp_path): "-o: keeps",
+        ("evaluate", model, bags[0], "--device", "cpu"): "--device: trains for the paper's table",
         ("evaluate", "--vehicle", "neurobem"): "--vehicle: the paper's table is of the HDBeetle",
     }
     for arguments, message in refusals.items():
