@@ -17,6 +17,7 @@ import pytest
 
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.paths import bags_directory
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -92,7 +93,9 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
     named = set(re.findall(r"`([^`\n]+)`", page))
     documented = {key for path in named for key in re.split(r"[.…\[\]]+", path)}
     other = tmp_path / "other"
-    names = {*AXES, *INPUT_NAMES, *(bag.stem for bag in bags), "all", model.name, other.name}
+    simulated = [bags_directory() / f"{name}.mcap" for name in ("train_1", "train_2", "interpolation")]
+    stems = (bag.stem for bag in (*bags, *simulated))
+    names = {*AXES, *INPUT_NAMES, *stems, "all", model.name, other.name}
     runs = [
         ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "-o", model),
         ("info", bags[0]),
@@ -103,6 +106,8 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
         ("replay", model, bags[0], "-o", tmp_path / "out.mcap"),
         ("replay", model, *bags, "-o", tmp_path / "replayed"),
         ("simulate", scenario, "-o", tmp_path / "simulated"),
+        ("identify", *simulated[:2], "--vehicle", "bebop2", "--axes", "Fx", "-o", other),
+        ("validate", other, simulated[2], "--realisations", "2"),
     ]
     for run in runs:
         assert quadpi(*run, "--json", data).status == 0
