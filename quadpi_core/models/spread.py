@@ -73,6 +73,8 @@ def fit_shape(flights: Sequence[PlacedErrors], most_inflation: float) -> SpreadS
     a wrong model give hundreds, and a γ that doubles the variance at some speed of the flights.
     """
     squares = [np.square(flight.error) for flight in flights]
+    if not any(np.any(square) for square in squares):
+        return SpreadShape(1.0, 0.0)
     causes = [np.stack((flight.leverage, flight.speed_squared)) for flight in flights]
     typical = max(float(np.mean([np.mean(cause[1]) for cause in causes])), _HOVER)
 

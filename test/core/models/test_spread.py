@@ -48,6 +48,11 @@ def test_standstill_throughout_gives_a_finite_shape() -> None:
     assert np.isfinite(shape.growth)
 
 
+def test_no_errors_at_all_give_the_plain_shape() -> None:
+    exact = [errors(np.zeros(5), np.full(5, 0.1), np.arange(5.0))]
+    assert fit_shape(exact, most_inflation=5) == SpreadShape(1.0, 0.0)
+
+
 def test_squared_airspeed_is_that_of_the_input_vector() -> None:
     inputs = np.arange(38.0).reshape(2, 19)
     np.testing.assert_allclose(squared_speed(inputs), [0 + 1 + 4, 19**2 + 20**2 + 21**2])
