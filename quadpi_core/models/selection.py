@@ -30,6 +30,8 @@ _Score: TypeAlias = Callable[[list[int], float], float]
 R2_GROWTH = 0.005
 # Least fall of the leave-one-flight-out error, relative, that counts as progress.
 HELD_OUT_GAIN = 0.01
+# Share of the target's variance below which errors on a flight left out are all alike.
+HELD_OUT_FLOOR = 0.01
 # Steps without progress after which the rules "bic" and "leave-one-flight-out" give up.
 PATIENCE = 2
 
@@ -244,14 +246,16 @@ def _score(grams: list[Gram], total: Gram, stop: StopRule) -> _Score:
                 "the stop rule leave-one-flight-out needs two flights or more; pse, r2 and bic take one"
             )
         rests = [total - gram for gram in grams]
-        return lambda active, _: _held_out_error(active, grams, rests)
+        floor = HELD_OUT_FLOOR * total.total_square / count
+        return lambda active, _: _held_out_error(active, grams, rests, floor)
     raise ModelError(f"unknown stop rule {stop!r}; known: pse, r2, bic, leave-one-flight-out")
 
 
-def _held_out_error(active: list[int], grams: list[Gram], rests: list[Gram]) -> float:
-    """Mean over flights of the log mean-square error of each flight under coefficients of the others.
+def _held_out_error(active: list[int], grams: list[Gram], rests: list[Gram], floor: float) -> float:
+    """Mean over flights of the log mean-square error, plus floor, of each under coefficients of the others.
 
-    The log weighs flights by relative error, so that the wildest flight does not decide alone.
+    The log weighs flights by relative error, so that the wildest flight does not decide alone; the floor
+    keeps those that hardly excite the axis, and have but noise to show for any term, from deciding instead.
     """
     errors = []
     for gram, rest in zip(grams, rests, strict=True):
@@ -259,8 +263,7 @@ def _held_out_error(active: list[int], grams: list[Gram], rests: list[Gram]) -> 
             coefficients, _ = fit_coefficients(rest, active)
         except np.linalg.LinAlgError:
             return np.inf
-        smallest = np.finfo(float).eps * gram.square
-        errors.append(max(gram.residual_square(active, coefficients), smallest) / gram.count)
+        errors.append(max(gram.residual_square(active, coefficients), 0.0) / gram.count + floor)
     return float(np.mean(np.log(errors)))
 
 

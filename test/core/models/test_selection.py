@@ -15,7 +15,13 @@ from quadpi_core.frames import Array
 from quadpi_core.models.gram import Gram
 from quadpi_core.models.pool import load_pools
 from quadpi_core.models.regressors import RegressorProgram
-from quadpi_core.models.selection import SelectionSettings, StopRule, fit_coefficients, select
+from quadpi_core.models.selection import (
+    HELD_OUT_FLOOR,
+    SelectionSettings,
+    StopRule,
+    fit_coefficients,
+    select,
+)
 
 
 def gram_of(Z: Array, y: Array) -> Gram:
@@ -128,7 +134,8 @@ def test_held_out_score_is_that_of_explicit_refits() -> None:
             columns = list(step.active)
             coefficients = np.linalg.lstsq(Z[rest][:, columns], y[rest], rcond=None)[0]
             errors.append(np.mean((y[part] - Z[part][:, columns] @ coefficients) ** 2))
-        assert step.score == pytest.approx(np.mean(np.log(errors)), abs=1e-9)
+        floored = np.array(errors) + HELD_OUT_FLOOR * np.var(y)
+        assert step.score == pytest.approx(np.mean(np.log(floored)), abs=1e-9)
 
 
 def test_leave_one_flight_out_refuses_a_term_that_only_one_flight_supports() -> None:
@@ -139,6 +146,17 @@ def test_leave_one_flight_out_refuses_a_term_that_only_one_flight_supports() -> 
     Z, y = with_bias(np.concatenate(flights)), np.concatenate(targets)
     assert select_from(Z, y, SelectionSettings(stop="pse"), flights=4)[:3] == [0, 1, 2]
     assert 2 not in select_from(Z, y, SelectionSettings(stop="leave-one-flight-out"), flights=4)
+
+
+def test_flights_that_do_not_excite_the_target_do_not_stop_selection() -> None:
+    """There a true term brings nothing but the noise of its input."""
+    rng = np.random.default_rng(18)
+    truths = [size * rng.normal(size=(500, 2)) for size in (1.0, 1.0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3)]
+    targets = [f @ np.array([1.0, 0.7]) + 1e-3 * rng.normal(size=500) for f in truths]
+    noisy = [f + np.array([1e-3, 2e-2]) * rng.normal(size=(500, 2)) for f in truths]
+    Z, y = with_bias(np.concatenate(noisy)), np.concatenate(targets)
+    settings = SelectionSettings(stop="leave-one-flight-out")
+    assert select_from(Z, y, settings, flights=8, n_fixed=2) == [0, 1, 2]
 
 
 def test_predicted_square_error_and_bic_as_written() -> None:
