@@ -19,6 +19,7 @@ from quadpi_core.report.style import (
     INK,
     MEASURED,
     RULE,
+    error_bar,
     group_colours,
     percent,
     percent_range,
@@ -120,14 +121,7 @@ def coverage_figure(evaluation: Mapping[str, Any]) -> go.Figure:
         figure.add_scatter(
             x=coverage,
             y=[axes.index(axis) + 0.5 * (i + 0.5) / len(groups) - 0.25 for axis in held],
-            error_x={
-                "type": "data",
-                "symmetric": False,
-                "thickness": 2,
-                "width": 0,
-                "array": interval[:, 1] - coverage,
-                "arrayminus": coverage - interval[:, 0],
-            },
+            error_x=error_bar(coverage, interval, 2),
             mode="markers",
             marker={"color": colour, "size": 9},
             name=group,

@@ -15,7 +15,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.intervals.evaluate import FlightResult
 from quadpi_core.report.decimation import extreme_samples
 from quadpi_core.report.figures import series, styled
-from quadpi_core.report.style import INK, MEASURED, method_colours, percent, percent_range, unit
+from quadpi_core.report.style import INK, MEASURED, error_bar, method_colours, percent, percent_range, unit
 
 # Settings of one method share its colour.
 _MARKERS = {"default": "circle", "paper": "circle-open"}
@@ -58,14 +58,7 @@ def group_figure(comparison: Mapping[str, Any]) -> go.Figure:
             }
             figure.add_scatter(
                 y=coverage,
-                error_y={
-                    "type": "data",
-                    "symmetric": False,
-                    "thickness": 1.5,
-                    "width": 0,
-                    "array": interval[:, 1] - coverage,
-                    "arrayminus": coverage - interval[:, 0],
-                },
+                error_y=error_bar(coverage, interval, 1.5),
                 text=[f"{name}: {percent(m['picp'])} ({percent_range(m['picp_ci'])})" for m in found],
                 hovertemplate="%{text}<extra></extra>",
                 showlegend=column == 1,

@@ -61,6 +61,18 @@ def translucent(colour: str, opacity: float) -> str:
     return f"rgba({red}, {green}, {blue}, {opacity})"
 
 
+def error_bar(values: Any, intervals: Any, thickness: float) -> dict[str, Any]:
+    """Error bars of plotly from values (N,) to the ends of their intervals (N, 2)."""
+    return {
+        "type": "data",
+        "symmetric": False,
+        "thickness": thickness,
+        "width": 0,
+        "array": intervals[:, 1] - values,
+        "arrayminus": values - intervals[:, 0],
+    }
+
+
 def unit(axis: str) -> str:
     """Unit of an axis of the wrench."""
     return "N" if axis.startswith("F") else "Nm"
@@ -68,20 +80,21 @@ def unit(axis: str) -> str:
 
 def percent(fraction: float) -> str:
     """A fraction as percent with one decimal; rounding never makes 100 or 0 of what is not."""
-    if 0.9995 <= fraction < 1.0:
-        return "> 99.9 %"
-    if 0.0 < fraction < 0.0005:
-        return "< 0.1 %"
-    return f"{100.0 * fraction:.1f} %"
+    return f"{_in_percent(fraction, 1)} %"
 
 
 def hundredths(fraction: float) -> str:
     """A fraction in percent with two decimals, as in the paper; rounding never makes 100 of what is not."""
-    if 0.99995 <= fraction < 1.0:
-        return "> 99.99"
-    if 0.0 < fraction < 0.00005:
-        return "< 0.01"
-    return f"{100.0 * fraction:.2f}"
+    return _in_percent(fraction, 2)
+
+
+def _in_percent(fraction: float, decimals: int) -> str:
+    least = 10.0**-decimals
+    if 1.0 - 0.005 * least <= fraction < 1.0:
+        return f"> {100.0 - least:.{decimals}f}"
+    if 0.0 < fraction < 0.005 * least:
+        return f"< {least:.{decimals}f}"
+    return f"{100.0 * fraction:.{decimals}f}"
 
 
 def percent_range(interval: list[float]) -> str:

@@ -75,6 +75,11 @@ def identify_or_take(
     return model if folder is None else _keep(model, folder, origin)
 
 
+def named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
+    """Progress that says of which model it is."""
+    return lambda text: progress(f"{name}: {text}")
+
+
 @functools.cache
 def code_fingerprint() -> str:
     """Hash of the code that identifies: a version in development changes without changing its number."""

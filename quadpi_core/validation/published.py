@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from quadpi_core.flight import Flight
@@ -20,7 +19,7 @@ from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import LOG_HZ
 from quadpi_core.validation.case import ValidationCase, flight_hash
 from quadpi_core.validation.flights import simulated_flights
-from quadpi_core.validation.kept import identify_or_take
+from quadpi_core.validation.kept import identify_or_take, named
 from quadpi_core.validation.realisations import noise_seed
 from quadpi_core.validation.result import VARIATIONS
 from quadpi_core.vehicle import Vehicle
@@ -124,7 +123,7 @@ def published_case(
             confidence=confidence,
             seed=seed,
             device=device,
-            progress=partial(_say, progress, method),
+            progress=named(progress, method),
         )
     flights = simulated_flights(
         load_scenario(VALIDATION).flights, lambda name: progress(f"Simulating {name}")
@@ -144,7 +143,3 @@ def _noisy(clean: Flight, vehicle: Vehicle, noise: StateNoise, seed: int) -> Pre
         wrench=measured_wrench(flight, vehicle),
         height=-flight.position[:, 2],
     )
-
-
-def _say(progress: Callable[[str], None], method: str, text: str) -> None:
-    progress(f"{method}: {text}")

@@ -11,7 +11,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 
 from quadpi_core.comparison import Comparison
@@ -20,7 +19,7 @@ from quadpi_core.models.pool import load_pools
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.validation.kept import identify_or_take
+from quadpi_core.validation.kept import identify_or_take, named
 from quadpi_core.validation.published import METHODS
 from quadpi_core.vehicle import Vehicle
 
@@ -122,14 +121,10 @@ def wind_tunnel(
                 cutoff_hz=CUTOFF_HZ[settings],
                 confidence=confidence,
                 device=device,
-                progress=partial(_say, progress, name),
+                progress=named(progress, name),
             )
     return Comparison(models, flights, groups, confidence, published_table())
 
 
 def _in_wind(plans: Sequence[FlightPlan], winds: Sequence[float]) -> list[str]:
     return [plan.name for plan in plans if plan.head_wind_m_s in winds]
-
-
-def _say(progress: Callable[[str], None], name: str, text: str) -> None:
-    progress(f"{name}: {text}")

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
@@ -43,7 +44,7 @@ class Trained:
     spread: npt.NDArray[np.float32]
 
 
-class Ensemble:
+class Ensemble(ABC):
     """Base of the ensembles: all but their losses, and what they make of the outputs of their members."""
 
     inputs: Sequence[Regressor] | None
@@ -195,17 +196,17 @@ class Ensemble:
                 floors[k] = np.maximum(np.sqrt(np.median(squares, axis=0) / (len(squares) + 1)), NOISE_FLOOR)
         return floors
 
+    @abstractmethod
     def _train(self, table: Table, plan: Plan, report: Report | None) -> Trained:
         """Train the networks of all axes and ensembles."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _uncalibrated(self) -> AnyRule:
         """The rule of intervals that are not calibrated."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _finish(self, **parts: Any) -> AnyFitted:
         """The fitted axis."""
-        raise NotImplementedError
 
 
 def require_training(device: str) -> None:
