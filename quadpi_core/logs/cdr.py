@@ -25,6 +25,11 @@ Columns: TypeAlias = dict[str, npt.NDArray[Any]]
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 _ORIGIN = len(_ENCAPSULATION)
+# A message that begins with a header begins with its stamp.
+_STAMP = struct.Struct("<iI")
+_NANOSECONDS = 1_000_000_000
+_DOUBLE = "<f8"
+_DOUBLE_BYTES = 8
 _PADDING_MAX = 3
 _LENGTH = struct.Struct("<I")
 _LENGTH_DTYPE = np.dtype("<u4")
@@ -72,6 +77,7 @@ class Layout:
         identifying: indices of the bytes that tell this layout from others: encapsulation and lengths.
         names: fields of `dtype` that are fields of the message.
         sequences: for each sequence of strings, the fields of `dtype` that hold them.
+        doubles: the bytes of the float64 fields that end the message.
     """
 
     dtype: np.dtype[Any]
@@ -79,6 +85,7 @@ class Layout:
     identifying: Indices
     names: tuple[str, ...]
     sequences: dict[str, tuple[str, ...]]
+    doubles: slice
 
     @cached_property
     def _marks(self) -> tuple[tuple[slice, bytes], ...]:
@@ -93,8 +100,25 @@ class Layout:
         return all(message[span] == expected for span, expected in self._marks)
 
 
+class Stamped(NamedTuple):
+    """What most messages are: a header stamp and numbers.
+
+    Attributes:
+        time_ns: (N,) header stamps.
+        values: (N, K) the float64 fields that end the message, in their order; a copy.
+    """
+
+    time_ns: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+
+
 class Codec:
-    """Encodes and decodes messages of one type, as a flat list of fields."""
+    """Encodes and decodes messages of one type, as a flat list of fields.
+
+    :meth:`decode` and :meth:`encode` know every field by its name. Messages that come by the thousand a
+    second, one by one, go through :meth:`decode_stamped` and :meth:`encode_stamped`, which move all doubles
+    at once.
+    """
 
     def __init__(self, type_name: str, fields: tuple[Field, ...]) -> None:
         self.type_name = type_name
@@ -103,6 +127,7 @@ class Codec:
         self._layout = lru_cache(maxsize=256)(self._build_layout)
         self._template = lru_cache(maxsize=256)(self._build_template)
         self._latest: Layout | None = None
+        self.places = _places_of_doubles(fields)
 
     def decode(self, payloads: Payloads | bytes) -> Columns:
         """Decode N messages (or one) into an array of N rows per field.
@@ -118,10 +143,65 @@ class Codec:
         if len(payloads) == 0:
             layout, _ = self._template(())
             return self._columns(layout, np.empty(0, layout.dtype))
-        parts = [(order, self._columns(layout, table)) for order, layout, table in self._parts(payloads)]
+        parts = [
+            (order, self._columns(layout, rows.view(layout.dtype)[:, 0]))
+            for order, layout, rows in self._row_parts(payloads)
+        ]
         if len(parts) == 1:
             return parts[0][1]
         return {name: _reunite(name, parts) for name in parts[0][1]}
+
+    def decode_stamped(self, payloads: Payloads | bytes) -> Stamped:
+        """Header stamps, and the float64 fields that end the message; :attr:`places` says where each is.
+
+        Raises:
+            LogError: naming the sample whose bytes are no message of this type, or whose stamp is none.
+        """
+        if isinstance(payloads, bytes):
+            layout = self._layout_of(payloads, 0)
+            seconds, nanoseconds = _STAMP.unpack_from(payloads, _ORIGIN)
+            if nanoseconds >= _NANOSECONDS:
+                raise _no_stamp(0, nanoseconds)
+            values = np.frombuffer(bytearray(payloads[layout.doubles])).reshape(1, -1)
+            return Stamped(np.array([seconds * _NANOSECONDS + nanoseconds]), values)
+        time_ns = np.empty(len(payloads), dtype=np.int64)
+        values = np.empty((len(payloads), _width(self.places)))
+        for order, layout, rows in self._row_parts(payloads):
+            stamp = np.ascontiguousarray(rows[:, _ORIGIN : _ORIGIN + _STAMP.size])
+            seconds, nanoseconds = stamp.view("<i4")[:, 0], stamp.view("<u4")[:, 1]
+            beyond = nanoseconds >= _NANOSECONDS
+            if beyond.any():
+                sample = int(np.argmax(beyond))
+                raise _no_stamp(int(order[sample]), int(nanoseconds[sample]))
+            time_ns[order] = seconds.astype(np.int64) * _NANOSECONDS + nanoseconds
+            values[order] = np.ascontiguousarray(rows[:, layout.doubles]).view(_DOUBLE)
+        return Stamped(time_ns, values)
+
+    def encode_stamped(
+        self,
+        time_ns: npt.NDArray[np.int64],
+        values: npt.NDArray[np.float64],
+        constants: tuple[tuple[str, str | float], ...],
+    ) -> Payloads:
+        """Encode messages from their header stamps (N,) and the float64 fields (N, K) that end them.
+
+        Args:
+            time_ns: see :class:`Stamped`.
+            values: see there.
+            constants: other fields with their values, the same in all messages.
+        """
+        layout, template = self._template(constants)
+        if len(time_ns) == 1:
+            row = template.copy()
+            _STAMP.pack_into(row.data, _ORIGIN, *divmod(int(time_ns[0]), _NANOSECONDS))
+            rows = row[None]
+        else:
+            rows = np.repeat(template[None], len(time_ns), axis=0)
+            seconds, nanoseconds = np.divmod(time_ns, _NANOSECONDS)
+            stamps = np.stack((seconds, nanoseconds), axis=1).astype("<u4")
+            rows[:, _ORIGIN : _ORIGIN + _STAMP.size] = stamps.view(np.uint8)
+        rows[:, layout.doubles] = values.view(np.uint8)
+        return Payloads.from_rows(rows)
 
     def encode(self, count: int, columns: Mapping[str, Any]) -> Payloads:
         """Encode `count` messages; a text is one `str` (or a tuple of them) for all of them.
@@ -137,8 +217,8 @@ class Codec:
                 table[name] = value
         return Payloads.from_rows(rows)
 
-    def _parts(self, payloads: Payloads) -> Iterator[tuple[Indices, Layout, npt.NDArray[Any]]]:
-        """Split messages by layout: (indices, layout, structured array) of each part."""
+    def _row_parts(self, payloads: Payloads) -> Iterator[tuple[Indices, Layout, Bytes]]:
+        """Split messages by layout: (indices, layout, one row of bytes per message) of each part."""
         remaining = np.arange(len(payloads))
         while len(remaining):
             first = int(remaining[0])
@@ -148,7 +228,7 @@ class Codec:
             matching = (rows[:, layout.identifying] == layout.template[layout.identifying]).all(axis=1)
             if not matching.all():
                 alike, rows = alike[matching], rows[matching]
-            yield alike, layout, rows[:, : len(layout.template)].view(layout.dtype)[:, 0]
+            yield alike, layout, rows[:, : len(layout.template)]
             remaining = np.setdiff1d(remaining, alike, assume_unique=True)
 
     def _columns(self, layout: Layout, table: npt.NDArray[Any]) -> Columns:
@@ -187,9 +267,11 @@ class Codec:
         self._latest = layout
         return layout
 
-    def _build_template(self, texts: tuple[tuple[str, str | tuple[str, ...]], ...]) -> tuple[Layout, Bytes]:
-        """The layout for some texts, and a message of them and zeros."""
-        columns = dict(texts)
+    def _build_template(
+        self, constants: tuple[tuple[str, str | float | tuple[str, ...]], ...]
+    ) -> tuple[Layout, Bytes]:
+        """The layout for some texts and numbers, and a message of them and zeros."""
+        columns = dict(constants)
         layout = self._layout(_text_lengths(self._texts, columns))
         template = layout.template.copy()
         message = template.view(layout.dtype)
@@ -198,7 +280,7 @@ class Codec:
                 (layout.sequences[name], value) if isinstance(value, tuple) else ((name,), (value,))
             )
             for item_name, item in zip(names, items, strict=True):
-                message[item_name] = item.encode()
+                message[item_name] = item.encode() if isinstance(item, str) else item
         return layout, template
 
     def _build_layout(self, text_lengths: tuple[int, ...]) -> Layout:
@@ -239,6 +321,7 @@ class Codec:
             identifying=np.array(identifying),
             names=tuple(name for name in names if name not in in_sequences),
             sequences=sequences,
+            doubles=slice(size - _DOUBLE_BYTES * _width(self.places), size),
         )
 
     def _walk(self, length_at: Callable[[int], int]) -> Iterator[_Place]:
@@ -268,6 +351,28 @@ class Codec:
                 position += _LENGTH.size
                 yield _Place(name, np.dtype((np.bytes_, length)), position)
                 position += length
+
+
+def _places_of_doubles(fields: Sequence[Field]) -> dict[str, slice]:
+    """Columns of the float64 fields at the end of a message, by name."""
+    ending: list[Field] = []
+    for field in reversed(fields):
+        if field.format != _DOUBLE:
+            break
+        ending.insert(0, field)
+    places, start = {}, 0
+    for field in ending:
+        places[field.name] = slice(start, start + (field.count or 1))
+        start = places[field.name].stop
+    return places
+
+
+def _width(places: Mapping[str, slice]) -> int:
+    return max((place.stop for place in places.values()), default=0)
+
+
+def _no_stamp(sample: int, nanoseconds: int) -> LogError:
+    return LogError(f"sample {sample}: the stamp has {nanoseconds} ns beyond its second")
 
 
 class _Place(NamedTuple):

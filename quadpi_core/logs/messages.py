@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,6 @@ from quadpi_core.frames import (
     Array,
     body_flu_to_frd,
     body_frd_to_flu,
-    quaternion_flu_enu_to_frd_ned,
     quaternion_frd_ned_to_flu_enu,
     world_enu_to_ned,
     world_ned_to_enu,
@@ -39,6 +39,13 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.cdr import Columns
 from quadpi_core.logs.definitions import codec
 from quadpi_core.logs.payloads import Payloads
+from quadpi_core.logs.values import (
+    ODOMETRY_VALUES,
+    PREDICTION_VALUES,
+    attitude_values,
+    odometry_values,
+    prediction_values,
+)
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
@@ -64,12 +71,9 @@ _BODY_VECTORS = {
     ACCELERATION: ("accel.linear", "accel.angular"),
 }
 _NANOSECONDS = 1_000_000_000
-_QUATERNION_NORM_TOLERANCE = 0.01
 _ABSENT = -1.0
 _FLU_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
-_NED_TO_ENU = np.kron(np.eye(2), world_ned_to_enu(np.eye(3)).T).astype(np.float64)
-_FRD_TO_FLU = np.kron(np.eye(2), body_frd_to_flu(np.eye(3)).T).astype(np.float64)
-_WXYZ, _XYZW = [3, 0, 1, 2], [1, 2, 3, 0]
+_XYZW = [1, 2, 3, 0]
 
 
 def unpack_stamps(payloads: Payloads) -> Stamps:
@@ -82,11 +86,11 @@ def unpack_stamps(payloads: Payloads) -> Stamps:
 
 def unpack_imu(payloads: Payloads | bytes) -> ImuStream:
     """Decode sensor_msgs/Imu; its orientation is not used."""
-    columns = codec(IMU).decode(payloads)
+    (time_ns, values), places = codec(IMU).decode_stamped(payloads), codec(IMU).places
     return ImuStream(
-        time_ns=_stamps(columns),
-        angular_velocity=body_flu_to_frd(columns["angular_velocity"]),
-        specific_force=body_flu_to_frd(columns["linear_acceleration"]),
+        time_ns=time_ns,
+        angular_velocity=body_flu_to_frd(values[:, places["angular_velocity"]]),
+        specific_force=body_flu_to_frd(values[:, places["linear_acceleration"]]),
     )
 
 
@@ -112,11 +116,11 @@ def unpack_pose(payloads: Payloads | bytes) -> PoseStream:
     Raises:
         LogError: also for an orientation that is no unit quaternion.
     """
-    columns = codec(POSE).decode(payloads)
+    (time_ns, values), places = codec(POSE).decode_stamped(payloads), codec(POSE).places
     return PoseStream(
-        time_ns=_stamps(columns),
-        position=world_enu_to_ned(columns["pose.position"]),
-        attitude=_attitude(columns["pose.orientation"]),
+        time_ns=time_ns,
+        position=world_enu_to_ned(values[:, places["pose.position"]]),
+        attitude=_attitude(values[:, places["pose.orientation"]]),
     )
 
 
@@ -138,13 +142,13 @@ def unpack_odometry(payloads: Payloads | bytes) -> OdometryStream:
     Raises:
         LogError: also for an orientation that is no unit quaternion.
     """
-    columns = codec(ODOMETRY).decode(payloads)
+    (time_ns, values), places = codec(ODOMETRY).decode_stamped(payloads), codec(ODOMETRY).places
     return OdometryStream(
-        time_ns=_stamps(columns),
-        position=world_enu_to_ned(columns["pose.pose.position"]),
-        attitude=_attitude(columns["pose.pose.orientation"]),
-        velocity=body_flu_to_frd(columns["twist.twist.linear"]),
-        rates=body_flu_to_frd(columns["twist.twist.angular"]),
+        time_ns=time_ns,
+        position=world_enu_to_ned(values[:, places["pose.pose.position"]]),
+        attitude=_attitude(values[:, places["pose.pose.orientation"]]),
+        velocity=body_flu_to_frd(values[:, places["twist.twist.linear"]]),
+        rates=body_flu_to_frd(values[:, places["twist.twist.angular"]]),
     )
 
 
@@ -165,25 +169,25 @@ def pack_odometry(
         frame_id: the world.
         child_frame_id: the body.
     """
-    columns = {
-        **_header(stream.time_ns, frame_id),
-        "child_frame_id": child_frame_id,
-        "pose.pose.position": world_ned_to_enu(stream.position),
-        "pose.pose.orientation": quaternion_frd_ned_to_flu_enu(stream.attitude)[:, _XYZW],
-        "twist.twist.linear": body_frd_to_flu(stream.velocity),
-        "twist.twist.angular": body_frd_to_flu(stream.rates),
-    }
-    if pose_covariance is not None:
-        columns["pose.covariance"] = _rotated(pose_covariance, _NED_TO_ENU)
-    if twist_covariance is not None:
-        columns["twist.covariance"] = _rotated(twist_covariance, _FRD_TO_FLU)
-    return codec(ODOMETRY).encode(len(stream), columns)
+    unknown = np.zeros((len(stream), 6, 6))
+    values = np.empty((len(stream), ODOMETRY_VALUES))
+    odometry_values(
+        stream.position,
+        stream.attitude,
+        stream.velocity,
+        stream.rates,
+        unknown if pose_covariance is None else pose_covariance,
+        unknown if twist_covariance is None else twist_covariance,
+        values,
+    )
+    texts = (("header.frame_id", frame_id), ("child_frame_id", child_frame_id))
+    return codec(ODOMETRY).encode_stamped(stream.time_ns, values, texts)
 
 
 def unpack_wind(payloads: Payloads | bytes) -> WindStream:
     """Decode geometry_msgs/Vector3Stamped as wind velocity, ENU."""
-    columns = codec(WIND).decode(payloads)
-    return WindStream(time_ns=_stamps(columns), velocity=world_enu_to_ned(columns["vector"]))
+    time_ns, vector = codec(WIND).decode_stamped(payloads)
+    return WindStream(time_ns=time_ns, velocity=world_enu_to_ned(vector))
 
 
 def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
@@ -194,8 +198,7 @@ def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
 
 def unpack_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
     """Decode quadpi/RotorSpeeds."""
-    columns = codec(ROTOR_SPEEDS).decode(payloads)
-    return RotorSpeedStream(time_ns=_stamps(columns), speeds=columns["rotor_speeds"].astype(np.float64))
+    return RotorSpeedStream(*codec(ROTOR_SPEEDS).decode_stamped(payloads))
 
 
 def pack_rotor_speeds(stream: RotorSpeedStream, frame_id: str = BODY_FRAME) -> Payloads:
@@ -210,8 +213,8 @@ def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> RotorSpeedStrea
     Raises:
         VehicleError: if the vehicle file does not give the pole pairs.
     """
-    columns = codec(ERPM).decode(payloads)
-    return RotorSpeedStream(time_ns=_stamps(columns), speeds=vehicle.rotor_speeds_from_erpm(columns["erpm"]))
+    time_ns, erpm = codec(ERPM).decode_stamped(payloads)
+    return RotorSpeedStream(time_ns=time_ns, speeds=vehicle.rotor_speeds_from_erpm(erpm))
 
 
 def pack_erpm(time_ns: Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Payloads:
@@ -238,15 +241,15 @@ def pack_body_vectors(
 
 def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
     """Decode quadpi/WrenchPrediction."""
-    columns = codec(PREDICTION).decode(payloads)
-    lower, upper = _mirrored_bounds(columns["lower"], columns["upper"])
+    (time_ns, values), places = codec(PREDICTION).decode_stamped(payloads), codec(PREDICTION).places
+    lower, upper = _mirrored_bounds(values[:, places["lower"]], values[:, places["upper"]])
     return Predictions(
-        time_ns=_stamps(columns),
-        predicted=_mirrored(columns["predicted"]),
+        time_ns=time_ns,
+        predicted=_mirrored(values[:, places["predicted"]]),
         lower=lower,
         upper=upper,
-        measured=_mirrored(columns["measured"]),
-        relative_width=columns["relative_width"].astype(np.float64),
+        measured=_mirrored(values[:, places["measured"]]),
+        relative_width=values[:, places["relative_width"]].copy(),
     )
 
 
@@ -267,21 +270,30 @@ def pack_predictions(
         axes: names of the axes that the model holds.
         frame_id: body frame.
     """
-    lower, upper = _mirrored_bounds(predictions.lower, predictions.upper)
-    return codec(PREDICTION).encode(
-        len(predictions.time_ns),
-        {
-            **_header(predictions.time_ns, frame_id),
-            "model": model,
-            "confidence": confidence,
-            "axes": sum(1 << AXES.index(axis) for axis in axes),
-            "predicted": _mirrored(predictions.predicted),
-            "lower": lower,
-            "upper": upper,
-            "measured": _mirrored(predictions.measured),
-            "relative_width": predictions.relative_width,
-        },
+    values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
+    prediction_values(
+        predictions.predicted,
+        predictions.lower,
+        predictions.upper,
+        predictions.measured,
+        predictions.relative_width,
+        values,
     )
+    return codec(PREDICTION).encode_stamped(
+        predictions.time_ns,
+        values,
+        (
+            ("header.frame_id", frame_id),
+            ("model", model),
+            ("confidence", confidence),
+            ("axes", _axis_flags(tuple(axes))),
+        ),
+    )
+
+
+@cache
+def _axis_flags(axes: tuple[str, ...]) -> int:
+    return sum(1 << AXES.index(axis) for axis in axes)
 
 
 @dataclass(frozen=True)
@@ -356,18 +368,12 @@ def _header(time_ns: Stamps, frame_id: str) -> dict[str, Any]:
 
 
 def _attitude(orientation_xyzw: Array) -> Array:
-    norm = np.sqrt(np.einsum("ni,ni->n", orientation_xyzw, orientation_xyzw))
-    wrong = np.abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE
-    if wrong.any():
-        sample = int(np.argmax(wrong))
-        raise LogError(f"sample {sample}: the orientation is no unit quaternion (norm {norm[sample]:.3g})")
-    return quaternion_flu_enu_to_frd_ned(orientation_xyzw[:, _WXYZ] / norm[:, None])
-
-
-def _rotated(covariance: Array, rotation: Array) -> Array:
-    """Row-major (N, 36) of a covariance (N, 6, 6) turned by `rotation` (6, 6)."""
-    rotated: Array = (rotation @ covariance @ rotation.T).reshape(-1, 36)
-    return rotated
+    attitude = np.empty(orientation_xyzw.shape)
+    sample = attitude_values(orientation_xyzw, attitude)
+    if sample >= 0:
+        norm = np.linalg.norm(orientation_xyzw[sample])
+        raise LogError(f"sample {sample}: the orientation is no unit quaternion (norm {norm:.3g})")
+    return attitude
 
 
 def _mirrored(wrench: Array) -> Array:

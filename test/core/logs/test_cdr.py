@@ -128,3 +128,29 @@ def test_embedded_definition_keeps_units_and_holds_contained_types():
     assert "[rev/min]" in text
     assert "MSG: std_msgs/Header" in text
     assert "MSG: builtin_interfaces/Time" in text
+
+
+def test_stamped_messages_move_their_numbers_at_once():
+    messages, values = transforms(["map", "m", "map"])
+    kind = codec(TRANSFORM)
+    stamps, numbers = kind.decode_stamped(Payloads.join(messages))
+    np.testing.assert_array_equal(stamps, np.array([-2, -1, 0]) * 1_000_000_000 + [0, 7, 14])
+    np.testing.assert_array_equal(numbers, values)
+    assert kind.places == {"transform.translation": slice(0, 3), "transform.rotation": slice(3, 7)}
+    for sample, message in enumerate(messages):
+        one = kind.decode_stamped(message)
+        assert (one.time_ns[0], one.values.tolist()) == (stamps[sample], [values[sample].tolist()])
+        frame_id = "m" if sample == 1 else "map"
+        texts = (("header.frame_id", frame_id), ("child_frame_id", frame_id[::-1] + "x"))
+        assert list(kind.encode_stamped(*one, texts)) == [message]
+    texts = (("header.frame_id", "map"), ("child_frame_id", "pamx"))
+    assert list(kind.encode_stamped(stamps[::2], values[::2], texts)) == messages[::2]
+
+
+def test_a_stamp_beyond_its_second_is_named():
+    messages, _ = transforms(["map"] * 3)
+    broken = bytearray(messages[1])
+    broken[8:12] = (2_000_000_000).to_bytes(4, "little")
+    for payloads in (bytes(broken), Payloads.join([messages[0], bytes(broken)])):
+        with pytest.raises(LogError, match=r"sample [01]: the stamp has 2000000000 ns"):
+            codec(TRANSFORM).decode_stamped(payloads)

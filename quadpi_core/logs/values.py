@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Between the numbers of a message, in its order and frames (FLU, ENU), and the core's arrays, compiled.
+
+A live node converts thousands of single messages a second: one call does it for all fields of a message, which
+array operations field by field would make several times as dear.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.compiled import njit
+
+# How many float64 fields end nav_msgs/Odometry and quadpi/WrenchPrediction.
+ODOMETRY_VALUES, PREDICTION_VALUES = 85, 30
+
+_QUATERNION_NORM_TOLERANCE = 0.01
+_SQRT_HALF = float(np.sqrt(0.5))
+
+
+@njit(cache=True)
+def attitude_values(orientation_xyzw: Any, attitude: Any) -> int:
+    """Fill `attitude` (N, 4) with unit quaternions in core frames; the first that is none, else -1."""
+    for row in range(attitude.shape[0]):
+        x, y, z, w = orientation_xyzw[row]
+        norm = np.sqrt(x * x + y * y + z * z + w * w)
+        if not abs(norm - 1.0) <= _QUATERNION_NORM_TOLERANCE:
+            return row
+        # frames.quaternion_flu_enu_to_frd_ned
+        scale = _SQRT_HALF / norm
+        attitude[row, 0] = scale * (w + z)
+        attitude[row, 1] = scale * (x + y)
+        attitude[row, 2] = scale * (x - y)
+        attitude[row, 3] = scale * (w - z)
+    return -1
+
+
+@njit(cache=True)
+def odometry_values(
+    position: Any,
+    attitude: Any,
+    velocity: Any,
+    rates: Any,
+    pose_covariance: Any,
+    twist_covariance: Any,
+    values: Any,
+) -> None:
+    """Fill `values` (N, 85): position, orientation, covariance, linear, angular, covariance."""
+    for row in range(values.shape[0]):
+        value = values[row]
+        w, x, y, z = attitude[row]
+        value[0], value[1], value[2] = position[row, 1], position[row, 0], -position[row, 2]
+        value[3], value[4] = _SQRT_HALF * (x + y), _SQRT_HALF * (x - y)
+        value[5], value[6] = _SQRT_HALF * (w - z), _SQRT_HALF * (w + z)
+        for i in range(2):
+            vector = velocity if i == 0 else rates
+            value[43 + 3 * i] = vector[row, 0]
+            value[44 + 3 * i], value[45 + 3 * i] = -vector[row, 1], -vector[row, 2]
+        for i in range(6):
+            # NED to ENU swaps the first two of each three axes and turns the third; FRD to FLU turns two.
+            from_i = i + 1 - 2 * (i % 3) if i % 3 < 2 else i
+            for j in range(6):
+                from_j = j + 1 - 2 * (j % 3) if j % 3 < 2 else j
+                sign = 1.0 if (i % 3 == 2) == (j % 3 == 2) else -1.0
+                value[7 + 6 * i + j] = sign * pose_covariance[row, from_i, from_j]
+                sign = 1.0 if (i % 3 == 0) == (j % 3 == 0) else -1.0
+                value[49 + 6 * i + j] = sign * twist_covariance[row, i, j]
+        # Adding zero keeps -0.0 out of the messages.
+        for k in range(value.size):
+            value[k] += 0.0
+
+
+@njit(cache=True)
+def prediction_values(
+    predicted: Any, lower: Any, upper: Any, measured: Any, relative_width: Any, values: Any
+) -> None:
+    """Fill `values` (N, 30): five wrenches; bounds swap on the axes that change sign."""
+    for row in range(values.shape[0]):
+        for axis in range(6):
+            turned = axis % 3 != 0
+            sign = -1.0 if turned else 1.0
+            values[row, axis] = sign * predicted[row, axis] + 0.0
+            values[row, 6 + axis] = sign * (upper if turned else lower)[row, axis] + 0.0
+            values[row, 12 + axis] = sign * (lower if turned else upper)[row, axis] + 0.0
+            values[row, 18 + axis] = sign * measured[row, axis] + 0.0
+            values[row, 24 + axis] = relative_width[row, axis]
