@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled kernels: numba's `njit`, with a cache on disk that a change of any kernel renews.
+"""Compiled kernels: numba's `njit`, with a cache on disk that a change of all that a kernel rests on renews.
 
-Numba renews a cached kernel when the kernel's own file changes, not when a kernel in another file that it
-calls does. So the cache lies in a folder named after the content of all files with kernels.
+Numba renews a cached kernel when the kernel's own file changes, not when another file does whose kernels or
+constants it uses. So each file with kernels has a cache folder of its own, named after the content of the
+file and of all files of this package that it imports, directly or through others.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import atexit
 import functools
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 import threading
@@ -20,11 +22,35 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import config, njit
+import numba
+from numba import config
 
 __all__ = ["njit", "once"]
 
 _compiling = threading.RLock()
+
+_KEEP_DAYS = 30.0
+_PACKAGE = Path(__file__).resolve().parent
+# Imports in a function or for type checking alone are indented: no kernel rests on them.
+_IMPORT = re.compile(
+    rf"^(?:from ({_PACKAGE.name}[\w.]*) import (\([^)]*\)|.*)|import ({_PACKAGE.name}[\w.]*))", re.M
+)
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` of a function of this package, cached where its file's cache is."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        if os.environ.get("NUMBA_CACHE_DIR"):
+            return numba.njit(**options)(function)
+        before = config.CACHE_DIR  # type: ignore[attr-defined]
+        config.CACHE_DIR = str(_cache_folder(Path(function.__code__.co_filename).resolve()))  # type: ignore[attr-defined]
+        try:
+            return numba.njit(**options)(function)
+        finally:
+            config.CACHE_DIR = before  # type: ignore[attr-defined]
+
+    return compiled
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -39,48 +65,63 @@ def once(function: Callable[..., Any]) -> Callable[..., Any]:
     return alone
 
 
-_KEEP_DAYS = 30.0
-
-
-def _digest() -> str:
-    digest = hashlib.sha256()
-    package = Path(__file__).resolve().parent
-    for path in sorted(package.rglob("*.py")):
-        content = path.read_bytes()
-        if b"@njit" in content or b"@intrinsic" in content:
-            digest.update(path.relative_to(package).as_posix().encode() + b"\0" + content)
-    return digest.hexdigest()[:16]
-
-
-def _cache_folder() -> Path:
-    """In the user's cache; for this process alone where that cannot be written.
+@functools.cache
+def _cache_folder(source: Path) -> Path:
+    """The cache of a file: in the user's cache, or for this process alone where that cannot be written.
 
     Never a fixed place that others can write to: a cached kernel is code.
     """
-    parent = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "quadpi"
-    name = _digest()
+    folder = _parent() / _digest(source)
     try:
-        (parent / name).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         return _for_this_process()
-    if not os.access(parent / name, os.W_OK):
+    if not os.access(folder, os.W_OK):
         return _for_this_process()
-    _forget_old(parent, keep=name)
-    return parent / name
+    return folder
 
 
+@functools.cache
+def _parent() -> Path:
+    parent = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "quadpi"
+    _forget_old(parent)
+    return parent
+
+
+@functools.cache
 def _for_this_process() -> Path:
     folder = tempfile.mkdtemp(prefix="quadpi-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
 
 
-def _forget_old(parent: Path, keep: str) -> None:
+def _forget_old(parent: Path) -> None:
     oldest = time.time() - _KEEP_DAYS * 86400.0
-    for folder in parent.iterdir():
-        if folder.name != keep and folder.stat().st_mtime < oldest:
-            shutil.rmtree(folder, ignore_errors=True)
+    if parent.is_dir():
+        for folder in parent.iterdir():
+            if folder.stat().st_mtime < oldest:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
-if not os.environ.get("NUMBA_CACHE_DIR"):
-    config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+def _digest(source: Path) -> str:
+    rests_on, found = {source}, [source]
+    while found:
+        new = _read(found.pop())[1] - rests_on
+        rests_on |= new
+        found.extend(new)
+    digest = hashlib.sha256()
+    for path in sorted(rests_on):
+        digest.update(path.name.encode() + b"\0" + _read(path)[0])
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _read(path: Path) -> tuple[bytes, frozenset[Path]]:
+    """Hash of the content of a file, and the files that it imports."""
+    content = path.read_bytes()
+    imported = set()
+    for package, names, module in _IMPORT.findall(content.decode()):
+        dotted = [module or package, *(f"{package}.{name}" for name in re.findall(r"\w+", names))]
+        for place in (_PACKAGE.parent.joinpath(*name.split(".")) for name in dotted):
+            imported |= {place.with_suffix(".py"), place / "__init__.py"}
+    return hashlib.sha256(content).digest(), frozenset(path for path in imported if path.is_file())

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between the numbers of a message, in its order and frames (FLU, ENU), and the core's arrays, compiled.
 
-A live node converts thousands of single messages a second: one call does it for all fields of a message, which
-array operations field by field would make several times as dear.
+A live node converts thousands of single messages a second. One call does it for all fields of a message;
+array operations field by field cost several times as much.
 """
 
 from __future__ import annotations

@@ -10,7 +10,20 @@ import pytest
 
 import quadpi_core
 
-_PRINT = "from quadpi_core.compiled import config; print(config.CACHE_DIR)"
+_PRINT = """
+from quadpi_core import kernel
+print(kernel.f._cache.cache_path)
+"""
+_KERNEL = """
+from quadpi_core.compiled import njit
+from quadpi_core.constants import (
+    LIMIT,
+)
+
+@njit(cache=True)
+def f():
+    return LIMIT
+"""
 
 
 def cache_folder(source, home):
@@ -24,30 +37,35 @@ def cache_folder(source, home):
         text=True,
         check=True,
     )
-    return Path(run.stdout.strip())
+    return Path(run.stdout.strip()).parent
 
 
 @pytest.fixture
 def copy(tmp_path):
-    """A small package with one kernel, beside the real compiled.py."""
+    """A small package with a kernel that rests on another file, beside the real compiled.py."""
     package = tmp_path / "source" / "quadpi_core"
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("")
     shutil.copy(Path(quadpi_core.__file__).parent / "compiled.py", package)
-    (package / "kernel.py").write_text("@njit\ndef f(): ...\n")
+    (package / "kernel.py").write_text(_KERNEL)
+    (package / "constants.py").write_text("from quadpi_core import deeper\nLIMIT = deeper.LIMIT\n")
+    (package / "deeper.py").write_text("LIMIT = 1\n")
     return tmp_path / "source"
 
 
 def test_a_changed_kernel_gets_a_new_cache(copy, tmp_path):
     first = cache_folder(copy, tmp_path / "home")
     assert cache_folder(copy, tmp_path / "home") == first
-    (copy / "quadpi_core" / "plain.py").write_text("x = 1\n")
+    (copy / "quadpi_core" / "kernel.py").write_text(_KERNEL + "\n")
+    assert cache_folder(copy, tmp_path / "home") != first
+
+
+def test_so_does_one_that_rests_on_what_changed_and_no_other(copy, tmp_path):
+    first = cache_folder(copy, tmp_path / "home")
+    (copy / "quadpi_core" / "unrelated.py").write_text("x = 1\n")
     assert cache_folder(copy, tmp_path / "home") == first
-    (copy / "quadpi_core" / "kernel.py").write_text("@njit\ndef f(): return 1\n")
-    second = cache_folder(copy, tmp_path / "home")
-    assert second != first
-    (copy / "quadpi_core" / "lanes.py").write_text("@intrinsic\ndef fused(): ...\n")
-    assert cache_folder(copy, tmp_path / "home") not in {first, second}
+    (copy / "quadpi_core" / "deeper.py").write_text("LIMIT = 2\n")
+    assert cache_folder(copy, tmp_path / "home") != first
 
 
 def test_old_caches_are_forgotten(copy, tmp_path):
