@@ -1,0 +1,179 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reader for ArduPilot's DataFlash logs (.BIN): IMU, attitude, the EKF's state, ESC telemetry.
+
+ArduPilot's body axes are forward-right-down, its world is north-east-down, its quaternions turn body into
+world; gyros are in rad/s, accelerometers in m/s² (specific force), angles in degrees. Source: ardupilot.org,
+"Onboard Message Log Messages".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from quadpi_core.flight import ImuStream, OdometryStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
+from quadpi_core.logs.autopilot import note, odometry_of, require_imu, rising, rotors_together, usable
+from quadpi_core.logs.conversion import NORM_TOLERANCE
+from quadpi_core.logs.dataflash import Messages, decode_dataflash
+from quadpi_core.logs.rotor_order import RPM, RotorOrder
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+_GYRO, _ACCELERATION = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
+_QUATERNION = ("Q1", "Q2", "Q3", "Q4")
+_ANGLES = ("Roll", "Pitch", "Yaw")
+_POSITION, _VELOCITY = ("PN", "PE", "PD"), ("VN", "VE", "VD")
+# EKF 3, EKF 2 and the first; each logs its cores as instances of C where there are several.
+_STATES = ("XKF1", "NKF1", "EKF1")
+_ATTITUDES = ("XKQ", "XKQ1", "NKQ", "NKQ1", "AHR2", "ATT")
+# A better kind of attitude must hold at least this share of the samples of the most frequent one.
+_FEW = 0.5
+_FIRST_MOTOR_FUNCTION = 33
+_LAYOUT_OF_FRAME_TYPE = {1: "quad-x", 3: "quad-x", 12: "betaflight"}
+
+
+def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
+    """Read one log, stamped since the boot of the autopilot.
+
+    Args:
+        path: the log.
+        vehicle: as for every reader.
+        order: of the rotors; by default SERVOn_FUNCTION and FRAME_TYPE in the log tell it.
+
+    Raises:
+        LogError: if it holds no record, or no IMU samples.
+    """
+    source = str(path)
+    log = decode_dataflash(source, path.read_bytes())
+    if log.skipped:
+        note(source, f"byte {log.first_skipped}: {log.skipped} damaged bytes from here on are passed over")
+    if log.cut_off is not None:
+        note(source, f"byte {log.cut_off}: the file is cut off in this record; all before it is read")
+    messages = log.messages
+    imu = require_imu(source, _imu(source, messages), "IMU")
+    battery = messages.get("BAT") or messages.get("CURR")
+    return Recording(
+        name=path.stem,
+        vehicle=vehicle.name if vehicle else "",
+        source=source,
+        imu=imu,
+        rotor_speeds=_rotor_speeds(source, messages, vehicle, order),
+        odometry=_odometry(source, messages, imu),
+        battery_v=None if battery is None else _battery(battery),
+    )
+
+
+def _imu(source: str, messages: dict[str, Messages]) -> ImuStream | None:
+    logged = messages.get("IMU")
+    if logged is None:
+        return None
+    first = logged.where("I", 0)
+    stream = ImuStream(first.time_ns(), first.stack(*_GYRO), first.stack(*_ACCELERATION))
+    return usable(source, stream)
+
+
+def _battery(logged: Messages) -> tuple[Stamps, Array]:
+    first = logged.where("Instance", 0).where("Inst", 0)
+    return rising(first.time_ns(), first.column("Volt"))[0], rising(first.time_ns(), first.column("Volt"))[1][
+        0
+    ]
+
+
+def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
+    name = next((name for name in _STATES if name in messages), None)
+    attitude = _attitude(messages)
+    if name is None or attitude is None:
+        return None
+    logged = messages[name]
+    if "C" in logged:
+        logged = logged.where("C", int(logged.column("C").min()))
+    time_ns, (position, velocity) = rising(
+        logged.time_ns(), logged.stack(*_POSITION), logged.stack(*_VELOCITY)
+    )
+    odometry = odometry_of(time_ns, position, velocity, attitude, imu)
+    return None if odometry is None else usable(source, odometry)
+
+
+def _attitude(messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
+    """Stamps and quaternions (K, 4) of the best kind of message that is there in number."""
+    known = {}
+    for name in _ATTITUDES:
+        if name in messages and (name == "ATT" or all(column in messages[name] for column in _QUATERNION)):
+            logged = messages[name]
+            known[name] = logged.where("C", int(logged.column("C").min())) if "C" in logged else logged
+    if not known:
+        return None
+    most = max(map(len, known.values()))
+    name, logged = next((name, logged) for name, logged in known.items() if len(logged) >= _FEW * most)
+    if name == "ATT":
+        quaternion = quaternion_from_roll_pitch_yaw(np.radians(logged.stack(*_ANGLES)))
+    else:
+        quaternion = logged.stack(*_QUATERNION)
+    norm = np.linalg.norm(quaternion, axis=1)
+    is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
+    time_ns, (unit,) = rising(logged.time_ns()[is_unit], quaternion[is_unit] / norm[is_unit, np.newaxis])
+    return time_ns, unit
+
+
+def _rotor_speeds(
+    source: str, messages: dict[str, Messages], vehicle: Vehicle | None, order: RotorOrder | None
+) -> RotorSpeedStream | None:
+    controllers = _controllers(messages)
+    if not controllers:
+        return None
+    if order is None:
+        order = _order(source, _parameters(messages), vehicle)
+    absent = [str(number + 1) for number in order.controllers if number not in controllers]
+    if absent:
+        note(source, f"topic rotor_speeds: left out, speed controllers {', '.join(absent)} are not logged")
+        return None
+    speeds = [controllers[number] for number in order.controllers]
+    together = rotors_together([rising_one(logged) for logged in speeds], order, vehicle)
+    return None if together is None else usable(source, together)
+
+
+def rising_one(logged: Messages) -> tuple[Stamps, Array]:
+    """Stamps (K,) and mechanical rpm (K, 1) of one speed controller."""
+    time_ns, (rpm,) = rising(logged.time_ns(), logged.stack("RPM"))
+    return time_ns, rpm
+
+
+def _controllers(messages: dict[str, Messages]) -> dict[int, Messages]:
+    """ESC records by number of the speed controller from 0 on; logs before 2021 have a name for each."""
+    if "ESC" in messages and "Instance" in messages["ESC"] and "RPM" in messages["ESC"]:
+        logged = messages["ESC"]
+        numbers = np.unique(logged.records["Instance"]).tolist()
+        return {int(number): logged.where("Instance", number) for number in numbers}
+    return {
+        number - 1: messages[f"ESC{number}"]
+        for number in range(1, 9)
+        if f"ESC{number}" in messages and "RPM" in messages[f"ESC{number}"]
+    }
+
+
+def _parameters(messages: dict[str, Messages]) -> dict[str, float]:
+    logged = messages.get("PARM")
+    if logged is None:
+        return {}
+    return dict(zip(logged.text("Name"), logged.column("Value").tolist(), strict=True))
+
+
+def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOrder:
+    """Which output drives which motor, and where the frame type puts it."""
+    frame_type = parameters.get("FRAME_TYPE")
+    layout = _LAYOUT_OF_FRAME_TYPE.get(int(frame_type)) if frame_type is not None else None
+    if layout is None:
+        layout = "quad-x"
+        said = "nothing" if frame_type is None else f"FRAME_TYPE {frame_type:g}"
+        note(source, f"topic rotor_speeds: the log says {said} of the frame; its motors are taken as quad X")
+    motors = RotorOrder.by_layout(vehicle, layout, RPM).controllers
+    outputs = {
+        int(parameters[f"SERVO{output + 1}_FUNCTION"]) - _FIRST_MOTOR_FUNCTION: output
+        for output in range(16)
+        if f"SERVO{output + 1}_FUNCTION" in parameters
+    }
+    if not all(motor in outputs for motor in range(ROTORS)):
+        outputs = {motor: motor for motor in range(ROTORS)}
+    return RotorOrder(tuple(outputs[motor] for motor in motors), RPM)

@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the readers of autopilot logs share: stamps that rise, states put together, notes to the user."""
+
+from __future__ import annotations
+
+import bisect
+import logging
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, Stamps, Stream
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.logs.plausibility import finite_rows
+from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.signals.resample import interpolate, interpolate_attitude
+from quadpi_core.vehicle import Vehicle
+
+_AnyStream = TypeVar("_AnyStream", bound=Stream)
+
+_log = logging.getLogger(__name__)
+_GAP_NS = 1_000_000_000
+
+
+def note(source: str, text: str) -> None:
+    """Tell the user of something that the import of a log did or assumed."""
+    _log.warning("%s: %s", source, text)
+
+
+def begins_with(path: Path, magic: bytes) -> bool:
+    """Whether a file begins with these bytes."""
+    with path.open("rb") as file:
+        return file.read(len(magic)) == magic
+
+
+def usable(source: str, stream: _AnyStream) -> _AnyStream | None:
+    """The stream without samples whose stamp does not rise or that are not finite, and how many they were.
+
+    Autopilots log a sample twice now and then, or stamp in milliseconds faster than that. None if nothing is
+    left.
+    """
+    columns = [getattr(stream, column.name) for column in fields(stream)]
+    finite = finite_rows(*columns)
+    kept = np.flatnonzero(finite)
+    kept = kept[_rises(stream.time_ns[kept])]
+    for dropped, reason in (
+        (len(stream) - np.count_nonzero(finite), "that are not finite"),
+        (np.count_nonzero(finite) - len(kept), "whose stamp does not rise"),
+    ):
+        if dropped:
+            note(source, f"topic {stream.topic}: dropped {dropped} of {len(stream)} samples {reason}")
+    return type(stream)(*(values[kept] for values in columns)) if len(kept) else None
+
+
+def _rises(time_ns: Stamps) -> npt.NDArray[np.bool_]:
+    """The most samples (N,) whose stamps rise: one stamp that is far ahead costs no later ones.
+
+    Source: longest increasing subsequence, by patience sorting.
+    """
+    if np.all(time_ns[1:] > time_ns[:-1]):
+        return np.ones(len(time_ns), dtype=bool)
+    stamps = time_ns.tolist()
+    smallest: list[int] = []
+    ends: list[int] = []
+    before: list[int] = []
+    for index, stamp in enumerate(stamps):
+        place = bisect.bisect_left(smallest, stamp)
+        smallest[place : place + 1] = [stamp]
+        ends[place : place + 1] = [index]
+        before.append(ends[place - 1] if place else -1)
+    rises = np.zeros(len(stamps), dtype=bool)
+    index = ends[-1]
+    while index >= 0:
+        rises[index] = True
+        index = before[index]
+    return rises
+
+
+def require_imu(source: str, imu: ImuStream | None, needed: str) -> ImuStream:
+    """The IMU stream, without which a log is of no use.
+
+    Raises:
+        LogError: saying which messages of the log would have held it.
+    """
+    if imu is None:
+        raise LogError(f"{source}: topic imu: the log holds no samples of gyro and accelerometer ({needed})")
+    return imu
+
+
+def odometry_of(
+    time_ns: Stamps,
+    position: Array,
+    velocity_world: Array,
+    attitude: tuple[Stamps, Array],
+    imu: ImuStream,
+) -> OdometryStream | None:
+    """A fused state out of what an autopilot logs in separate messages; None where they do not overlap.
+
+    Args:
+        time_ns: (N,) of position and velocity.
+        position: (N, 3) m, NED.
+        velocity_world: (N, 3) m/s, NED.
+        attitude: stamps (K,) and quaternions (K, 4), FRD to NED; rising stamps.
+        imu: gives the rates.
+    """
+    if len(time_ns) == 0 or len(attitude[0]) == 0:
+        return None
+    turned = interpolate_attitude(*attitude, time_ns, _GAP_NS)
+    rates = interpolate(imu.time_ns, imu.angular_velocity, time_ns, _GAP_NS)
+    both = turned.valid & rates.valid
+    if not np.any(both):
+        return None
+    unit = turned.values[both]
+    velocity = rotate_world_to_body(unit, velocity_world[both])
+    return OdometryStream(time_ns[both], position[both], unit, velocity, rates.values[both])
+
+
+def rising(time_ns: Stamps, *columns: Array) -> tuple[Stamps, tuple[Array, ...]]:
+    """Samples whose stamp rises and that are finite, of helper signals that are no stream themselves."""
+    kept = np.flatnonzero(finite_rows(*columns))
+    kept = kept[_rises(time_ns[kept])]
+    return time_ns[kept], tuple(values[kept] for values in columns)
+
+
+def rotors_together(
+    controllers: Sequence[tuple[Stamps, Array]], order: RotorOrder, vehicle: Vehicle | None
+) -> RotorSpeedStream | None:
+    """Rotor speeds that were logged one controller at a time, on the stamps of the one that was logged most.
+
+    Args:
+        controllers: stamps (K,) and speeds (K, 1) of each, in the vehicle's rotor order; rising stamps.
+        order: says the unit.
+        vehicle: see :meth:`RotorOrder.speeds`.
+    """
+    if any(len(time_ns) == 0 for time_ns, _ in controllers):
+        return None
+    time_ns = max((stamps for stamps, _ in controllers), key=len)
+    together = [interpolate(stamps, speeds, time_ns, _GAP_NS) for stamps, speeds in controllers]
+    valid = np.all([one.valid for one in together], axis=0)
+    if not np.any(valid):
+        return None
+    speeds = np.concatenate([one.values[valid] for one in together], axis=1)
+    return RotorSpeedStream(time_ns[valid], order.speeds(speeds, vehicle))

@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reader for Betaflight's Blackbox logs (.bbl, .bfl, .txt), through orangebox.
+
+Betaflight's body axes are forward-left-up. `gyroADC` is in deg/s, `accSmooth` in counts of which the header
+`acc_1G` makes one g, `eRPM` (bidirectional DShot) in hundreds of electrical revolutions per minute, time in
+µs.
+Source: Betaflight's blackbox.c, and the Blackbox log viewer.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import LogError, one_line
+from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.frames import Array, body_flu_to_frd
+from quadpi_core.logs import BLACKBOX_MAGIC
+from quadpi_core.logs.autopilot import begins_with, note, require_imu, usable
+from quadpi_core.logs.conversion import STANDARD_GRAVITY
+from quadpi_core.logs.extras import require
+from quadpi_core.logs.rotor_order import ERPM, RotorOrder
+from quadpi_core.vehicle import Vehicle
+
+_GYRO = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]")
+_ACCELERATION = ("accSmooth[0]", "accSmooth[1]", "accSmooth[2]")
+_ERPM = ("eRPM[0]", "eRPM[1]", "eRPM[2]", "eRPM[3]")
+_ERPM_PER_COUNT = 100.0
+_HIGH_RESOLUTION = 10.0
+
+
+def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
+    """Read the longest flight of one file, stamped by the flight controller.
+
+    Args:
+        path: the log.
+        vehicle: as for every reader; the pole pairs make eRPM mechanical.
+        order: of the rotors; by default that of Betaflight's standard quad X.
+
+    Raises:
+        LogError: if it holds no frame, or no gyro and accelerometer.
+        VehicleError: if it holds eRPM and the vehicle file does not give the pole pairs.
+    """
+    source = str(path)
+    headers, columns = _longest(source, path)
+    imu = require_imu(source, _imu(source, headers, columns), "gyroADC and accSmooth")
+    return Recording(
+        name=path.stem,
+        vehicle=vehicle.name if vehicle else "",
+        source=source,
+        imu=imu,
+        rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order),
+    )
+
+
+def _longest(source: str, path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Headers and columns of the flight with the most frames."""
+    if not begins_with(path, BLACKBOX_MAGIC):
+        raise LogError(
+            f"{source}: byte 0: not a Blackbox log (it must begin with `{BLACKBOX_MAGIC.decode()}`)"
+        )
+    orangebox = require("orangebox", "logs")
+    # It reports every damaged byte; what matters of that becomes a note.
+    logging.getLogger("orangebox").setLevel(logging.CRITICAL)
+    best: tuple[dict[str, Any], dict[str, Array]] | None = None
+    flights = 1
+    number = 0
+    while number < flights:
+        number += 1
+        try:
+            # Each flight has a parser of its own: headers of one would stay in the next.
+            parser = orangebox.Parser.load(source, number, allow_invalid_header=True)
+        except OSError:
+            raise
+        except Exception as error:  # orangebox raises many kinds for a file that is damaged
+            note(source, f"flight {number}: its headers are damaged: {one_line(error)}")
+            continue
+        flights = parser.reader.log_count
+        found = parser.headers, _columns(source, number, parser)
+        if best is None or len(found[1].get("time", ())) > len(best[1].get("time", ())):
+            best = found
+    if best is None or not len(best[1].get("time", ())):
+        raise LogError(f"{source}: no frame of a flight can be read")
+    if flights > 1:
+        note(source, f"holds {flights} flights; read is the longest")
+    return best
+
+
+def _columns(source: str, number: int, parser: Any) -> dict[str, Array]:
+    """The columns (N,) of one flight; frames that orangebox cannot tell end it."""
+    names = [name for name in parser.field_names if name in {"time", *_GYRO, *_ACCELERATION, *_ERPM}]
+    places = [parser.field_names.index(name) for name in names]
+    rows = []
+    try:
+        for frame in parser.frames():
+            rows.append([frame.data[place] for place in places])
+    except Exception as error:  # what it raises at a damaged byte, or at the end, depends on the byte
+        if parser.reader.tell() < len(parser.reader):
+            note(
+                source,
+                f"flight {number}: byte {parser.reader.tell()} of its frames: damaged ({one_line(error)}); "
+                f"the {len(rows)} frames before are read",
+            )
+    table = np.array([row for row in rows if all(type(value) is int for value in row)], dtype=np.float64)
+    if len(table) == 0:
+        return {}
+    return dict(zip(names, table.T, strict=True))
+
+
+def _time_ns(columns: dict[str, Array]) -> Stamps:
+    stamps: Stamps = np.round(columns["time"] * 1e3).astype(np.int64)
+    return stamps
+
+
+def _imu(source: str, headers: dict[str, Any], columns: dict[str, Array]) -> ImuStream | None:
+    if not all(name in columns for name in (*_GYRO, *_ACCELERATION)):
+        return None
+    one_g = headers.get("acc_1G")
+    if not isinstance(one_g, int) or one_g <= 0:
+        raise LogError(f"{source}: the header acc_1G is missing: nothing says how many counts are one g")
+    gyro = np.stack([columns[name] for name in _GYRO], axis=1) * _gyro_scale(headers)
+    acceleration = np.stack([columns[name] for name in _ACCELERATION], axis=1) / one_g
+    stream = ImuStream(
+        _time_ns(columns),
+        body_flu_to_frd(np.radians(gyro)),
+        body_flu_to_frd(acceleration * STANDARD_GRAVITY),
+    )
+    return usable(source, stream)
+
+
+def _gyro_scale(headers: dict[str, Any]) -> float:
+    """Degrees per second of one count; the header holds the bits of a single-precision number."""
+    bits = headers.get("gyro_scale")
+    scale = 1.0
+    if isinstance(bits, int) and 0 < bits < 2**32:
+        (scale,) = struct.unpack("<f", struct.pack("<I", bits))
+    return scale / (_HIGH_RESOLUTION if headers.get("blackbox_high_resolution") == 1 else 1.0)
+
+
+def _rotor_speeds(
+    source: str,
+    headers: dict[str, Any],
+    columns: dict[str, Array],
+    vehicle: Vehicle | None,
+    order: RotorOrder | None,
+) -> RotorSpeedStream | None:
+    if not all(name in columns for name in _ERPM):
+        if headers.get("dshot_bidir") == 1:
+            note(
+                source,
+                "topic rotor_speeds: bidirectional DShot was on, but eRPM is not among the logged fields",
+            )
+        return None
+    if order is None:
+        order = RotorOrder.by_layout(vehicle, "betaflight", ERPM)
+    if vehicle is None:
+        note(source, "topic rotor_speeds: left out, electrical speeds need the vehicle's pole pairs")
+        return None
+    order = RotorOrder(order.controllers, order.unit or ERPM)
+    poles = headers.get("motor_poles")
+    if isinstance(poles, int) and vehicle.pole_pairs is not None and poles != 2 * vehicle.pole_pairs:
+        note(
+            source,
+            f"topic rotor_speeds: motor_poles is {poles}, the vehicle file says {2 * vehicle.pole_pairs}; "
+            "the file counts",
+        )
+    erpm = np.stack([columns[_ERPM[number]] for number in order.controllers], axis=1) * _ERPM_PER_COUNT
+    return usable(source, RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle)))

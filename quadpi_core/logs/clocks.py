@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far the clock of another computer is from this one's: live by exchanges or arrivals, and of a log.
+
+Every number here is in nanoseconds. The offset is this computer's clock minus the other's.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from quadpi_core.flight import Stamps
+from quadpi_core.frames import Array
+
+# Quartz clocks differ by less.
+DRIFT = 100e-6
+_EXCHANGES = 64
+_WINDOW_NS = 10_000_000_000
+_BUCKET_NS = 1_000_000_000
+# An offset that is this wrong is replaced at once, a smaller error worked off at _SLEW of the elapsed time.
+_STEP_NS = 20_000_000
+_SLEW = 1e-3
+# Answers that took longer say nothing.
+_ROUND_TRIP_MAX_NS = 1_000_000_000
+
+
+class Offset(NamedTuple):
+    """What is known of an offset.
+
+    Attributes:
+        offset_ns: add it to the other clock's stamps.
+        uncertainty_ns: bound of its error, with symmetric delays far below; None where the delay of the link
+            is part of the offset, which arrivals alone cannot tell.
+        exchanged: whether it comes from exchanges.
+    """
+
+    offset_ns: int
+    uncertainty_ns: int | None
+    exchanged: bool
+
+
+class _Candidate(NamedTuple):
+    at_ns: int
+    offset_ns: int
+    error_ns: float
+
+
+class ClockOffset:
+    """Offset to the clock of a sender, as exchanges of stamps or, without an answer, arrivals tell it.
+
+    Of the exchanges of the last ten seconds the one with the smallest bound counts: half its round trip, plus
+    what the clocks may have drifted since. Without any, the earliest arrival relative to its stamp counts:
+    the offset then contains the smallest delay of the link. The applied offset follows slowly, so that the
+    spacing of stamps stays that of the sender; O(1) per call.
+    """
+
+    def __init__(self) -> None:
+        self._exchanges: deque[_Candidate] = deque(maxlen=_EXCHANGES)
+        self._arrivals: deque[_Candidate] = deque(maxlen=_WINDOW_NS // _BUCKET_NS)
+        self._applied: float | None = None
+        self._applied_at_ns = 0
+        self._last_remote_ns: int | None = None
+        self.restarts = 0
+
+    def exchange(self, sent_ns: int, remote_ns: int, received_ns: int) -> None:
+        """Take an answer: sent and received by this clock, stamped by the other in between."""
+        round_trip = received_ns - sent_ns
+        if not 0 <= round_trip <= _ROUND_TRIP_MAX_NS:
+            return
+        middle = sent_ns + round_trip // 2
+        self._exchanges.append(_Candidate(received_ns, middle - remote_ns, 0.5 * round_trip))
+
+    def arrival(self, remote_ns: int, arrival_ns: int) -> None:
+        """Take the stamp of a message and when it arrived."""
+        if self._last_remote_ns is not None and remote_ns < self._last_remote_ns - _BUCKET_NS:
+            self._forget()
+        self._last_remote_ns = remote_ns
+        offset = arrival_ns - remote_ns
+        newest = self._arrivals[-1] if self._arrivals else None
+        if newest is None or arrival_ns - newest.at_ns >= _BUCKET_NS:
+            self._arrivals.append(_Candidate(arrival_ns, offset, 0.0))
+        elif offset < newest.offset_ns:
+            self._arrivals[-1] = newest._replace(offset_ns=offset)
+
+    def _forget(self) -> None:
+        """The sender has begun again."""
+        self._exchanges.clear()
+        self._arrivals.clear()
+        self._applied = None
+        self.restarts += 1
+
+    def estimate(self, now_ns: int) -> Offset | None:
+        """The best offset at a time, not slewed; None before anything has arrived."""
+        recent = [known for known in self._exchanges if now_ns - known.at_ns <= _WINDOW_NS]
+        if recent:
+            errors = [known.error_ns + DRIFT * (now_ns - known.at_ns) for known in recent]
+            best = min(range(len(recent)), key=errors.__getitem__)
+            return Offset(recent[best].offset_ns, round(errors[best]), exchanged=True)
+        if not self._arrivals:
+            return None
+        offset = min(known.offset_ns for known in self._arrivals)
+        return Offset(offset, None, exchanged=False)
+
+    def to_local(self, remote_ns: int, now_ns: int) -> int:
+        """A stamp of the sender by this computer's clock; `arrival` or `exchange` must have been called."""
+        if self._applied is None or now_ns - self._applied_at_ns > _BUCKET_NS // 100:
+            self._follow(now_ns)
+        return remote_ns + round(self._applied or 0.0)
+
+    def _follow(self, now_ns: int) -> None:
+        estimate = self.estimate(now_ns)
+        if estimate is None:
+            return
+        error = estimate.offset_ns - (self._applied if self._applied is not None else np.inf)
+        if not abs(error) <= _STEP_NS:
+            self._applied = float(estimate.offset_ns)
+        else:
+            most = _SLEW * (now_ns - self._applied_at_ns)
+            self._applied = (self._applied or 0.0) + min(max(error, -most), most)
+        self._applied_at_ns = now_ns
+
+
+class Line(NamedTuple):
+    """local = remote + offset + slope · (remote − origin)."""
+
+    origin_ns: int
+    offset_ns: float
+    slope: float
+
+    def to_local(self, remote_ns: Stamps) -> Stamps:
+        """Stamps (N,) of the other clock by this one."""
+        local: Stamps = remote_ns + np.rint(
+            self.offset_ns + self.slope * (remote_ns - self.origin_ns)
+        ).astype(np.int64)
+        return local
+
+
+def line_below(remote_ns: Stamps, arrival_ns: Stamps) -> Line:
+    """The line that no message arrives before, as close to the arrivals as it can be: clock offset and drift.
+
+    Args:
+        remote_ns: (N,) stamps of the sender, N > 0.
+        arrival_ns: (N,) when they arrived; delays are what is left above the line.
+    """
+    origin = int(remote_ns[0])
+    elapsed = (remote_ns - origin).astype(np.float64)
+    excess: Array = (arrival_ns - remote_ns).astype(np.float64)
+    slope = 0.0
+    hull = _lower_hull(elapsed, excess)
+    if len(hull) > 1:
+        middle = float(elapsed.mean())
+        edge = int(np.clip(np.searchsorted(elapsed[hull], middle), 1, len(hull) - 1))
+        left, right = hull[edge - 1], hull[edge]
+        slope = float((excess[right] - excess[left]) / (elapsed[right] - elapsed[left]))
+    slope = float(np.clip(slope, -DRIFT, DRIFT))
+    return Line(origin, float(np.min(excess - slope * elapsed)), slope)
+
+
+def _lower_hull(x: Array, y: Array) -> list[int]:
+    """Indices of the lower convex hull of points, x rising along it (Andrew's monotone chain)."""
+    hull: list[int] = []
+    order = np.lexsort((y, x))
+    for index in order.tolist():
+        if hull and x[index] == x[hull[-1]]:
+            continue
+        while len(hull) > 1:
+            a, b = hull[-2], hull[-1]
+            if (y[b] - y[a]) * (x[index] - x[b]) < (y[index] - y[b]) * (x[b] - x[a]):
+                break
+            hull.pop()
+        hull.append(index)
+    return hull

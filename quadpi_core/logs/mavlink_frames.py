@@ -1,0 +1,254 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""MAVLink frames out of bytes: checksums, signatures, lost packets, and noise in between.
+
+pymavlink's own parser drops whatever follows a marker byte in noise, up to 280 bytes with whole packets among
+them; this one takes bytes away only for a frame whose checksum holds.
+
+Source: mavlink.io, "Packet Serialization" and "Message Signing".
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import struct
+import time
+from collections import namedtuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from quadpi_core.logs.mavlink_dialect import load_dialect
+
+MARKERS = (0xFD, 0xFE)
+_V2_MARKER = 0xFD
+_V2_HEADER, _V1_HEADER = 10, 6
+_CHECKSUM, _SIGNATURE = 2, 13
+_SIGNED = 0x01
+_SEQUENCES = 256
+# A larger step is a sender that began again.
+_LOST_AT_MOST = 128
+# Signatures count units of 10 µs since 2015; a new sender may lie this far behind us (one minute).
+_SIGNATURE_EPOCH_S = 1_420_070_400
+_SIGNATURE_UNITS_PER_S = 100_000
+_SIGNATURE_AGE = 60 * _SIGNATURE_UNITS_PER_S
+
+
+class Frame(NamedTuple):
+    """A packet whose checksum, and signature if there is a key, hold."""
+
+    message_id: int
+    system: int
+    component: int
+    data: bytes
+
+
+@dataclass
+class FrameCounts:
+    """What went through a :class:`Framer`.
+
+    Attributes:
+        frames: packets taken.
+        checksum_errors: markers that looked like the begin of a known packet, with a wrong checksum.
+        noise_bytes: bytes that belong to no packet.
+        lost: packets missing from the sequence numbers.
+        refused_signatures: packets without the right signature.
+        unknown: packets of messages that no dialect knows.
+    """
+
+    frames: int = 0
+    checksum_errors: int = 0
+    noise_bytes: int = 0
+    lost: int = 0
+    refused_signatures: int = 0
+    unknown: int = 0
+
+
+class Verifier:
+    """Accepts packets that are signed with a key, each once.
+
+    Args:
+        key: 32 bytes.
+        now: seconds since 1970; signatures of new senders must not be older than a minute.
+    """
+
+    def __init__(self, key: bytes, now: float | None = None) -> None:
+        self._key = key
+        seconds = (time.time() if now is None else now) - _SIGNATURE_EPOCH_S
+        self._newest = int(seconds * _SIGNATURE_UNITS_PER_S)
+        self._last: dict[tuple[int, int, int], int] = {}
+
+    def accepts(self, data: bytes, system: int, component: int) -> bool:
+        """Whether the signature at the end of a packet is right and newer than the sender's last one."""
+        link, stamp = data[-_SIGNATURE], int.from_bytes(data[-12:-6], "little")
+        expected = hashlib.sha256(self._key + data[:-6]).digest()[:6]
+        # The signature is looked at first: no forged packet may move the clock of a sender.
+        if not hmac.compare_digest(expected, data[-6:]):
+            return False
+        sender = (link, system, component)
+        if stamp <= self._last.get(sender, self._newest - _SIGNATURE_AGE):
+            return False
+        self._last[sender] = stamp
+        self._newest = max(self._newest, stamp)
+        return True
+
+
+def signing_key(passphrase: str) -> bytes:
+    """The key that ground stations make of a passphrase: its SHA-256."""
+    return hashlib.sha256(passphrase.encode()).digest()
+
+
+@dataclass
+class Framer:
+    """Cuts a stream of bytes, or datagrams, into packets.
+
+    Args:
+        verifier: with one, unsigned and wrongly signed packets are refused; without, signatures are not
+            looked at and the checksum alone counts.
+    """
+
+    verifier: Verifier | None = None
+    counts: FrameCounts = field(default_factory=FrameCounts)
+    _buffer: bytearray = field(default_factory=bytearray)
+    _sequence: dict[tuple[int, int], int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        dialect = load_dialect()
+        self._checksum = dialect.x25crc
+        self._extra = {number: kind.crc_extra for number, kind in dialect.mavlink_map.items()}
+
+    def feed(self, data: bytes, *, complete: bool = False) -> list[Frame]:
+        """The packets that are complete now.
+
+        Args:
+            data: what arrived.
+            complete: whether no packet goes on beyond it, as in a datagram or at the end of a file.
+        """
+        buffer = self._buffer
+        buffer += data
+        frames, position = [], 0
+        while position < len(buffer):
+            length = frame_length(buffer, position)
+            is_whole = length is not None and position + length <= len(buffer)
+            if not is_whole and not complete:
+                break
+            frame = self._frame(position, length) if length and is_whole else None
+            if frame is None:
+                position = self._skip(position)
+                continue
+            position += len(frame.data)
+            if self._is_welcome(frame):
+                frames.append(frame)
+        del buffer[:position]
+        return frames
+
+    def _skip(self, position: int) -> int:
+        """The next place at which a packet may begin."""
+        found = [at for marker in MARKERS if (at := self._buffer.find(marker, position + 1)) >= 0]
+        following = min(found, default=len(self._buffer))
+        self.counts.noise_bytes += following - position
+        return following
+
+    def _frame(self, position: int, length: int) -> Frame | None:
+        """The packet at a position, or None if its checksum says that it is none."""
+        data = bytes(self._buffer[position : position + length])
+        frame, header, signed = _parts(data)
+        extra = self._extra.get(frame.message_id)
+        if extra is None:
+            # Nothing tells the checksum of an unknown message: it is one if another packet follows.
+            follows = position + length
+            if follows < len(self._buffer) and self._buffer[follows] not in MARKERS:
+                return None
+            self.counts.unknown += 1
+            return frame
+        end = length - (_SIGNATURE if signed else 0)
+        checksum = self._checksum(data[1 : end - _CHECKSUM] + bytes((extra,))).crc
+        if checksum != int.from_bytes(data[end - _CHECKSUM : end], "little"):
+            self.counts.checksum_errors += 1
+            return None
+        self._count(frame, data[4 if header == _V2_HEADER else 2])
+        return frame
+
+    def _count(self, frame: Frame, sequence: int) -> None:
+        self.counts.frames += 1
+        sender = (frame.system, frame.component)
+        missing = (sequence - self._sequence.get(sender, sequence - 1) - 1) % _SEQUENCES
+        if missing < _LOST_AT_MOST:
+            self.counts.lost += missing
+        self._sequence[sender] = sequence
+
+    def _is_welcome(self, frame: Frame) -> bool:
+        if frame.message_id not in self._extra:
+            return False
+        if self.verifier is None:
+            return True
+        signed = frame.data[0] == _V2_MARKER and bool(frame.data[2] & _SIGNED)
+        if signed and self.verifier.accepts(frame.data, frame.system, frame.component):
+            return True
+        self.counts.refused_signatures += 1
+        return False
+
+
+def frame_length(buffer: bytes | bytearray, position: int) -> int | None:
+    """Length of the packet at a position; 0 if none begins there, None if too few bytes are there to say."""
+    marker = buffer[position]
+    if marker not in MARKERS:
+        return 0
+    if len(buffer) - position < 3:
+        return None
+    if marker != _V2_MARKER:
+        return _V1_HEADER + buffer[position + 1] + _CHECKSUM
+    flags = buffer[position + 2]
+    if flags & ~_SIGNED:
+        return 0
+    return _V2_HEADER + buffer[position + 1] + _CHECKSUM + (_SIGNATURE if flags & _SIGNED else 0)
+
+
+def _parts(data: bytes) -> tuple[Frame, int, bool]:
+    """A packet by its header, the length of the header, and whether it is signed."""
+    if data[0] != _V2_MARKER:
+        return Frame(data[5], data[3], data[4], data), _V1_HEADER, False
+    message_id = int.from_bytes(data[7:10], "little")
+    return Frame(message_id, data[5], data[6], data), _V2_HEADER, bool(data[2] & _SIGNED)
+
+
+class MessageDecoder:
+    """Messages out of packets whose checksum holds, as named tuples of the dialect's fields."""
+
+    def __init__(self) -> None:
+        self._layouts: dict[int, _Layout] = {}
+        self._kinds = load_dialect().mavlink_map
+
+    def decode(self, frame: Frame) -> Any:
+        """The message of a packet of a known type; `type(message).__name__` is its name.
+
+        Arrays are tuples; zeros that MAVLink 2 cut off at the end are filled in.
+        """
+        layout = self._layouts.get(frame.message_id)
+        if layout is None:
+            layout = self._layouts[frame.message_id] = _Layout.of(self._kinds[frame.message_id])
+        header = _V2_HEADER if frame.data[0] == _V2_MARKER else _V1_HEADER
+        payload = frame.data[header : header + frame.data[1]]
+        size = layout.unpack.size
+        values = layout.unpack.unpack(payload[:size].ljust(size, b"\0"))
+        return layout.build(*(values[place] for place in layout.places))
+
+
+class _Layout(NamedTuple):
+    """How the payload of one type of message becomes its fields."""
+
+    unpack: struct.Struct
+    places: tuple[int | slice, ...]
+    build: Any
+
+    @classmethod
+    def of(cls, kind: Any) -> _Layout:
+        places: list[int | slice] = []
+        start = 0
+        for length, size in zip(kind.lengths, kind.array_lengths, strict=True):
+            # Text is one value, however long.
+            is_array = size > 0 and length > 1
+            places.append(slice(start, start + length) if is_array else start)
+            start += length if is_array else 1
+        names = [name if name.isidentifier() else f"{name}_" for name in kind.ordered_fieldnames]
+        return cls(kind.unpacker, tuple(places), namedtuple(kind.msgname, names, rename=True))

@@ -1,0 +1,312 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""One decoder from MAVLink messages to samples of the core, for the live bridge and for .tlog files alike.
+
+MAVLink's body axes are forward-right-down and its worlds north-east-down unless a message says otherwise. Its
+stamps count from the boot of the sender, or from 1970; some messages carry none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, RotorSpeedStream, Stamps, Stream
+from quadpi_core.frames import (
+    Array,
+    body_flu_to_frd,
+    quaternion_body_flu_to_frd,
+    quaternion_from_roll_pitch_yaw,
+    quaternion_world_enu_to_ned,
+    rotate_world_to_body,
+    world_enu_to_ned,
+)
+from quadpi_core.logs.conversion import NORM_TOLERANCE, STANDARD_GRAVITY
+from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+ARDUPILOT, PX4 = 3, 12
+AUTOPILOT_INVALID = 8
+
+# Message names per topic, the best first.
+SOURCES = {
+    "imu": ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"),
+    "rotor_speeds": ("ESC_STATUS", "ESC_TELEMETRY", "RAW_RPM"),
+    "mocap/pose": ("ATT_POS_MOCAP", "VISION_POSITION_ESTIMATE", "ODOMETRY pose"),
+    "odometry": ("ODOMETRY", "LOCAL_POSITION_NED"),
+}
+# Of these messages, what other components send counts too: motion capture comes from a companion computer.
+FROM_ANY_SYSTEM = frozenset({"ATT_POS_MOCAP", "VISION_POSITION_ESTIMATE"})
+
+_EPOCH_US = 10**15
+# A later stamp, past the year 2090, is none.
+_LATEST_US = 4 * 10**15
+_MILLI_G = STANDARD_GRAVITY * 1e-3
+_ACCELEROMETER_AND_GYRO = 0x3F
+_ESCS_PER_MESSAGE = 4
+_FIRST_CONTROLLERS = 0xF
+# Speeds of one rotor older than this are not put beside newer ones of another.
+_ROTOR_SPREAD_S = 0.05
+# An attitude is carried on by its rates for no longer.
+_ATTITUDE_AGE_S = 0.2
+# frame_id of ODOMETRY: local NED, ENU, forward-right-down, forward-left-up. child_frame_id: body FRD, FLU.
+_LOCAL_NED, _LOCAL_ENU, _LOCAL_FRD, _LOCAL_FLU = 1, 4, 20, 21
+_BODY_NED, _BODY_FRD, _BODY_FLU = 8, 12, 13
+
+
+class Sample(NamedTuple):
+    """One sample of a topic.
+
+    Attributes:
+        topic: of the stream that it belongs to.
+        source: message that it came in.
+        clock_us: by the clock of the sender; None where the message carries no stamp.
+        values: a row in the order of the stream's fields.
+    """
+
+    topic: str
+    source: str
+    clock_us: int | None
+    values: Array
+
+
+def stream_of(topic: str, time_ns: Stamps, rows: Array) -> Stream:
+    """The stream of rows (N, width) of samples of one topic."""
+    if topic == "imu":
+        return ImuStream(time_ns, rows[:, :3], rows[:, 3:])
+    if topic == "rotor_speeds":
+        return RotorSpeedStream(time_ns, rows)
+    if topic == "mocap/pose":
+        return PoseStream(time_ns, rows[:, :3], rows[:, 3:])
+    return OdometryStream(time_ns, rows[:, :3], rows[:, 3:7], rows[:, 7:10], rows[:, 10:])
+
+
+def is_epoch(clock_us: int) -> bool:
+    """Whether a stamp counts from 1970 instead of from the boot of the sender (MAVLink leaves both open)."""
+    return clock_us > _EPOCH_US
+
+
+class MavlinkSamples:
+    """Turns the messages of one vehicle into samples, one message at a time; what it refuses is counted.
+
+    Args:
+        vehicle: gives the pole pairs where speeds are electrical; may be None where they are not.
+        order: of the rotors; the unit is rpm unless it says erpm.
+
+    Attributes:
+        refused: how many messages of each kind were refused, by "NAME: reason".
+        autopilot: MAV_AUTOPILOT of the last heartbeat, or None.
+    """
+
+    def __init__(self, vehicle: Vehicle | None, order: RotorOrder) -> None:
+        self.refused: Counter[str] = Counter()
+        self.autopilot: int | None = None
+        self._vehicle = vehicle
+        self._order = order
+        self._speeds = np.zeros(ROTORS)
+        self._speed_time = [-math.inf] * ROTORS
+        self._speed_count: dict[int, int] = {}
+        self._online = -1
+        self._attitude: tuple[float, Array, Array] | None = None
+        self._decoders: dict[str, Callable[[Any, float], Sample | None]] = {
+            "HEARTBEAT": self._heartbeat,
+            "HIGHRES_IMU": self._highres_imu,
+            "RAW_IMU": self._raw_imu,
+            "SCALED_IMU": self._scaled_imu,
+            "SCALED_IMU2": self._scaled_imu,
+            "SCALED_IMU3": self._scaled_imu,
+            "ATTITUDE": self._take_angles,
+            "ATTITUDE_QUATERNION": self._take_quaternion,
+            "LOCAL_POSITION_NED": self._local_position,
+            "ODOMETRY": self._odometry,
+            "ATT_POS_MOCAP": self._mocap,
+            "VISION_POSITION_ESTIMATE": self._vision,
+            "ESC_INFO": self._esc_info,
+            "ESC_STATUS": self._esc_status,
+            "ESC_TELEMETRY_1_TO_4": self._esc_telemetry,
+            "ESC_TELEMETRY_5_TO_8": self._esc_telemetry,
+            "ESC_TELEMETRY_9_TO_12": self._esc_telemetry,
+            "RAW_RPM": self._raw_rpm,
+        }
+
+    def decode(self, message: Any, arrival_s: float) -> Sample | None:
+        """The sample that a message completes; None if it completes none or is refused.
+
+        Args:
+            message: of :class:`quadpi_core.logs.mavlink_frames.MessageDecoder`.
+            arrival_s: when it arrived, by any steady clock.
+        """
+        name = type(message).__name__
+        decoder = self._decoders.get(name)
+        if decoder is None:
+            return None
+        sample = decoder(message, arrival_s)
+        if sample is not None and not np.isfinite(sample.values).all():
+            return self._refuse(name, "values that are not finite")
+        if sample is not None and sample.clock_us is not None and sample.clock_us > _LATEST_US:
+            return self._refuse(name, "an impossible stamp")
+        return sample
+
+    def _refuse(self, name: str, reason: str) -> Sample | None:
+        """Count a message that gives no sample, which is what this returns."""
+        self.refused[f"{name}: {reason}"] += 1
+        return None
+
+    def _heartbeat(self, message: Any, _: float) -> None:
+        if message.autopilot != AUTOPILOT_INVALID:
+            self.autopilot = message.autopilot
+
+    def _highres_imu(self, m: Any, _: float) -> Sample | None:
+        if m.id != 0:
+            return None
+        if m.fields_updated & _ACCELEROMETER_AND_GYRO != _ACCELEROMETER_AND_GYRO:
+            return self._refuse("HIGHRES_IMU", "no new accelerometer and gyro values in it")
+        row = np.array((m.xgyro, m.ygyro, m.zgyro, m.xacc, m.yacc, m.zacc))
+        return Sample("imu", "HIGHRES_IMU", m.time_usec, row)
+
+    def _raw_imu(self, m: Any, _: float) -> Sample | None:
+        if m.id != 0:
+            return None
+        if self.autopilot != ARDUPILOT:
+            return self._refuse("RAW_IMU", "in a unit that only ArduPilot keeps to (mg, mrad/s)")
+        return Sample("imu", "RAW_IMU", m.time_usec, _milli_units(m))
+
+    def _scaled_imu(self, m: Any, _: float) -> Sample | None:
+        return Sample("imu", type(m).__name__, m.time_boot_ms * 1000, _milli_units(m))
+
+    def _take_quaternion(self, m: Any, _: float) -> None:
+        attitude = self._unit("ATTITUDE_QUATERNION", (m.q1, m.q2, m.q3, m.q4))
+        if attitude is not None:
+            rates = np.array((m.rollspeed, m.pitchspeed, m.yawspeed))
+            self._attitude = (m.time_boot_ms * 1e-3, attitude, rates)
+
+    def _take_angles(self, m: Any, _: float) -> None:
+        attitude = quaternion_from_roll_pitch_yaw(np.array((m.roll, m.pitch, m.yaw)))
+        rates = np.array((m.rollspeed, m.pitchspeed, m.yawspeed))
+        self._attitude = (m.time_boot_ms * 1e-3, attitude, rates)
+
+    def _local_position(self, m: Any, _: float) -> Sample | None:
+        if self._attitude is None:
+            return self._refuse("LOCAL_POSITION_NED", "no attitude yet")
+        time_s, attitude, rates = self._attitude
+        ahead_s = m.time_boot_ms * 1e-3 - time_s
+        if abs(ahead_s) > _ATTITUDE_AGE_S:
+            return self._refuse("LOCAL_POSITION_NED", f"no attitude within {_ATTITUDE_AGE_S} s")
+        attitude = _carried_on(attitude, rates, ahead_s)
+        velocity = rotate_world_to_body(attitude, np.array((m.vx, m.vy, m.vz)))
+        row = np.concatenate(((m.x, m.y, m.z), attitude, velocity, rates))
+        return Sample("odometry", "LOCAL_POSITION_NED", m.time_boot_ms * 1000, row)
+
+    def _odometry(self, m: Any, _: float) -> Sample | None:
+        """Velocity and rates are in the child frame (mavlink.io, ODOMETRY)."""
+        attitude = self._unit("ODOMETRY", m.q)
+        if attitude is None:
+            return None
+        position = np.array((m.x, m.y, m.z))
+        velocity = np.array((m.vx, m.vy, m.vz))
+        rates = np.array((m.rollspeed, m.pitchspeed, m.yawspeed))
+        if m.child_frame_id == _BODY_FLU:
+            attitude = quaternion_body_flu_to_frd(attitude)
+            velocity, rates = body_flu_to_frd(velocity), body_flu_to_frd(rates)
+        elif m.child_frame_id not in {_BODY_FRD, _BODY_NED}:
+            return self._refuse("ODOMETRY", f"child_frame_id {m.child_frame_id} is not known")
+        if m.frame_id == _LOCAL_ENU:
+            position, attitude = world_enu_to_ned(position), quaternion_world_enu_to_ned(attitude)
+        elif m.frame_id == _LOCAL_FLU:
+            position, attitude = body_flu_to_frd(position), _half_turn_about_x(attitude)
+        elif m.frame_id not in {_LOCAL_NED, _LOCAL_FRD}:
+            return self._refuse("ODOMETRY", f"frame_id {m.frame_id} is not known")
+        if not np.isfinite(np.concatenate((velocity, rates))).all():
+            # What comes from motion capture alone has no velocity.
+            return Sample("mocap/pose", "ODOMETRY pose", m.time_usec, np.concatenate((position, attitude)))
+        row = np.concatenate((position, attitude, velocity, rates))
+        return Sample("odometry", "ODOMETRY", m.time_usec, row)
+
+    def _mocap(self, m: Any, _: float) -> Sample | None:
+        attitude = self._unit("ATT_POS_MOCAP", m.q)
+        if attitude is None:
+            return None
+        return Sample("mocap/pose", "ATT_POS_MOCAP", m.time_usec, np.concatenate(((m.x, m.y, m.z), attitude)))
+
+    def _vision(self, m: Any, _: float) -> Sample | None:
+        attitude = quaternion_from_roll_pitch_yaw(np.array((m.roll, m.pitch, m.yaw)))
+        row = np.concatenate(((m.x, m.y, m.z), attitude))
+        return Sample("mocap/pose", "VISION_POSITION_ESTIMATE", m.usec, row)
+
+    def _unit(self, name: str, quaternion: Sequence[float]) -> Array | None:
+        attitude = np.array(quaternion, dtype=np.float64)
+        norm = float(np.sqrt(attitude @ attitude))
+        if not abs(norm - 1.0) <= NORM_TOLERANCE:
+            self._refuse(name, "the attitude is no unit quaternion")
+            return None
+        unit: Array = attitude / norm
+        return unit
+
+    def _esc_info(self, m: Any, _: float) -> None:
+        """Of later controllers senders disagree which bits they are."""
+        if m.index == 0:
+            self._online = m.info | ~_FIRST_CONTROLLERS
+
+    def _esc_status(self, m: Any, arrival_s: float) -> Sample | None:
+        """Mechanical rpm; negative for a rotor that turns backward."""
+        return self._rotors("ESC_STATUS", m.index, m.rpm, m.time_usec, arrival_s)
+
+    def _esc_telemetry(self, m: Any, arrival_s: float) -> Sample | None:
+        """Mechanical rpm; `count` tells which controllers have reported since the last message."""
+        name = type(m).__name__
+        first = int(name.split("_")[2]) - 1
+        fresh = [self._speed_count.get(first + k) != count for k, count in enumerate(m.count)]
+        self._speed_count.update((first + k, count) for k, count in enumerate(m.count))
+        mapped = [k for k in range(_ESCS_PER_MESSAGE) if first + k in self._order.controllers]
+        if not any(fresh[k] for k in mapped):
+            return self._refuse("ESC_TELEMETRY", "no new values in it") if mapped else None
+        return self._rotors("ESC_TELEMETRY", first, m.rpm, None, arrival_s)
+
+    def _raw_rpm(self, m: Any, arrival_s: float) -> Sample | None:
+        """Revolutions per minute of one sensor."""
+        return self._rotors("RAW_RPM", m.index, (m.frequency,), None, arrival_s)
+
+    def _rotors(
+        self, source: str, first: int, rpm: Sequence[float], clock_us: int | None, arrival_s: float
+    ) -> Sample | None:
+        """Keep these speeds; a sample once every rotor has reported since the last one."""
+        now_s = arrival_s if clock_us is None else clock_us * 1e-6
+        for rotor, controller in enumerate(self._order.controllers):
+            if first <= controller < first + len(rpm):
+                if source == "ESC_STATUS" and not self._online >> controller & 1:
+                    return self._refuse(source, f"controller {controller + 1} is offline")
+                self._speeds[rotor] = rpm[controller - first]
+                self._speed_time[rotor] = now_s
+        if not all(now_s - _ROTOR_SPREAD_S <= then <= now_s for then in self._speed_time):
+            return None
+        self._speed_time = [-math.inf] * ROTORS
+        speeds = self._order.speeds(self._speeds[np.newaxis], self._vehicle)[0]
+        return Sample("rotor_speeds", source, clock_us, speeds)
+
+
+def _milli_units(m: Any) -> Array:
+    rates = np.array((m.xgyro, m.ygyro, m.zgyro)) * 1e-3
+    return np.concatenate((rates, np.array((m.xacc, m.yacc, m.zacc)) * _MILLI_G))
+
+
+def _half_turn_about_x(quaternion: Array) -> Array:
+    """The quaternion into a forward-right-down world, of one into forward-left-up: (0, 1, 0, 0) * q."""
+    w, x, y, z = quaternion
+    return np.array((-x, w, -z, y))
+
+
+def _carried_on(attitude: Array, rates: Array, seconds: float) -> Array:
+    """The attitude after turning at constant body rates."""
+    speed = float(np.sqrt(rates @ rates))
+    half = 0.5 * speed * seconds
+    axis = rates * (math.sin(half) / speed) if speed > 0.0 else np.zeros(3)
+    w, v = attitude[0], attitude[1:]
+    turn_w = math.cos(half)
+    turned: Array = np.concatenate(
+        ([w * turn_w - v @ axis], w * axis + turn_w * v + np.cross(v, axis)),
+    )
+    return turned

@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reader for telemetry logs (.tlog): MAVLink packets, each behind its arrival time in µs since 1970."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stream
+from quadpi_core.frames import Array
+from quadpi_core.logs.autopilot import note, require_imu, usable
+from quadpi_core.logs.clocks import Line, line_below
+from quadpi_core.logs.mavlink_frames import MARKERS, Frame, FrameCounts, Framer, MessageDecoder, frame_length
+from quadpi_core.logs.mavlink_samples import (
+    FROM_ANY_SYSTEM,
+    SOURCES,
+    MavlinkSamples,
+    Sample,
+    is_epoch,
+    stream_of,
+)
+from quadpi_core.logs.rotor_order import RPM, RotorOrder
+from quadpi_core.vehicle import Vehicle
+
+_STAMP_BYTES = 8
+_YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000
+# Packets overtake each other by less.
+_RESTART_US = 10_000_000
+# A worse kind of message is taken only if the best one has fewer than this share of its samples.
+_FEW = 0.5
+
+
+class TlogRecord(NamedTuple):
+    """A packet and when it arrived, in ns since 1970."""
+
+    arrival_ns: int
+    frame: Frame
+
+
+class _Arrived(NamedTuple):
+    sample: Sample
+    arrival_ns: int
+    sender: tuple[int, int, bool]
+
+
+def is_tlog(path: Path) -> bool:
+    """Whether a file begins with a plausible stamp and a packet."""
+    with path.open("rb") as file:
+        head = file.read(_STAMP_BYTES + 1)
+    return _is_record(head, 0)
+
+
+def read_records(data: bytes, counts: FrameCounts) -> Iterator[TlogRecord]:
+    """The packets of a telemetry log; what is damaged is passed over and counted."""
+    framer = Framer(counts=counts)
+    position = 0
+    while position + _STAMP_BYTES < len(data):
+        frames: list[Frame] = []
+        length = 0
+        if _is_record(data, position):
+            length = frame_length(data, position + _STAMP_BYTES) or 0
+            end = position + _STAMP_BYTES + length
+            if length and end <= len(data):
+                before = counts.unknown
+                frames = framer.feed(data[position + _STAMP_BYTES : end], complete=True)
+                if not frames and counts.unknown == before:
+                    length = 0
+        if not length:
+            counts.noise_bytes += 1
+            position += 1
+            continue
+        for frame in frames:
+            yield TlogRecord(int.from_bytes(data[position : position + _STAMP_BYTES], "big") * 1000, frame)
+        position += _STAMP_BYTES + length
+
+
+def _is_record(data: bytes, position: int) -> bool:
+    if len(data) <= position + _STAMP_BYTES or data[position + _STAMP_BYTES] not in MARKERS:
+        return False
+    return (
+        _YEAR_2000_US < int.from_bytes(data[position : position + _STAMP_BYTES], "big") & ~0x3 < _YEAR_2100_US
+    )
+
+
+def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
+    """Read a telemetry log by the clock of the computer that wrote it.
+
+    Stamps of the autopilot are moved to that clock by the line that no message arrives before; messages
+    without a stamp have their arrival. Of several vehicles the one that sends the most IMU samples is read.
+
+    Args:
+        path: the log.
+        vehicle: as for every reader.
+        order: of the rotors; by default that of PX4's and ArduPilot's standard frame.
+
+    Raises:
+        LogError: if it holds no packets, or no IMU samples.
+    """
+    source = str(path)
+    counts = FrameCounts()
+    records = list(read_records(path.read_bytes(), counts))
+    if not records:
+        raise LogError(f"{source}: byte 0: no MAVLink packet in the whole file")
+    if counts.noise_bytes:
+        note(source, f"{counts.noise_bytes} damaged bytes are passed over")
+    if order is None:
+        order = RotorOrder.by_layout(vehicle, "quad-x", RPM)
+    arrived, samples = _decode(source, records, MavlinkSamples(vehicle, order))
+    for refusal, count in samples.refused.items():
+        note(source, f"{count} messages not used, {refusal}")
+    clocks = _clocks(arrived)
+    imu, rotors, pose, odometry = (_stream(source, topic, arrived, clocks) for topic in SOURCES)
+    return Recording(
+        name=path.stem,
+        vehicle=vehicle.name if vehicle else "",
+        source=source,
+        imu=require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU"),
+        rotor_speeds=cast("RotorSpeedStream | None", rotors),
+        pose=cast("PoseStream | None", pose),
+        odometry=cast("OdometryStream | None", odometry),
+    )
+
+
+def _decode(
+    source: str, records: list[TlogRecord], samples: MavlinkSamples
+) -> tuple[list[_Arrived], MavlinkSamples]:
+    """All samples of the vehicle with the most IMU messages."""
+    decoder = MessageDecoder()
+    messages = [(record, decoder.decode(record.frame)) for record in records]
+    imus = Counter(
+        record.frame.system for record, message in messages if type(message).__name__ in SOURCES["imu"]
+    )
+    if not imus:
+        return [], samples
+    if len(imus) > 1:
+        note(source, f"holds {len(imus)} vehicles; read is system {imus.most_common(1)[0][0]}")
+    system = imus.most_common(1)[0][0]
+    arrived = []
+    for record, message in messages:
+        if record.frame.system != system and type(message).__name__ not in FROM_ANY_SYSTEM:
+            continue
+        sample = samples.decode(message, record.arrival_ns * 1e-9)
+        if sample is not None:
+            since_1970 = sample.clock_us is not None and is_epoch(sample.clock_us)
+            sender = (record.frame.system, record.frame.component, since_1970)
+            arrived.append(_Arrived(sample, record.arrival_ns, sender))
+    return _longest_run(source, arrived), samples
+
+
+def _longest_run(source: str, arrived: list[_Arrived]) -> list[_Arrived]:
+    """The samples between two restarts of the autopilot's clock, where the log has the most of them."""
+    runs: list[list[_Arrived]] = [[]]
+    latest_us: dict[tuple[int, int, bool], int] = {}
+    for one in arrived:
+        clock_us = one.sample.clock_us
+        if clock_us is not None:
+            if clock_us < latest_us.get(one.sender, 0) - _RESTART_US:
+                runs.append([])
+                latest_us.clear()
+            latest_us[one.sender] = clock_us
+        runs[-1].append(one)
+    if len(runs) > 1:
+        note(source, f"a clock starts again {len(runs) - 1} times; read is the longest run")
+    return max(runs, key=len)
+
+
+def _clocks(arrived: list[_Arrived]) -> dict[tuple[int, int, bool], Line]:
+    """The line of each sender's clock."""
+    stamped = [one for one in arrived if one.sample.clock_us is not None]
+    lines = {}
+    for sender in {one.sender for one in stamped}:
+        pairs = np.array(
+            [(one.sample.clock_us, one.arrival_ns) for one in stamped if one.sender == sender], dtype=np.int64
+        )
+        lines[sender] = line_below(pairs[:, 0] * 1000, pairs[:, 1])
+    return lines
+
+
+def _stream(
+    source: str, topic: str, arrived: list[_Arrived], clocks: dict[tuple[int, int, bool], Line]
+) -> Stream | None:
+    """The stream of a topic from the best kind of message that is there in number."""
+    mine = [one for one in arrived if one.sample.topic == topic]
+    counted = Counter(one.sample.source for one in mine)
+    if not counted:
+        return None
+    most = max(counted.values())
+    chosen = next(name for name in SOURCES[topic] if counted[name] >= _FEW * most)
+    rows: list[Array] = []
+    stamps: list[int] = []
+    for sample, arrival_ns, sender in mine:
+        if sample.source == chosen:
+            rows.append(sample.values)
+            clock_us = sample.clock_us
+            stamps.append(
+                arrival_ns
+                if clock_us is None
+                else int(clocks[sender].to_local(np.array([clock_us * 1000]))[0])
+            )
+    return usable(source, stream_of(topic, np.array(stamps, dtype=np.int64), np.array(rows)))

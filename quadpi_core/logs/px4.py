@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reader for PX4's logs (.ulg, ULog), through pyulog.
+
+PX4's body axes are forward-right-down, its world is north-east-down, its quaternions turn body into world,
+and everything is in SI; stamps are µs since boot. Source: PX4's message definitions, releases 1.11 to 1.16.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from quadpi_core.errors import LogError, one_line
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.frames import Array
+from quadpi_core.logs import ULOG_MAGIC
+from quadpi_core.logs.autopilot import begins_with, note, odometry_of, require_imu, rising, usable
+from quadpi_core.logs.conversion import NORM_TOLERANCE
+from quadpi_core.logs.extras import require
+from quadpi_core.logs.rotor_order import RPM, RotorOrder
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+# The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".
+Columns: TypeAlias = dict[str, Any]
+
+_TOPICS = (
+    "sensor_combined",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "vehicle_visual_odometry",
+    "vehicle_mocap_odometry",
+    "esc_status",
+    "battery_status",
+)
+_VALID = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")
+# Local NED and local forward-right-down; the names of the field and its numbers changed in 1.14.
+_POSE_FRAMES = MappingProxyType({"local_frame": {0, 1}, "pose_frame": {1, 2}})
+_FIRST_MOTOR = 101
+_US = 1_000
+
+
+def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
+    """Read one log, stamped since the boot of the autopilot.
+
+    Args:
+        path: the log.
+        vehicle: as for every reader.
+        order: of the rotors; by default actuator_function and the rotor positions in the log tell it.
+
+    Raises:
+        LogError: if it is no ULog, or holds no IMU samples.
+    """
+    source = str(path)
+    log = _load(source, path)
+    topics: dict[str, Columns] = {}
+    for data in log.data_list:
+        if data.multi_id == 0:
+            topics.setdefault(data.name, data.data)
+    imu = require_imu(source, _imu(source, topics.get("sensor_combined")), "sensor_combined")
+    return Recording(
+        name=path.stem,
+        vehicle=vehicle.name if vehicle else "",
+        source=source,
+        imu=imu,
+        rotor_speeds=_rotor_speeds(source, topics.get("esc_status"), log.initial_parameters, vehicle, order),
+        pose=_pose(source, topics),
+        odometry=_odometry(source, topics, imu),
+        battery_v=_battery(topics.get("battery_status")),
+    )
+
+
+def _load(source: str, path: Path) -> Any:
+    """What pyulog makes of a file; it prints what it finds wrong, which becomes a note.
+
+    Raises:
+        LogError: if that is nothing.
+    """
+    ulog = require("pyulog", "logs").ULog
+    if not begins_with(path, ULOG_MAGIC):
+        raise LogError(f"{source}: byte 0: not a ULog file")
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        try:
+            log = ulog(source, list(_TOPICS))
+        except OSError:
+            raise
+        except Exception as error:  # pyulog raises many kinds for a file that is damaged
+            raise LogError(f"{source}: pyulog cannot read it: {one_line(error)}") from error
+    if log.file_corruption or said.getvalue():
+        detail = " ".join(said.getvalue().split()) or "pyulog found damaged messages"
+        note(source, f"the file is damaged; what can be read is: {detail}")
+    lost_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
+    if lost_s > 0.0:
+        note(source, f"the autopilot lost {lost_s:.2f} s of the log in {len(log.dropouts)} drop-outs")
+    return log
+
+
+def _stamps(columns: Columns, name: str = "timestamp") -> Stamps:
+    ticks = np.minimum(columns[name], np.uint64(2**62 // _US)).astype(np.int64)
+    stamps: Stamps = ticks * _US
+    return stamps
+
+
+def _stack(columns: Columns, *names: str) -> Array:
+    return np.stack([columns[name].astype(np.float64) for name in names], axis=1)
+
+
+def _indexed(name: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{name}[{index}]" for index in range(count))
+
+
+def _imu(source: str, columns: Columns | None) -> ImuStream | None:
+    if columns is None:
+        return None
+    gyro, force = (
+        _stack(columns, *_indexed("gyro_rad", 3)),
+        _stack(columns, *_indexed("accelerometer_m_s2", 3)),
+    )
+    return usable(source, ImuStream(_stamps(columns), gyro, force))
+
+
+def _battery(columns: Columns | None) -> tuple[Stamps, Array] | None:
+    if columns is None or "voltage_v" not in columns:
+        return None
+    time_ns, (volts,) = rising(_stamps(columns), columns["voltage_v"].astype(np.float64))
+    return (time_ns, volts) if len(time_ns) else None
+
+
+def _attitude(time_ns: Stamps, quaternion: Array) -> tuple[Stamps, Array]:
+    norm = np.linalg.norm(quaternion, axis=1)
+    is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
+    kept, (unit,) = rising(time_ns[is_unit], quaternion[is_unit] / norm[is_unit, np.newaxis])
+    return kept, unit
+
+
+def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> OdometryStream | None:
+    local, turned = topics.get("vehicle_local_position"), topics.get("vehicle_attitude")
+    if local is None or turned is None:
+        return None
+    attitude = _attitude(_sampled(turned), _stack(turned, *_indexed("q", 4)))
+    valid = np.all([local[name].astype(bool) for name in _VALID if name in local], axis=0)
+    if not np.all(valid):
+        note(source, f"topic odometry: {np.count_nonzero(~valid)} of {len(valid)} positions are not valid")
+    time_ns, (position, velocity) = rising(
+        _sampled(local)[valid], _stack(local, "x", "y", "z")[valid], _stack(local, "vx", "vy", "vz")[valid]
+    )
+    odometry = odometry_of(time_ns, position, velocity, attitude, imu)
+    return None if odometry is None else usable(source, odometry)
+
+
+def _sampled(columns: Columns) -> Stamps:
+    """When a topic was measured; older releases say only when it was published."""
+    name = "timestamp_sample"
+    return _stamps(columns, name if name in columns and np.all(columns[name] > 0) else "timestamp")
+
+
+def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
+    """Motion capture, under either of its names."""
+    for name in ("vehicle_mocap_odometry", "vehicle_visual_odometry"):
+        columns = topics.get(name)
+        if columns is None:
+            continue
+        frame = next((key for key in _POSE_FRAMES if key in columns), None)
+        if frame is not None and not set(np.unique(columns[frame]).tolist()) <= _POSE_FRAMES[frame]:
+            note(source, f"topic mocap/pose: left out, {name} is in a frame that is neither NED nor FRD")
+            continue
+        names = _indexed("position", 3) if "position[0]" in columns else ("x", "y", "z")
+        quaternion = _stack(columns, *_indexed("q", 4))
+        norm = np.linalg.norm(quaternion, axis=1)
+        is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
+        if not np.all(is_unit):
+            note(source, f"topic mocap/pose: {np.count_nonzero(~is_unit)} of {len(norm)} have no attitude")
+        stream = PoseStream(
+            _sampled(columns)[is_unit],
+            _stack(columns, *names)[is_unit],
+            quaternion[is_unit] / norm[is_unit, np.newaxis],
+        )
+        if len(stream) and (pose := usable(source, stream)) is not None:
+            return pose
+    return None
+
+
+def _rotor_speeds(
+    source: str,
+    columns: Columns | None,
+    parameters: dict[str, Any],
+    vehicle: Vehicle | None,
+    order: RotorOrder | None,
+) -> RotorSpeedStream | None:
+    """`esc_status` holds 8 reports, 12 since 1.17; which motor each is says actuator_function, since 1.12."""
+    if columns is None:
+        return None
+    if order is None:
+        order = _order(source, columns, parameters, vehicle)
+    names = [f"esc[{number}].esc_rpm" for number in order.controllers]
+    if not all(name in columns for name in names):
+        note(source, "topic rotor_speeds: left out, esc_status has fewer reports than the mapping names")
+        return None
+    rpm = _stack(columns, *names)
+    if not np.any(rpm):
+        note(source, "topic rotor_speeds: left out, every rpm of esc_status is zero")
+        return None
+    return usable(source, RotorSpeedStream(_stamps(columns), order.speeds(rpm, vehicle)))
+
+
+def _order(source: str, columns: Columns, parameters: dict[str, Any], vehicle: Vehicle | None) -> RotorOrder:
+    """Report of each rotor: from motor to report by actuator_function, from rotor to motor by position."""
+    corners = [
+        (parameters.get(f"CA_ROTOR{motor}_PX", 0.0), parameters.get(f"CA_ROTOR{motor}_PY", 0.0))
+        for motor in range(ROTORS)
+    ]
+    motors = RotorOrder.by_corner(vehicle, corners, RPM)
+    if motors is None:
+        note(source, "topic rotor_speeds: no rotor positions in the log; its motors are taken as quad X")
+        motors = RotorOrder.by_layout(vehicle, "quad-x", RPM)
+    reports = {}
+    for report in range(len([name for name in columns if name.endswith("].esc_rpm")])):
+        functions = columns.get(f"esc[{report}].actuator_function")
+        if functions is not None and functions[-1] >= _FIRST_MOTOR:
+            reports[int(functions[-1]) - _FIRST_MOTOR] = report
+    if not all(motor in reports for motor in motors.controllers):
+        return motors
+    return RotorOrder(tuple(reports[motor] for motor in motors.controllers), RPM)
