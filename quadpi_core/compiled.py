@@ -37,16 +37,17 @@ _IMPORT = re.compile(
 )
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def njit(*signatures: Any, **options: Any) -> Any:
     """`numba.njit` of a function of this package, cached where its file's cache is."""
+    compile_it = numba.njit(*signatures, **options)
 
     def compiled(function: Callable[..., Any]) -> Any:
         if os.environ.get("NUMBA_CACHE_DIR"):
-            return numba.njit(**options)(function)
+            return compile_it(function)
         before = config.CACHE_DIR  # type: ignore[attr-defined]
         config.CACHE_DIR = str(_cache_folder(Path(function.__code__.co_filename).resolve()))  # type: ignore[attr-defined]
         try:
-            return numba.njit(**options)(function)
+            return compile_it(function)
         finally:
             config.CACHE_DIR = before  # type: ignore[attr-defined]
 
