@@ -23,7 +23,7 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
     """Path and content of a YAML file, by its name in the folder of its kind or by its path.
 
     Args:
-        kind: "vehicle", "mapping", "candidate", "scenario" or "noise".
+        kind: "vehicle", "mapping", "adapter", "candidate", "scenario" or "noise".
         name_or_path: a path if it ends in .yaml or .yml, else a name.
         error: class of the error to raise.
 

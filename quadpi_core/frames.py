@@ -18,6 +18,7 @@ Array: TypeAlias = npt.NDArray[np.float64]
 
 _FLIP_YZ: Array = np.array([1.0, -1.0, -1.0])
 _FLIP_Z: Array = np.array([1.0, 1.0, -1.0])
+_FLIP_SOUTH: Array = np.array([1.0, -1.0, 1.0])
 _SQRT_HALF = float(np.sqrt(0.5))
 _HALF_TURNS: Array = np.array(
     [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, -1.0]]
@@ -42,6 +43,17 @@ def world_enu_to_ned(vector: Array) -> Array:
 def world_ned_to_enu(vector: Array) -> Array:
     """Convert world vectors (..., 3) from north-east-down to east-north-up."""
     return vector[..., [1, 0, 2]] * _FLIP_Z
+
+
+def world_eus_to_enu(vector: Array) -> Array:
+    """Convert world vectors (..., 3) from east-up-south (y up) to east-north-up."""
+    return vector[..., [0, 2, 1]] * _FLIP_SOUTH
+
+
+def quaternion_fur_eus_to_flu_enu(quaternion: Array) -> Array:
+    """Convert body-to-world quaternions (..., 4), w first, from FUR-to-EUS (y up in both) to FLU-to-ENU."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    return np.stack((w, x, -z, y), axis=-1)
 
 
 def quaternion_flu_enu_to_frd_ned(quaternion: Array) -> Array:

@@ -26,7 +26,7 @@ class LogFormat:
     Attributes:
         description: what a user would call it, for messages.
         recognise: whether a path that exists is of this format, by its suffix or first byte.
-        read: gives the recording; the last argument is the mapping file, which only tables take.
+        read: gives the recording; the last argument is the mapping file, where it takes one.
     """
 
     description: str
@@ -42,7 +42,8 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
         path: a file, or a rosbag2 folder.
         vehicle: gives the pole pairs and the largest rotor speed; a log of electrical speeds needs it.
         mapping: for CSV and Parquet, a file that says what the columns are, or the name of one in
-            config/mappings.
+            config/mappings; for bags, one that says how messages of other packages are read, in
+            config/adapters.
 
     Raises:
         LogError: naming the file, and topic and sample where there is one.
@@ -107,10 +108,11 @@ def _has_suffix(*suffixes: str) -> Callable[[Path], bool]:
     return lambda path: path.is_file() and path.suffix.lower() in suffixes
 
 
-def _read_bag(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -> Recording:
+def _read_bag(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
+    from quadpi_core.logs.adapters import AdapterSettings
     from quadpi_core.logs.bags import read_bag
 
-    return read_bag(path, vehicle)
+    return read_bag(path, vehicle, None if mapping is None else AdapterSettings.load(mapping))
 
 
 def _read_neurobem(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -> Recording:
@@ -135,7 +137,7 @@ def _read_table(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Re
 
 
 FORMATS = {
-    "bag": LogFormat("bag (.mcap, .db3, rosbag2 folder)", _is_bag, _read_bag),
+    "bag": LogFormat("bag (.mcap, .db3, rosbag2 folder)", _is_bag, _read_bag, takes_mapping=True),
     "neurobem": LogFormat("NeuroBEM flight (.mat)", _has_suffix(".mat"), _read_neurobem),
     "table": LogFormat(
         "table with a mapping file (.csv, .parquet)",

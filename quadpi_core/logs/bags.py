@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rosbags.interfaces import Connection
 
@@ -17,6 +17,8 @@ from quadpi_core import __version__
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording, RotorSpeedStream, Stamps
 from quadpi_core.logs import messages
+from quadpi_core.logs.adapters.bags import find_adapted, unpack_adapted
+from quadpi_core.logs.adapters.settings import AdapterSettings
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
@@ -41,6 +43,15 @@ TOPIC_TYPES = {
     "truth/reference": messages.POSE,
 }
 _RECORDED = ("imu", "erpm", "rotor_speeds", "mocap/pose", "odometry", "wind")
+# Kinds of streams that messages of other packages give, by the standard topics they stand in for.
+_KINDS = {
+    "imu": "imu",
+    "rotor_speeds": "rotor_speeds",
+    "erpm": "rotor_speeds",
+    "mocap/pose": "mocap",
+    "odometry": "odometry",
+}
+_FIELDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
 _STARTS_WITH_HEADER = re.compile(
     r"(?:\s*(?:#[^\n]*|\w+\s+[A-Z_0-9]+\s*=[^\n]*)?\n)*\s*std_msgs/(?:msg/)?Header\s"
 )
@@ -63,7 +74,9 @@ class TopicSummary:
     has_header: bool
 
 
-def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
+def read_bag(
+    path: Path | str, vehicle: Vehicle | None = None, adapters: AdapterSettings | None = None
+) -> Recording:
     """Read the standard topics of a bag; topics may stand in a namespace, but for `truth`: that is no sensor.
 
     The streams are as recorded: :meth:`Recording.check` judges them.
@@ -71,6 +84,7 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
     Args:
         path: a .mcap or .db3 file, or a rosbag2 folder.
         vehicle: gives the pole pairs; needed where only `erpm` holds the rotor speeds.
+        adapters: how messages of other packages are read; they then stand in for the standard topics.
 
     Raises:
         LogError: naming bag, topic and sample, for a bag that cannot be read, names another vehicle or has no
@@ -84,13 +98,21 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
             connection = find_topic(bag, topic)
             if connection is not None:
                 names[topic] = connection.topic
-        if "imu" not in names:
+        adapted = find_adapted(bag, adapters, {_KINDS[topic] for topic in names if topic in _KINDS})
+        for topic in [topic for topic, kind in _KINDS.items() if kind in adapted]:
+            names.pop(topic, None)
+        if "imu" not in names and "imu" not in adapted:
             found = ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
             raise LogError(f"{path}: topic imu: missing; topics of the bag: {found}")
         vehicle_name = _vehicle_name(bag, vehicle)
         if "rotor_speeds" in names:
             names.pop("erpm", None)
-        topics = bag.read(names.values())
+        topics = bag.read([*names.values(), *(topic.name for topic in adapted.values())])
+        streams: dict[str, Any] = {
+            _FIELDS[kind]: unpack_adapted(bag, topic, topics[topic.name], adapters, vehicle)
+            for kind, topic in adapted.items()
+            if adapters is not None
+        }
 
     def unpacked(topic: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
         return unpacked_topic(path, topics[names[topic]], unpack) if topic in names else None
@@ -104,11 +126,15 @@ def read_bag(path: Path | str, vehicle: Vehicle | None = None) -> Recording:
         name=path.stem,
         vehicle=vehicle_name,
         source=str(path),
-        imu=unpacked_topic(path, topics[names["imu"]], messages.unpack_imu),
-        rotor_speeds=unpacked("rotor_speeds", messages.unpack_rotor_speeds) or unpacked("erpm", unpack_erpm),
-        pose=unpacked("mocap/pose", messages.unpack_pose),
-        odometry=unpacked("odometry", messages.unpack_odometry),
-        wind=unpacked("wind", messages.unpack_wind),
+        **{
+            "imu": unpacked("imu", messages.unpack_imu),
+            "rotor_speeds": unpacked("rotor_speeds", messages.unpack_rotor_speeds)
+            or unpacked("erpm", unpack_erpm),
+            "pose": unpacked("mocap/pose", messages.unpack_pose),
+            "odometry": unpacked("odometry", messages.unpack_odometry),
+            "wind": unpacked("wind", messages.unpack_wind),
+            **streams,
+        },
     )
 
 

@@ -4,14 +4,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
+from typing import Any
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import AXES
+from quadpi_core.logs.arrays import ArrayCodec, ItemsField
 from quadpi_core.logs.cdr import Codec, Field
 from quadpi_core.paths import message_directory
 
@@ -31,6 +34,7 @@ _FORMATS = {
     "float64": "<f8",
 }
 _SEPARATOR = "=" * 80
+_REASON_LENGTH = 80
 
 
 @cache
@@ -64,7 +68,36 @@ def codec(type_name: str) -> Codec:
     A contained message whose members are all of one primitive type (a vector, a quaternion) is one
     array field, and so are six scalars named for the axes of a wrench (`lower_fx` … `lower_mz`: `lower`).
     """
-    return Codec(type_name, tuple(_join_wrenches(list(_flat_fields(type_name, "")))))
+    fields = list(_flat_fields(typestore().fielddefs, type_name, ""))
+    if any(isinstance(field, ItemsField) for field in fields):
+        raise TypeError(f"{type_name} holds an array of messages: that takes an array codec")
+    return Codec(type_name, tuple(_join_wrenches(fields)))
+
+
+@cache
+def array_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int], ...]) -> ArrayCodec:
+    """The codec of a type that others define, and that may hold arrays of messages.
+
+    Args:
+        type_name: such as `px4_msgs/msg/EscStatus`.
+        definition: of that type and all that it contains, as a bag embeds it (`ros2msg`).
+        wanted: columns that are needed, those of items included, and how many numbers each has; 0 for text.
+
+    Raises:
+        LogError: for a definition that is none, or lacks a wanted column.
+    """
+    try:
+        types = get_types_from_msg(definition, type_name)
+        fields = tuple(_flat_fields({**typestore().fielddefs, **types}, type_name, ""))
+    except (TypesysError, TypeError, KeyError, RecursionError) as error:
+        reason = one_line(error)[:_REASON_LENGTH]
+        raise LogError(f"the definition of {type_name} cannot be used: {reason}") from error
+    made = ArrayCodec(type_name, fields, [name for name, _ in wanted])
+    for name, width in wanted:
+        field = made.columns.get(name)
+        if field is None or width != ((field.count or 1) if field.is_number else 0):
+            raise LogError(f"this version of {type_name} has no field {name} of the kind known here")
+    return made
 
 
 def _join_wrenches(fields: list[Field]) -> Iterator[Field]:
@@ -78,20 +111,24 @@ def _join_wrenches(fields: list[Field]) -> Iterator[Field]:
         index += len(run) if is_wrench else 1
 
 
-def _flat_fields(type_name: str, prefix: str) -> Iterator[Field]:
-    for name, description in typestore().fielddefs[type_name][1]:
+def _flat_fields(fielddefs: Mapping[str, Any], type_name: str, prefix: str) -> Iterator[Field]:
+    for name, description in fielddefs[type_name][1]:
         path = f"{prefix}{name}"
         match description:
             case (Nodetype.BASE, ("string", _)):
                 yield Field(path, "string")
             case (Nodetype.BASE, (str(base), _)):
                 yield Field(path, _FORMATS[base])
-            case (Nodetype.ARRAY, ((_, (str(base), _)), int(count))):
+            case (Nodetype.ARRAY, ((Nodetype.BASE, (str(base), _)), int(count))):
                 yield Field(path, _FORMATS[base], count)
-            case (Nodetype.SEQUENCE, ((_, ("string", _)), _)):
+            case (Nodetype.SEQUENCE, ((Nodetype.BASE, ("string", _)), _)):
                 yield Field(path, "strings")
+            case (Nodetype.ARRAY, ((Nodetype.NAME, str(contained)), int(count))):
+                yield ItemsField(path, "items", count, tuple(_flat_fields(fielddefs, contained, "")))
+            case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(contained)), _)):
+                yield ItemsField(path, "items", None, tuple(_flat_fields(fielddefs, contained, "")))
             case (Nodetype.NAME, str(contained)):
-                members = list(_flat_fields(contained, f"{path}."))
+                members = list(_flat_fields(fielddefs, contained, f"{path}."))
                 formats = {member.format for member in members}
                 if len(formats) == 1 and all(member.is_scalar for member in members):
                     yield Field(path, formats.pop(), len(members))

@@ -41,7 +41,7 @@ def describe(
         model = AerodynamicModel.load(path)
         return model_tables(model), _model_json(model)
     is_bag = identify_format(path) is FORMATS["bag"]
-    if is_bag and not has_topic(path, "imu"):
+    if is_bag and mapping is None and not has_topic(path, "imu"):
         inspection = inspect_topics(path)
         return [_topic_table(inspection), _finding_table(inspection)], _inspection_json(inspection)
     known = Vehicle.load(vehicle) if vehicle else _named_vehicle(bag_vehicle(path) if is_bag else "")

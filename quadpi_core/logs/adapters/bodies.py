@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of one body among those that a motion capture follows."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import PoseStream, Stamps
+from quadpi_core.frames import (
+    Array,
+    quaternion_flu_enu_to_frd_ned,
+    quaternion_fur_eus_to_flu_enu,
+    world_enu_to_ned,
+    world_eus_to_enu,
+)
+from quadpi_core.logs.adapters.settings import FRD_NED, FUR_EUS, BodySettings
+from quadpi_core.logs.arrays import Items
+from quadpi_core.logs.conversion import NORM_TOLERANCE
+
+_WXYZ = [3, 0, 1, 2]
+_SEEN_MAX = 8
+
+
+class BodyReader:
+    """Poses of the body that the settings name.
+
+    A body that is hidden is absent from a message, or comes with an orientation that is none (NaN, zeros).
+
+    Attributes:
+        dropped: how many messages gave no sample, by reason.
+    """
+
+    def __init__(self, settings: BodySettings) -> None:
+        self._settings = settings
+        self._body = settings.body.encode()
+        self._seen: set[str] = set()
+        self.dropped: Counter[str] = Counter()
+
+    @property
+    def seen(self) -> str:
+        """Names of other bodies in the messages so far, some of them if there are many."""
+        return ", ".join(sorted(self._seen)) or "none"
+
+    def read(self, time_ns: Stamps, bodies: Items, name: str) -> PoseStream:
+        """The poses at stamps (N,) among the bodies that N messages hold.
+
+        Args:
+            time_ns: of the messages.
+            bodies: with the columns `pose.position`, `pose.orientation` (x, y, z, w) and that of the names.
+            name: of that column.
+
+        Raises:
+            LogError: if two bodies of a message have the name.
+        """
+        names = bodies.columns[name]
+        rows = np.flatnonzero(names == self._body)
+        sample = bodies.message[rows]
+        if np.any(np.diff(sample) == 0):
+            index = int(sample[np.argmin(np.diff(sample))])
+            raise LogError(f"sample {index}: two bodies are named {self._settings.body}")
+        if len(rows) == 0 and len(self._seen) < _SEEN_MAX:
+            self._seen.update(other.decode(errors="replace") for other in np.unique(names)[:_SEEN_MAX])
+        position = bodies.columns["pose.position"][rows]
+        orientation = bodies.columns["pose.orientation"][rows][:, _WXYZ]
+        norm = np.linalg.norm(orientation, axis=1)
+        tracked = (np.abs(norm - 1.0) <= NORM_TOLERANCE) & np.isfinite(position).all(axis=1)
+        self.dropped.update(
+            {
+                f"{self._settings.body} is not in it (others: {self.seen})": len(time_ns) - len(rows),
+                f"{self._settings.body} has no pose in it": int(np.sum(~tracked)),
+            }
+        )
+        self.dropped = +self.dropped
+        attitude = orientation[tracked] / norm[tracked, np.newaxis]
+        return PoseStream(time_ns[sample[tracked]], *_to_ned(self._settings, position[tracked], attitude))
+
+
+def _to_ned(settings: BodySettings, position: Array, attitude: Array) -> tuple[Array, Array]:
+    """Position (N, 3) in NED and attitude (N, 4) FRD to NED."""
+    if settings.frames == FRD_NED:
+        return position, attitude
+    if settings.frames == FUR_EUS:
+        position, attitude = world_eus_to_enu(position), quaternion_fur_eus_to_flu_enu(attitude)
+    return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of other packages, serialized by rosbags from their definitions; the layouts are facts of:
+
+mavros_msgs 2.12.0; px4_msgs v1.14.0 to v1.17.0 and, for the larger EscStatus, release/1.18; mocap4r2_msgs
+0.0.5; motion_capture_tracking_interfaces 1.0.5.
+"""
+
+from types import SimpleNamespace
+
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+HEADER = "std_msgs/Header header\n"
+DEFINITIONS = {
+    "mavros_msgs/msg/ESCStatus": HEADER + "mavros_msgs/ESCStatusItem[] esc_status\n",
+    "mavros_msgs/msg/ESCStatusItem": HEADER + "int32 rpm\nfloat32 voltage\nfloat32 current\n",
+    "mavros_msgs/msg/ESCTelemetry": HEADER + "mavros_msgs/ESCTelemetryItem[] esc_telemetry\n",
+    "mavros_msgs/msg/ESCTelemetryItem": HEADER
+    + "float32 temperature\nfloat32 voltage\nfloat32 current\nfloat32 totalcurrent\n"
+    + "int32 rpm\nuint16 count\n",
+    "px4_msgs/msg/EscStatus": """uint64 timestamp
+uint8 CONNECTED_ESC_MAX = 8
+uint16 counter
+uint8 esc_count
+uint8 esc_connectiontype
+uint8 esc_online_flags
+uint8 esc_armed_flags
+EscReport[8] esc
+""",
+    "px4_msgs/msg/EscReport": """uint64 timestamp
+uint32 esc_errorcount
+int32 esc_rpm
+float32 esc_voltage
+float32 esc_current
+float32 esc_temperature
+uint8 esc_address
+uint8 esc_cmdcount
+uint8 esc_state
+uint8 actuator_function
+uint16 failures
+int8 esc_power
+""",
+    "px4_msgs/msg/VehicleOdometry": """uint32 MESSAGE_VERSION = 0
+uint64 timestamp
+uint64 timestamp_sample
+uint8 pose_frame
+float32[3] position
+float32[4] q
+uint8 velocity_frame
+float32[3] velocity
+float32[3] angular_velocity
+float32[3] position_variance
+float32[3] orientation_variance
+float32[3] velocity_variance
+uint8 reset_counter
+int8 quality
+""",
+    "px4_msgs/msg/SensorCombined": """uint64 timestamp
+float32[3] gyro_rad
+uint32 gyro_integral_dt
+int32 accelerometer_timestamp_relative
+float32[3] accelerometer_m_s2
+uint32 accelerometer_integral_dt
+uint8 accelerometer_clipping
+uint8 gyro_clipping
+uint8 accel_calibration_count
+uint8 gyro_calibration_count
+""",
+    "mocap4r2_msgs/msg/RigidBodies": HEADER + "uint32 frame_number\nmocap4r2_msgs/RigidBody[] rigidbodies\n",
+    "mocap4r2_msgs/msg/RigidBody": "string rigid_body_name\nMarker[] markers\ngeometry_msgs/Pose pose\n",
+    "mocap4r2_msgs/msg/Marker": """int8 USE_NAME=0
+int8 id_type
+int32 marker_index
+string marker_name
+geometry_msgs/Point translation
+""",
+    "motion_capture_tracking_interfaces/msg/NamedPoseArray": HEADER + "NamedPose[] poses\n",
+    "motion_capture_tracking_interfaces/msg/NamedPose": "string name\ngeometry_msgs/Pose pose\n",
+}
+PX4_1_18 = {
+    **DEFINITIONS,
+    "px4_msgs/msg/EscStatus": """uint64 timestamp
+uint8 CONNECTED_ESC_MAX = 12
+uint16 counter
+uint8 esc_count
+uint8 esc_connectiontype
+uint16 esc_online_flags
+uint16 esc_armed_flags
+EscReport[12] esc
+""",
+    "px4_msgs/msg/EscReport": DEFINITIONS["px4_msgs/msg/EscReport"].replace(
+        "uint8 esc_address\nuint8 esc_cmdcount\n", "int16 motor_temperature\n"
+    ),
+}
+
+
+class Messages:
+    """Makes messages of a set of definitions: `make(type name, field=…)`, absent numbers zero."""
+
+    def __init__(self, definitions):
+        self.definitions = definitions
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+        types = {}
+        for name, text in definitions.items():
+            types |= get_types_from_msg(text, name)
+        self.store.register(types)
+
+    def definition(self, type_name):
+        """The definition as a bag embeds it."""
+        return self.store.generate_msgdef(type_name, ros_version=2)[0]
+
+    def header(self, time_ns, frame_id="map"):
+        sec, nanosec = divmod(int(time_ns), 10**9)
+        types = self.store.types
+        stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+
+    def pose(self, position, orientation_xyzw):
+        types = self.store.types
+        return types["geometry_msgs/msg/Pose"](
+            position=types["geometry_msgs/msg/Point"](*map(float, position)),
+            orientation=types["geometry_msgs/msg/Quaternion"](*map(float, orientation_xyzw)),
+        )
+
+    def make(self, type_name, **fields):
+        kind = self.store.types[type_name]
+        names = [name for name, _ in self.store.fielddefs[type_name][1]]
+        return kind(**{name: fields.get(name, 0) for name in names})
+
+    def bytes(self, message):
+        return bytes(self.store.serialize_cdr(message, message.__msgtype__))
+
+
+@pytest.fixture(scope="session")
+def vendor():
+    """Messages by version of px4_msgs: `vendor.px4_1_14` (to 1.17) and `vendor.px4_1_18`; others in both."""
+    return SimpleNamespace(px4_1_14=Messages(DEFINITIONS), px4_1_18=Messages(PX4_1_18))
