@@ -20,12 +20,14 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 from numba import config
 
 __all__ = ["njit", "once"]
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _compiling = threading.RLock()
 
@@ -37,17 +39,17 @@ _IMPORT = re.compile(
 )
 
 
-def njit(*signatures: Any, **options: Any) -> Any:
+def njit(*signatures: Any, **options: Any) -> Callable[[Kernel], Kernel]:
     """`numba.njit` of a function of this package, cached where its file's cache is."""
     compile_it = numba.njit(*signatures, **options)
 
-    def compiled(function: Callable[..., Any]) -> Any:
+    def compiled(function: Kernel) -> Kernel:
         if os.environ.get("NUMBA_CACHE_DIR"):
-            return compile_it(function)
+            return compile_it(function)  # type: ignore[no-any-return]
         before = config.CACHE_DIR  # type: ignore[attr-defined]
         config.CACHE_DIR = str(_cache_folder(Path(function.__code__.co_filename).resolve()))  # type: ignore[attr-defined]
         try:
-            return compile_it(function)
+            return compile_it(function)  # type: ignore[no-any-return]
         finally:
             config.CACHE_DIR = before  # type: ignore[attr-defined]
 

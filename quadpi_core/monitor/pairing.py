@@ -10,26 +10,31 @@ that stays incomplete while the IMU runs ahead by the timeout is dropped and cou
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadpi_core.compiled import njit
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-
-Row: TypeAlias = tuple[Array, ...]
 
 # How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
 TIMEOUT_S = 0.1
 
-_CALM: Array = np.zeros(3)
-_NO_STATE: Row = (np.full(3, np.nan), np.full(4, np.nan), np.full(3, np.nan))
-_NO_ROTOR_SPEEDS: Array = np.full(4, np.nan)
+# The topics, and what is kept of each: index of the oldest sample, how many there are, the newest stamp.
+_IMU, _STATE, _ROTORS, _WIND, _TRACKS = 0, 1, 2, 3, 4
+_OLDEST, _COUNT, _NEWEST_NS = 0, 1, 2
+# A state is the widest row.
+_WIDEST = 10
+# Of PairingCounts.
+_PAIRED, _EARLY, _DROPPED, _DISORDERED = 0, 1, 2, 3
+# Where velocity, attitude, rates, specific force, rotor speeds and wind lie in a row of 20.
+_PLACES = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slice(13, 17), slice(17, 20))
+_SIGNALS = 20
 _NEVER = -(2**63)
 # A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
-_JUMP_BACK_NS = 1_000_000_000
+JUMP_BACK_NS = 1_000_000_000
 
 
 class PairedSamples(NamedTuple):
@@ -48,7 +53,7 @@ class PairedSamples(NamedTuple):
     wind: Array
 
 
-@dataclass
+@dataclass(frozen=True)
 class PairingCounts:
     """What became of the samples so far.
 
@@ -74,126 +79,189 @@ class Pairing:
     """
 
     def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = 256) -> None:
-        self.counts = PairingCounts()
         self._timeout_ns = round(timeout_s * 1e9)
-        self._capacity = capacity
-        self._imu = _Track(capacity)
-        self._state = _Track(capacity)
-        self._rotor_speeds = _Track(capacity)
-        self._wind = _Track(capacity)
+        self._tracks = _Tracks(
+            time_ns=np.zeros((_TRACKS, capacity), dtype=np.int64),
+            rows=np.zeros((_TRACKS, capacity, _WIDEST)),
+            places=np.array([[0, 0, _NEVER]] * _TRACKS),
+            counts=np.zeros(4, dtype=np.int64),
+        )
+        self._taken_ns = np.empty(capacity, dtype=np.int64)
+        self._taken = np.empty((capacity, _SIGNALS))
+        # Compiled now, not when the first sample waits for it.
+        self.take()
+
+    @property
+    def counts(self) -> PairingCounts:
+        """What became of the samples so far."""
+        return PairingCounts(*self._tracks.counts.tolist())
 
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        self._add(self._imu, time_ns, (specific_force,))
+        _add(self._tracks, _IMU, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        if len(self._state) and float(self._state.newest[1] @ attitude) < 0.0:
-            attitude = -attitude
-        self._add(self._state, time_ns, (velocity, attitude, rates))
+        _add_state(self._tracks, time_ns, velocity, attitude, rates)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (4,) rad/s."""
-        self._add(self._rotor_speeds, time_ns, (speeds,))
+        _add(self._tracks, _ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self._add(self._wind, time_ns, (velocity,))
+        _add(self._tracks, _WIND, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
-        rows = []
-        while len(self._imu):
-            time_ns, (specific_force,) = self._imu.oldest
-            if self._state.starts_after(time_ns) or self._rotor_speeds.starts_after(time_ns):
-                self.counts.early += 1
-            elif self._state.reaches(time_ns) and self._rotor_speeds.reaches(time_ns):
-                self.counts.paired += 1
-                rows.append(self._complete(time_ns, specific_force))
-            elif len(self._imu) < self._capacity and self._imu.newest_ns - time_ns <= self._timeout_ns:
+        count = _take(self._tracks, self._timeout_ns, self._taken_ns, self._taken)
+        if count == 0:
+            return None
+        taken = self._taken[:count]
+        return PairedSamples(self._taken_ns[:count].copy(), *(taken[:, place].copy() for place in _PLACES))
+
+
+class _Tracks(NamedTuple):
+    """The last samples of each topic, in rings; stamps strictly increase within one.
+
+    Attributes:
+        time_ns: (4, capacity) stamps.
+        rows: (4, capacity, 10) values, as many of a row as the topic has.
+        places: (4, 3) index of the oldest sample, how many there are, and the newest stamp.
+        counts: (4,) of :class:`PairingCounts`.
+    """
+
+    time_ns: Stamps
+    rows: Array
+    places: Stamps
+    counts: Stamps
+
+
+@njit(cache=True)
+def _make_room(tracks: Any, track: int, time_ns: int) -> int:
+    """Where to write a sample of that stamp, which now is the newest; −1 if its stamp does not advance."""
+    place, capacity = tracks.places[track], tracks.time_ns.shape[1]
+    if time_ns <= place[_NEWEST_NS]:
+        if place[_NEWEST_NS] - time_ns <= JUMP_BACK_NS:
+            tracks.counts[_DISORDERED] += 1
+            return -1
+        place[_COUNT] = 0
+    place[_NEWEST_NS] = time_ns
+    if place[_COUNT] == capacity:
+        place[_OLDEST] = (place[_OLDEST] + 1) % capacity
+        place[_COUNT] -= 1
+    index = (place[_OLDEST] + place[_COUNT]) % capacity
+    place[_COUNT] += 1
+    tracks.time_ns[track, index] = time_ns
+    return int(index)
+
+
+@njit(cache=True)
+def _add(tracks: Any, track: int, time_ns: int, values: Any) -> None:
+    index = _make_room(tracks, track, time_ns)
+    if index >= 0:
+        for k in range(values.size):
+            tracks.rows[track, index, k] = values[k]
+
+
+@njit(cache=True)
+def _add_state(tracks: Any, time_ns: int, velocity: Any, attitude: Any, rates: Any) -> None:
+    """Add a state whose attitude has the sign nearest to the one before: q and −q are the same."""
+    place, capacity = tracks.places[_STATE], tracks.time_ns.shape[1]
+    sign = 1.0
+    if place[_COUNT] > 0:
+        newest = tracks.rows[_STATE, (place[_OLDEST] + place[_COUNT] - 1) % capacity]
+        projection = 0.0
+        for k in range(4):
+            projection += newest[3 + k] * attitude[k]
+        sign = -1.0 if projection < 0.0 else 1.0
+    index = _make_room(tracks, _STATE, time_ns)
+    if index >= 0:
+        row = tracks.rows[_STATE, index]
+        for k in range(3):
+            row[k], row[7 + k] = velocity[k], rates[k]
+        for k in range(4):
+            row[3 + k] = sign * attitude[k]
+
+
+@njit(cache=True)
+def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
+    """Fill stamps and rows (velocity, attitude, rates, specific force, rotor speeds, wind); their number."""
+    imu, capacity = tracks.places[_IMU], tracks.time_ns.shape[1]
+    state, rotors = tracks.places[_STATE], tracks.places[_ROTORS]
+    count = 0
+    while imu[_COUNT] > 0:
+        time_ns = tracks.time_ns[_IMU, imu[_OLDEST]]
+        too_early = _starts_after(tracks, _STATE, time_ns) or _starts_after(tracks, _ROTORS, time_ns)
+        complete = state[_NEWEST_NS] >= time_ns and rotors[_NEWEST_NS] >= time_ns
+        if not (too_early or complete):
+            if imu[_COUNT] < capacity and imu[_NEWEST_NS] - time_ns <= timeout_ns:
                 break
-            elif self._state and self._rotor_speeds:
-                self.counts.dropped += 1
-                rows.append((time_ns, *_NO_STATE, specific_force, _NO_ROTOR_SPEEDS, _CALM))
+            too_early = state[_COUNT] == 0 or rotors[_COUNT] == 0
+        if too_early:
+            tracks.counts[_EARLY] += 1
+        else:
+            row = taken[count]
+            if complete:
+                tracks.counts[_PAIRED] += 1
+                _complete(tracks, time_ns, row)
             else:
-                self.counts.early += 1
-            self._imu.drop_oldest()
-        if not rows:
-            return None
-        return PairedSamples(*(np.array(column) for column in zip(*rows, strict=True)))
-
-    def _complete(self, time_ns: int, specific_force: Array) -> tuple[int | Array, ...]:
-        velocity, attitude, rates = self._state.interpolate(time_ns)
-        (rotor_speeds,) = self._rotor_speeds.interpolate(time_ns)
-        wind = self._wind.hold(time_ns)
-        return (
-            time_ns,
-            velocity,
-            attitude / np.sqrt(attitude @ attitude),
-            rates,
-            specific_force,
-            rotor_speeds,
-            _CALM if wind is None else wind[0],
-        )
-
-    def _add(self, track: _Track, time_ns: int, row: Row) -> None:
-        if not track.add(time_ns, row):
-            self.counts.disordered += 1
+                tracks.counts[_DROPPED] += 1
+                row[:] = np.nan
+                row[17:20] = 0.0
+            row[10:13] = tracks.rows[_IMU, imu[_OLDEST], :3]
+            taken_ns[count] = time_ns
+            count += 1
+        _drop_oldest(imu, capacity)
+    return count
 
 
-class _Track:
-    """The last samples of one topic, each a stamp and a row of arrays; stamps strictly increase."""
+@njit(cache=True)
+def _complete(tracks: Any, time_ns: int, row: Any) -> None:
+    """Fill state, rotor speeds and wind at the stamp."""
+    _interpolate(tracks, _STATE, time_ns, row[:10])
+    row[3:7] /= np.sqrt(np.sum(row[3:7] * row[3:7]))
+    _interpolate(tracks, _ROTORS, time_ns, row[13:17])
+    row[17:20] = 0.0
+    held = _hold(tracks, _WIND, time_ns)
+    if held >= 0:
+        row[17:20] = tracks.rows[_WIND, held, :3]
 
-    def __init__(self, capacity: int) -> None:
-        self.newest_ns = _NEVER
-        self._samples: deque[tuple[int, Row]] = deque(maxlen=capacity)
 
-    def __len__(self) -> int:
-        return len(self._samples)
+@njit(cache=True)
+def _drop_oldest(place: Any, capacity: int) -> None:
+    place[_OLDEST] = (place[_OLDEST] + 1) % capacity
+    place[_COUNT] -= 1
 
-    @property
-    def oldest(self) -> tuple[int, Row]:
-        return self._samples[0]
 
-    @property
-    def newest(self) -> Row:
-        return self._samples[-1][1]
+@njit(cache=True)
+def _starts_after(tracks: Any, track: int, time_ns: int) -> bool:
+    """Whether every sample kept is later than the stamp: nothing can be interpolated there."""
+    place = tracks.places[track]
+    return bool(place[_COUNT] > 0 and tracks.time_ns[track, place[_OLDEST]] > time_ns)
 
-    def add(self, time_ns: int, row: Row) -> bool:
-        """Append a sample; False if its stamp does not advance."""
-        if time_ns <= self.newest_ns:
-            if self.newest_ns - time_ns <= _JUMP_BACK_NS:
-                return False
-            self._samples.clear()
-        self.newest_ns = time_ns
-        self._samples.append((time_ns, row))
-        return True
 
-    def drop_oldest(self) -> None:
-        self._samples.popleft()
+@njit(cache=True)
+def _hold(tracks: Any, track: int, time_ns: int) -> int:
+    """Index of the last sample at or before the stamp, forgetting earlier ones; −1 if there is none."""
+    place, capacity = tracks.places[track], tracks.time_ns.shape[1]
+    while place[_COUNT] > 1 and tracks.time_ns[track, (place[_OLDEST] + 1) % capacity] <= time_ns:
+        _drop_oldest(place, capacity)
+    if place[_COUNT] == 0 or tracks.time_ns[track, place[_OLDEST]] > time_ns:
+        return -1
+    return int(place[_OLDEST])
 
-    def reaches(self, time_ns: int) -> bool:
-        """Whether a sample at or after the stamp has arrived."""
-        return self.newest_ns >= time_ns
 
-    def starts_after(self, time_ns: int) -> bool:
-        """Whether every sample kept is later than the stamp: nothing can be interpolated there."""
-        return bool(self._samples) and self._samples[0][0] > time_ns
-
-    def hold(self, time_ns: int) -> Row | None:
-        """The last row at or before the stamp, forgetting earlier ones; None if there is none."""
-        while len(self._samples) > 1 and self._samples[1][0] <= time_ns:
-            self._samples.popleft()
-        if not self._samples or self._samples[0][0] > time_ns:
-            return None
-        return self._samples[0][1]
-
-    def interpolate(self, time_ns: int) -> Row:
-        """The row at the stamp; asked only where `reaches` holds and `starts_after` does not."""
-        self.hold(time_ns)
-        before_ns, before = self._samples[0]
-        if before_ns == time_ns:
-            return before
-        after_ns, after = self._samples[1]
-        fraction = (time_ns - before_ns) / (after_ns - before_ns)
-        return tuple(a + fraction * (b - a) for a, b in zip(before, after, strict=True))
+@njit(cache=True)
+def _interpolate(tracks: Any, track: int, time_ns: int, values: Any) -> None:
+    """Fill the values at a stamp that lies between samples kept, linearly."""
+    before = _hold(tracks, track, time_ns)
+    before_ns, first = tracks.time_ns[track, before], tracks.rows[track, before]
+    if before_ns == time_ns:
+        values[:] = first[: values.size]
+        return
+    after = (before + 1) % tracks.time_ns.shape[1]
+    fraction = (time_ns - before_ns) / (tracks.time_ns[track, after] - before_ns)
+    second = tracks.rows[track, after]
+    for k in range(values.size):
+        values[k] = first[k] + fraction * (second[k] - first[k])

@@ -125,14 +125,15 @@ def flight_kernel() -> Any:
     )
     vehicle, state = VEHICLE_TYPE[::1], STATE_TYPE[::1]
     motion, log = from_dtype(MOTION)[::1], from_dtype(LOGGED)[::1]
-    fly.compile(
+    kernel = cast(Any, fly)
+    kernel.compile(
         types.void(
             *(vehicle, vehicle, controls, FUNCTION_TYPE, vectors, demand),
             *(motion, vectors, state, log, types.int64[::1]),
         )
     )
-    fly.disable_compile()
-    return fly
+    kernel.disable_compile()
+    return kernel
 
 
 @njit(cache=True, nogil=True)
