@@ -20,9 +20,11 @@ DRIFT = 100e-6
 _EXCHANGES = 64
 _WINDOW_NS = 10_000_000_000
 _BUCKET_NS = 1_000_000_000
-# An offset that is this wrong is replaced at once, a smaller error worked off at _SLEW of the elapsed time.
-_STEP_NS = 20_000_000
-_SLEW = 1e-3
+# An offset that is this wrong is replaced at once; a smaller error is worked off at this share of the elapsed
+# time, so that stamps keep rising.
+_STEP_NS = 50_000_000
+_LARGE_NS = 500_000
+_SLEW, _FAST_SLEW = 1e-3, 0.05
 # Answers that took longer say nothing.
 _ROUND_TRIP_MAX_NS = 1_000_000_000
 
@@ -118,7 +120,8 @@ class ClockOffset:
         if not abs(error) <= _STEP_NS:
             self._applied = float(estimate.offset_ns)
         else:
-            most = _SLEW * (now_ns - self._applied_at_ns)
+            slew = _FAST_SLEW if abs(error) > _LARGE_NS else _SLEW
+            most = slew * (now_ns - self._applied_at_ns)
             self._applied = (self._applied or 0.0) + min(max(error, -most), most)
         self._applied_at_ns = now_ns
 

@@ -133,6 +133,11 @@ class MavlinkSamples:
             "RAW_RPM": self._raw_rpm,
         }
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Messages that are decoded."""
+        return frozenset(self._decoders)
+
     def decode(self, message: Any, arrival_s: float) -> Sample | None:
         """The sample that a message completes; None if it completes none or is refused.
 

@@ -1,0 +1,294 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The conversation with an autopilot: bytes in, stamped samples out, and what to send so that they come.
+
+It knows neither sockets nor ROS; every time is nanoseconds since 1970 by this computer's clock.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from quadpi_core.frames import Array
+from quadpi_core.logs.clocks import ClockOffset, Offset
+from quadpi_core.logs.mavlink_dialect import load_dialect
+from quadpi_core.logs.mavlink_frames import Frame, FrameCounts, Framer, MessageDecoder, Verifier
+from quadpi_core.logs.mavlink_samples import (
+    ARDUPILOT,
+    AUTOPILOT_INVALID,
+    FROM_ANY_SYSTEM,
+    PX4,
+    SOURCES,
+    MavlinkSamples,
+    Sample,
+    is_epoch,
+)
+from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.vehicle import Vehicle
+
+_SECOND = 1_000_000_000
+_HEARTBEAT_NS = _SECOND
+# Often at first, so that the offset is known soon.
+_TIMESYNC_NS, _FIRST_TIMESYNC_NS, _FIRST_ROUND_NS = _SECOND // 2, _SECOND // 10, 3 * _SECOND
+_PENDING = 16
+_REQUEST_NS = 5 * _SECOND
+_ENOUGH = 0.8
+# A kind of message that has been silent for so long gives way to a worse one.
+_SILENT_NS = _SECOND
+_COMPANION = 191
+_OWN_SYSTEM = 255
+_ONBOARD_CONTROLLER, _ACTIVE, _PROTOCOL = 18, 4, 3
+_SET_MESSAGE_INTERVAL = 511
+_ESC_TELEMETRY = (11030, 11031, 11032)
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """What is asked of the autopilot.
+
+    Attributes:
+        system: its system id; 0 takes the first that is heard.
+        rates_hz: wanted per topic; the states' rate is that of "odometry".
+        imu_source: name of the only IMU message to use, or "auto".
+        key: 32 bytes to verify signatures by, and to sign with.
+        passive: send nothing, as for a recorded stream.
+    """
+
+    system: int = 0
+    rates_hz: dict[str, float] = field(
+        default_factory=lambda: {"imu": 250.0, "rotor_speeds": 250.0, "odometry": 100.0}
+    )
+    imu_source: str = "auto"
+    key: bytes | None = None
+    passive: bool = False
+
+
+class Received(NamedTuple):
+    """A sample by this computer's clock; `values` is a row of :func:`mavlink_samples.stream_of`."""
+
+    topic: str
+    time_ns: int
+    values: Array
+
+
+class SessionReport(NamedTuple):
+    """The state of a session; counts since its begin.
+
+    Attributes:
+        system: of the autopilot, None before it was heard.
+        silent_s: since the last packet of it.
+        samples: per topic.
+        sources: message that each topic is taken from.
+        refused: per message and reason.
+        clock: offset to the autopilot's clock.
+        clock_restarts: how often that clock began again.
+    """
+
+    system: int | None
+    autopilot: int | None
+    silent_s: float
+    frames: FrameCounts
+    samples: dict[str, int]
+    sources: dict[str, str]
+    refused: dict[str, int]
+    clock: Offset | None
+    clock_restarts: int
+
+
+class MavlinkSession:
+    """One vehicle over one link.
+
+    Args:
+        vehicle: see :class:`MavlinkSamples`.
+        order: see there.
+        settings: see :class:`SessionSettings`.
+
+    Raises:
+        LogError: if pymavlink is not installed.
+    """
+
+    def __init__(self, vehicle: Vehicle | None, order: RotorOrder, settings: SessionSettings) -> None:
+        self._settings = settings
+        self._order = order
+        self._dialect = load_dialect()
+        self._framer = Framer(Verifier(settings.key) if settings.key else None)
+        self._decoder = MessageDecoder()
+        self._samples = MavlinkSamples(vehicle, order)
+        self._wanted = {
+            number
+            for number, kind in self._dialect.mavlink_map.items()
+            if kind.msgname in {*self._samples.names, "TIMESYNC"}
+        }
+        self._system = settings.system or None
+        self._component = 1
+        self._heard_ns = 0
+        self._clocks: dict[tuple[int, int, bool], ClockOffset] = {}
+        self._sources: dict[str, tuple[str, int]] = {}
+        self._last_ns: dict[str, int] = {}
+        self._counts: Counter[str] = Counter()
+        self._seen: Counter[int] = Counter()
+        self._seen_before: Counter[int] = Counter()
+        self._pending: deque[int] = deque(maxlen=_PENDING)
+        self._answers: list[bytes] = []
+        self._next_ns = {"heartbeat": 0, "timesync": 0, "requests": 0}
+        self._first_ns = 0
+        self._out = self._dialect.MAVLink(None, _OWN_SYSTEM, _COMPANION)
+        if settings.key:
+            self._out.signing.secret_key = settings.key
+            self._out.signing.sign_outgoing = True
+
+    def take(self, data: bytes, arrival_ns: int, *, complete: bool) -> list[Received]:
+        """The samples in what arrived.
+
+        Args:
+            data: bytes of the link.
+            arrival_ns: when they arrived.
+            complete: whether no packet goes on beyond them, as in a datagram.
+        """
+        received = []
+        for frame in self._framer.feed(data, complete=complete):
+            self._seen[frame.message_id] += 1
+            if frame.message_id not in self._wanted:
+                continue
+            message = self._decoder.decode(frame)
+            if not self._is_ours(frame, message, arrival_ns):
+                continue
+            if type(message).__name__ == "TIMESYNC":
+                self._timesync(frame, message, arrival_ns)
+                continue
+            sample = self._samples.decode(message, arrival_ns * 1e-9)
+            if sample is not None and (stamped := self._stamped(frame, sample, arrival_ns)) is not None:
+                received.append(stamped)
+        return received
+
+    def _is_ours(self, frame: Frame, message: Any, arrival_ns: int) -> bool:
+        """Whether a message comes from the autopilot, or may come from anyone; finds the autopilot."""
+        name = type(message).__name__
+        is_autopilot = name == "HEARTBEAT" and message.autopilot != AUTOPILOT_INVALID
+        if self._system is None and (is_autopilot or name in SOURCES["imu"]):
+            self._system = frame.system
+        if frame.system != self._system:
+            return name in FROM_ANY_SYSTEM
+        if is_autopilot:
+            self._component = frame.component
+        self._first_ns = self._first_ns or arrival_ns
+        self._heard_ns = arrival_ns
+        return True
+
+    def _timesync(self, frame: Frame, message: Any, arrival_ns: int) -> None:
+        if message.tc1 == 0:
+            self._answers.append(self._pack("timesync", arrival_ns, message.ts1))
+        elif message.ts1 in self._pending and frame.component == self._component:
+            self._clock(frame, since_1970=False).exchange(message.ts1, message.tc1, arrival_ns)
+
+    def _clock(self, frame: Frame, *, since_1970: bool) -> ClockOffset:
+        return self._clocks.setdefault((frame.system, frame.component, since_1970), ClockOffset())
+
+    def _stamped(self, frame: Frame, sample: Sample, arrival_ns: int) -> Received | None:
+        """The sample if its topic is taken from this kind of message and its stamp rises."""
+        if not self._is_chosen(sample, arrival_ns):
+            return None
+        time_ns = arrival_ns
+        if sample.clock_us is not None:
+            remote_ns = sample.clock_us * 1000
+            clock = self._clock(frame, since_1970=is_epoch(sample.clock_us))
+            clock.arrival(remote_ns, arrival_ns)
+            time_ns = clock.to_local(remote_ns, arrival_ns)
+        last_ns = self._last_ns.get(sample.topic, 0)
+        if time_ns <= last_ns <= arrival_ns + _SECOND:
+            self._samples.refused[f"{sample.source}: the stamp does not rise"] += 1
+            return None
+        self._last_ns[sample.topic] = time_ns
+        self._counts[sample.topic] += 1
+        return Received(sample.topic, time_ns, sample.values)
+
+    def _is_chosen(self, sample: Sample, arrival_ns: int) -> bool:
+        ranks = SOURCES[sample.topic]
+        if sample.topic == "imu" and self._settings.imu_source not in {"auto", sample.source}:
+            return False
+        current, seen_ns = self._sources.get(sample.topic, (sample.source, arrival_ns))
+        is_better = ranks.index(sample.source) < ranks.index(current)
+        if sample.source != current and not is_better and arrival_ns - seen_ns < _SILENT_NS:
+            return False
+        self._sources[sample.topic] = (sample.source, arrival_ns)
+        return True
+
+    def due(self, now_ns: int) -> list[bytes]:
+        """What is to be sent now: heartbeat, clock exchange, answers, requests for messages that lack."""
+        answers, self._answers = self._answers, []
+        if self._settings.passive:
+            return []
+        packets = answers
+        if self._is_due("heartbeat", now_ns, _HEARTBEAT_NS):
+            packets.append(
+                self._pack("heartbeat", _ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, 0, _ACTIVE, _PROTOCOL)
+            )
+        if self._system is None or not self._heard_ns:
+            return packets
+        is_first_round = now_ns - self._first_ns < _FIRST_ROUND_NS
+        if self._is_due("timesync", now_ns, _FIRST_TIMESYNC_NS if is_first_round else _TIMESYNC_NS):
+            self._pending.append(now_ns)
+            packets.append(self._pack("timesync", 0, now_ns))
+        if self._is_due("requests", now_ns, _REQUEST_NS):
+            packets += self._requests()
+        return packets
+
+    def _is_due(self, what: str, now_ns: int, period_ns: int) -> bool:
+        if now_ns < self._next_ns[what]:
+            return False
+        self._next_ns[what] = now_ns + period_ns
+        return True
+
+    def _requests(self) -> list[bytes]:
+        """Ask again for every message that came more slowly than wanted since the last time."""
+        recent = self._seen - self._seen_before
+        packets = []
+        for number, rate_hz in self._desired().items():
+            if rate_hz > 0.0 and recent[number] < _ENOUGH * rate_hz * (_REQUEST_NS / _SECOND):
+                interval_us = round(1e6 / rate_hz)
+                command = (_SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0)
+                packets.append(self._pack("command_long", self._system, self._component, *command))
+        self._seen_before = Counter(self._seen)
+        return packets
+
+    def _desired(self) -> dict[int, float]:
+        """Rate per message id, of what this autopilot can send."""
+        rates = self._settings.rates_hz
+        imu, rotors, states = rates["imu"], rates["rotor_speeds"], rates["odometry"]
+        number = {kind.msgname: key for key, kind in self._dialect.mavlink_map.items()}
+        desired = {number["HIGHRES_IMU"]: imu, number["ATTITUDE_QUATERNION"]: states}
+        if self._samples.autopilot == PX4:
+            desired |= {number["ODOMETRY"]: states, number["ESC_STATUS"]: rotors, number["ESC_INFO"]: 1.0}
+        elif self._samples.autopilot == ARDUPILOT:
+            groups = {controller // 4 for controller in self._order.controllers}
+            desired |= {_ESC_TELEMETRY[group]: rotors for group in groups if group < len(_ESC_TELEMETRY)}
+            desired[number["LOCAL_POSITION_NED"]] = states
+            if self._seen_before and not self._seen[number["HIGHRES_IMU"]]:
+                desired[number["RAW_IMU"]] = imu
+        else:
+            desired |= {number["ODOMETRY"]: states, number["ESC_STATUS"]: rotors}
+        return desired
+
+    def _pack(self, name: str, *values: Any) -> bytes:
+        message = getattr(self._dialect, f"MAVLink_{name}_message")(*values)
+        packed: bytes = bytes(message.pack(self._out))
+        self._out.seq = (self._out.seq + 1) % 256
+        return packed
+
+    def report(self, now_ns: int) -> SessionReport:
+        """How the session stands."""
+        clock = self._clocks.get((self._system or 0, self._component, False))
+        return SessionReport(
+            system=self._system,
+            autopilot=self._samples.autopilot,
+            silent_s=(now_ns - self._heard_ns) * 1e-9 if self._heard_ns else math.inf,
+            frames=self._framer.counts,
+            samples={topic: self._counts[topic] for topic in SOURCES},
+            sources={topic: source for topic, (source, _) in self._sources.items()},
+            refused=dict(self._samples.refused),
+            clock=None if clock is None else clock.estimate(now_ns),
+            clock_restarts=sum(known.restarts for known in self._clocks.values()),
+        )

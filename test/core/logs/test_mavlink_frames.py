@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""MAVLink packets out of bytes: noise, cuts, both versions, signatures, the messages that pymavlink lacks."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+from quadpi_core.logs.mavlink_dialect import load_dialect
+from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, Verifier, signing_key
+
+ROOT = Path(__file__).parents[3]
+
+
+def attitude(sender: Any, number: int, version: int = 2) -> bytes:
+    return sender.packet("ATTITUDE", number, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, version=version)
+
+
+def numbers(framer: Framer, data: bytes, *, complete: bool = True) -> list[int]:
+    decoder = MessageDecoder()
+    return [decoder.decode(frame).time_boot_ms for frame in framer.feed(data, complete=complete)]
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("step", [1, 7, 1000])
+def test_packets_are_found_however_the_stream_is_cut(mavlink_sender: Any, version: int, step: int) -> None:
+    sender, framer = mavlink_sender(), Framer()
+    stream = b"".join(attitude(sender, number, version) for number in range(300))
+    found = []
+    for start in range(0, len(stream), step):
+        found += numbers(framer, stream[start : start + step], complete=False)
+    assert found == list(range(300))
+    assert framer.counts.frames == 300
+    assert (framer.counts.lost, framer.counts.noise_bytes, framer.counts.checksum_errors) == (0, 0, 0)
+
+
+def test_no_packet_is_lost_to_noise_before_it(mavlink_sender: Any) -> None:
+    sender, framer = mavlink_sender(), Framer()
+    first, second, third = (attitude(sender, number) for number in range(3))
+    # A marker with the largest length: a parser that trusts it would swallow what follows.
+    noise = b"\xfd\xff\x00abc"
+    assert numbers(framer, noise + first + second[:-5] + noise + third) == [0, 2]
+    assert framer.counts.noise_bytes == 2 * len(noise) + len(second) - 5
+    assert framer.counts.lost == 1
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.one_of(st.binary(max_size=60), st.just(None)), max_size=12), st.integers(1, 50))
+def test_any_noise_leaves_every_packet(mavlink_sender: Any, parts: list[bytes | None], step: int) -> None:
+    """Unless the noise is a packet itself, which a checksum of 16 bits lets pass once in 65 000."""
+    sender, framer = mavlink_sender(), Framer()
+    stream, sent = b"", 0
+    for part in parts:
+        if part is None:
+            stream += attitude(sender, sent)
+            sent += 1
+        else:
+            stream += part.replace(b"\xfe", b"").replace(b"\xfd", b"\xfd\x80")
+    found = []
+    for start in range(0, len(stream), step):
+        found += numbers_of_attitudes(framer, stream[start : start + step], complete=False)
+    found += numbers_of_attitudes(framer, b"", complete=True)
+    assert found == list(range(sent))
+
+
+def numbers_of_attitudes(framer: Framer, data: bytes, *, complete: bool) -> list[int]:
+    frames = framer.feed(data, complete=complete)
+    decoder = MessageDecoder()
+    decoded = [decoder.decode(frame) for frame in frames]
+    return [one.time_boot_ms for one in decoded if type(one).__name__ == "ATTITUDE"]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=600))
+def test_nothing_breaks_on_any_bytes(data: bytes) -> None:
+    framer = Framer()
+    for frame in framer.feed(data, complete=True):
+        MessageDecoder().decode(frame)
+    assert framer.feed(b"", complete=True) == []
+    decoded = framer.counts.frames + framer.counts.unknown
+    assert decoded or framer.counts.noise_bytes == len(data)
+
+
+def test_lost_packets_are_counted_and_a_restart_is_none(mavlink_sender: Any) -> None:
+    sender, framer = mavlink_sender(), Framer()
+    packets = [attitude(sender, number) for number in range(10)]
+    framer.feed(b"".join(packets[:3] + packets[7:]))
+    assert framer.counts.lost == 4
+    framer.feed(b"".join(packets[:1]))
+    assert framer.counts.lost == 4
+
+
+def test_every_known_message_can_be_decoded() -> None:
+    framer, decoder, dialect = Framer(), MessageDecoder(), load_dialect()
+    for number, kind in dialect.mavlink_map.items():
+        if number < 256:
+            frame = framer.feed(empty_packet(kind, number))[0]
+            fields = decoder.decode(frame)._fields
+            assert len(fields) == len(kind.fieldnames)
+
+
+def empty_packet(kind: type, number: int) -> bytes:
+    dialect = load_dialect()
+    head = bytes((0xFE, 0, 0, 1, 1, number))
+    checksum = dialect.x25crc(head[1:] + bytes((kind.crc_extra,))).crc  # type: ignore[attr-defined]
+    return head + checksum.to_bytes(2, "little")
+
+
+def test_signed_packets_are_read_without_a_key(mavlink_sender: Any) -> None:
+    sender, framer = mavlink_sender(key=signing_key("secret")), Framer()
+    assert numbers(framer, attitude(sender, 1) + attitude(sender, 2)) == [1, 2]
+
+
+def test_signatures_are_checked_with_a_key(mavlink_sender: Any) -> None:
+    key = signing_key("secret")
+    framer = Framer(Verifier(key))
+    signed, unsigned, forged = (
+        mavlink_sender(key=key),
+        mavlink_sender(),
+        mavlink_sender(key=signing_key("guess")),
+    )
+    for sender in (signed, forged):
+        sender.mav.signing.timestamp = int(2e14)
+    # What a forger claims about the time does not keep the right sender out.
+    forged.mav.signing.timestamp = int(2.5e14)
+    first, second = attitude(signed, 1), attitude(signed, 2)
+    assert numbers(framer, first + attitude(unsigned, 7) + attitude(forged, 8) + second) == [1, 2]
+    assert framer.counts.refused_signatures == 2
+    assert numbers(framer, first + second) == []  # replayed
+    assert framer.counts.refused_signatures == 4
+
+
+def test_a_signature_of_long_ago_is_refused(mavlink_sender: Any) -> None:
+    key = signing_key("secret")
+    sender = mavlink_sender(key=key)
+    sender.mav.signing.timestamp = 1000
+    assert numbers(Framer(Verifier(key)), attitude(sender, 1)) == []
+
+
+def generated(tmp_path: Path) -> ModuleType:
+    """The module that pymavlink generates of the XML in the documentation."""
+    import importlib.util
+
+    from pymavlink.generator import mavgen, mavparse
+
+    text = (ROOT / "docs" / "mavlink.md").read_text()
+    (xml,) = re.findall(r"^```xml\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "esc.xml").write_text(xml)
+    options = mavgen.Opts(str(tmp_path / "esc"), wire_protocol=mavparse.PROTOCOL_2_0, language="Python3")
+    mavgen.mavgen(options, [str(tmp_path / "esc.xml")])
+    spec = importlib.util.spec_from_file_location("esc", tmp_path / "esc.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("ESC_INFO", (4, 10**15, 7, 8, 3, 9, [1, 2, 3, 4], [10, 20, 30, 40], [-1, 2, -3, 4])),
+        ("ESC_STATUS", (0, 123_456, [1, -2, 3, 2**31 - 1], [1.5, 2.5, 3.5, 4.5], [0.0, 0.5, 1.0, 1.5])),
+    ],
+)
+def test_own_messages_are_those_of_the_documented_xml(
+    mavlink_sender: Any, name: str, values: tuple[object, ...], tmp_path: Path
+) -> None:
+    module = generated(tmp_path)
+    theirs = module.MAVLink(None, 1, 1)
+    packet = bytes(getattr(module, f"MAVLink_{name.lower()}_message")(*values).pack(theirs))
+    assert mavlink_sender().packet(name, *values) == packet
+    (frame,) = Framer().feed(packet)
+    decoded = MessageDecoder().decode(frame)._asdict()
+    names = load_dialect().mavlink_map[frame.message_id].fieldnames
+    assert [decoded[field] for field in names] == [tuple(v) if isinstance(v, list) else v for v in values]
+    extra = {"ESC_INFO": 251, "ESC_STATUS": 10}
+    assert getattr(module, f"MAVLink_{name.lower()}_message").crc_extra == extra[name]
