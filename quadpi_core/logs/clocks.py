@@ -62,7 +62,7 @@ class ClockOffset:
     def __init__(self) -> None:
         self._exchanges: deque[_Candidate] = deque(maxlen=_EXCHANGES)
         self._arrivals: deque[_Candidate] = deque(maxlen=_WINDOW_NS // _BUCKET_NS)
-        self._applied: float | None = None
+        self._applied: int | None = None
         self._applied_at_ns = 0
         self._last_remote_ns: int | None = None
         self.restarts = 0
@@ -110,19 +110,19 @@ class ClockOffset:
         """A stamp of the sender by this computer's clock; `arrival` or `exchange` must have been called."""
         if self._applied is None or now_ns - self._applied_at_ns > _BUCKET_NS // 100:
             self._follow(now_ns)
-        return remote_ns + round(self._applied or 0.0)
+        return remote_ns + (self._applied or 0)
 
     def _follow(self, now_ns: int) -> None:
         estimate = self.estimate(now_ns)
         if estimate is None:
             return
-        error = estimate.offset_ns - (self._applied if self._applied is not None else np.inf)
-        if not abs(error) <= _STEP_NS:
-            self._applied = float(estimate.offset_ns)
+        error = 0 if self._applied is None else estimate.offset_ns - self._applied
+        if self._applied is None or abs(error) > _STEP_NS:
+            self._applied = estimate.offset_ns
         else:
             slew = _FAST_SLEW if abs(error) > _LARGE_NS else _SLEW
-            most = slew * (now_ns - self._applied_at_ns)
-            self._applied = (self._applied or 0.0) + min(max(error, -most), most)
+            most = round(slew * (now_ns - self._applied_at_ns))
+            self._applied += min(max(error, -most), most)
         self._applied_at_ns = now_ns
 
 

@@ -16,9 +16,9 @@ class Sender:
     def __init__(self, system: int = 1, component: int = 1, key: bytes | None = None) -> None:
         from quadpi_core.logs.mavlink_dialect import load_dialect
 
-        dialect = load_dialect()
-        self.mav = dialect.MAVLink(None, system, component)
-        self.kinds = {kind.msgname: kind for kind in dialect.mavlink_map.values()}
+        self.dialect = load_dialect()
+        self.mav = self.dialect.MAVLink(None, system, component)
+        self.kinds = {kind.msgname: kind for kind in self.dialect.mavlink_map.values()}
         if key:
             self.mav.signing.secret_key = key
             self.mav.signing.sign_outgoing = True
@@ -28,6 +28,12 @@ class Sender:
         packed = self.kinds[name](*values).pack(self.mav, force_mavlink1=version == 1)
         self.mav.seq = (self.mav.seq + 1) % 256
         return bytes(packed)
+
+    def raw(self, kind: Any, payload: bytes) -> bytes:
+        """A packet of a message with any payload."""
+        head = bytes((0xFD, len(payload), 0, 0, 0, 1, 1)) + kind.id.to_bytes(3, "little")
+        checksum = self.dialect.x25crc(head[1:] + payload + bytes((kind.crc_extra,))).crc
+        return head + payload + checksum.to_bytes(2, "little")
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The conversation with an autopilot, packet by packet on a clock that the test turns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder
+from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4
+from quadpi_core.logs.mavlink_session import MavlinkSession, Received, SessionSettings
+from quadpi_core.logs.rotor_order import RotorOrder
+
+MS, S = 1_000_000, 1_000_000_000
+START = 1_700_000_000 * S
+ORDER = RotorOrder((0, 1, 2, 3), "rpm")
+
+
+class Autopilot:
+    """One that the test steps through time; its clock is zero at START, its packets take 4 ms."""
+
+    def __init__(self, sender: Any, settings: SessionSettings | None = None, kind: int = PX4) -> None:
+        self.sender = sender
+        self.kind = kind
+        self.session = MavlinkSession(None, ORDER, settings or SessionSettings())
+        self.framer, self.decoder = Framer(), MessageDecoder()
+        self.heard: list[Any] = []
+
+    def deliver(self, packet: bytes, sent_ns: int) -> list[Received]:
+        return self.session.take(packet, sent_ns + 4 * MS, complete=True)
+
+    def heartbeat(self, at_ns: int) -> None:
+        self.deliver(self.sender.packet("HEARTBEAT", 2, self.kind, 0, 0, 4, 3), at_ns)
+
+    def imu(self, at_ns: int, name: str = "HIGHRES_IMU") -> list[Received]:
+        if name == "HIGHRES_IMU":
+            values: tuple[Any, ...] = ((at_ns - START) // 1000, *[0.0] * 13, 0x3F, 0)
+        else:
+            values = ((at_ns - START) // MS, *[0] * 9)
+        return self.deliver(self.sender.packet(name, *values), at_ns)
+
+    def listen(self, at_ns: int, *, answers: bool = True) -> list[Any]:
+        """What the session sends now; TIMESYNC takes 4 ms there and back."""
+        heard = []
+        for packet in self.session.due(at_ns):
+            (frame,) = self.framer.feed(packet)
+            message = self.decoder.decode(frame)
+            heard.append(message)
+            if answers and type(message).__name__ == "TIMESYNC" and message.tc1 == 0:
+                here = at_ns + 4 * MS
+                self.deliver(self.sender.packet("TIMESYNC", here - START, message.ts1), here)
+        return heard
+
+
+def test_stamps_are_those_of_this_computer(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    for step in range(1000):
+        autopilot.listen(START + step * 10 * MS)
+        (sample,) = autopilot.imu(START + step * 10 * MS)
+        if step > 100:
+            assert sample.time_ns == pytest.approx(START + step * 10 * MS, abs=MS // 10)
+    report = autopilot.session.report(START + 10 * S)
+    assert report.clock
+    assert report.clock.exchanged
+    assert abs(report.clock.offset_ns - START) <= report.clock.uncertainty_ns < 6 * MS
+
+
+def test_without_answers_stamps_are_late_by_the_delay_and_the_report_says_so(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    for step in range(300):
+        autopilot.listen(START + step * 10 * MS, answers=False)
+        (sample,) = autopilot.imu(START + step * 10 * MS)
+    assert sample.time_ns == START + 2990 * MS + 4 * MS
+    report = autopilot.session.report(START + 3 * S)
+    assert report.clock
+    assert not report.clock.exchanged
+    assert report.clock.uncertainty_ns is None
+
+
+def names(messages: list[Any]) -> set[str]:
+    return {type(message).__name__ for message in messages}
+
+
+def asked(messages: list[Any]) -> dict[int, int]:
+    """Interval in µs per message id."""
+    return {int(m.param1): int(m.param2) for m in messages if type(m).__name__ == "COMMAND_LONG"}
+
+
+@pytest.mark.parametrize(("kind", "rotors", "state"), [(PX4, 291, 331), (ARDUPILOT, 11030, 32)])
+def test_messages_that_lack_are_asked_for(kind: int, rotors: int, state: int, mavlink_sender: Any) -> None:
+    settings = SessionSettings(rates_hz={"imu": 200.0, "rotor_speeds": 100.0, "odometry": 50.0})
+    autopilot = Autopilot(mavlink_sender(), settings, kind)
+    assert names(autopilot.listen(START)) == {"HEARTBEAT"}
+    autopilot.heartbeat(START + S)
+    wanted = asked(autopilot.listen(START + S))
+    assert (wanted[105], wanted[rotors], wanted[state], wanted[31]) == (5_000, 10_000, 20_000, 20_000)
+    # What comes is not asked for again.
+    for step in range(1000):
+        autopilot.imu(START + S + step * 5 * MS)
+    again = asked(autopilot.listen(START + 6 * S))
+    assert 105 not in again
+    assert rotors in again
+
+
+def test_a_passive_session_sends_nothing(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender(), SessionSettings(passive=True))
+    autopilot.heartbeat(START)
+    assert autopilot.listen(START + S) == []
+
+
+def test_the_autopilot_s_own_timesync_is_answered(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    autopilot.deliver(autopilot.sender.packet("TIMESYNC", 0, 987_654), START)
+    answers = [m for m in autopilot.listen(START + S) if type(m).__name__ == "TIMESYNC" and m.tc1]
+    assert [(m.tc1, m.ts1) for m in answers] == [(START + 4 * MS, 987_654)]
+
+
+def test_the_best_imu_message_is_used_while_it_comes(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    assert autopilot.imu(START, "SCALED_IMU2")
+    assert autopilot.imu(START + 10 * MS)
+    assert not autopilot.imu(START + 20 * MS, "SCALED_IMU2")
+    assert autopilot.session.report(START).sources["imu"] == "HIGHRES_IMU"
+    assert autopilot.imu(START + 2 * S, "SCALED_IMU2")
+
+
+def test_only_the_chosen_imu_message_is_used(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender(), SessionSettings(imu_source="SCALED_IMU2"))
+    assert not autopilot.imu(START)
+    assert autopilot.imu(START + 10 * MS, "SCALED_IMU2")
+
+
+def test_other_vehicles_are_not_mixed_in_but_motion_capture_is(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    assert autopilot.imu(START)
+    other = mavlink_sender(system=2)
+    autopilot.sender = other
+    assert not autopilot.imu(START + 10 * MS)
+    mocap = other.packet("ATT_POS_MOCAP", 5_000, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+    assert [one.topic for one in autopilot.deliver(mocap, START)] == ["mocap/pose"]
+
+
+def test_a_repeated_stamp_is_refused(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    assert autopilot.imu(START + S)
+    assert not autopilot.imu(START + S)
+    assert autopilot.session.report(START).refused == {"HIGHRES_IMU: the stamp does not rise": 1}
+
+
+def test_a_restart_of_the_autopilot_is_followed(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    for step in range(500):
+        autopilot.imu(START + step * 10 * MS)
+    later = START + 60 * S
+    packet = autopilot.sender.packet("HIGHRES_IMU", 0, *[0.0] * 13, 0x3F, 0)
+    (sample,) = autopilot.session.take(packet, later, complete=True)
+    assert sample.time_ns == later
+    assert autopilot.session.report(later).clock_restarts == 1
+
+
+def test_with_a_key_what_is_sent_is_signed(mavlink_sender: Any) -> None:
+    key = bytes(range(32))
+    autopilot = Autopilot(mavlink_sender(key=key), SessionSettings(key=key))
+    autopilot.sender.mav.signing.timestamp = int(2e14)
+    autopilot.heartbeat(START)
+    assert autopilot.session.report(START).system == 1
+    packets = autopilot.session.due(START)
+    assert packets
+    assert all(packet[2] & 1 for packet in packets)
+    stranger = Autopilot(mavlink_sender(), SessionSettings(key=key))
+    stranger.heartbeat(START)
+    report = stranger.session.report(START)
+    assert (report.system, report.frames.refused_signatures) == (None, 1)
