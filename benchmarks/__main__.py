@@ -1,13 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run benchmarks, show them in one table and write out/bench.json."""
+"""Run benchmarks, show them in one table, write out/bench.json and, of a whole run, docs/performance.md."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 import json
+import os
 import pkgutil
+import platform
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +26,20 @@ from benchmarks import Result, UnavailableError
 from quadpi_core.paths import write_json
 
 OUTPUT = Path("out") / "bench.json"
+PAGE = Path("docs") / "performance.md"
+_PAGE_TEXT = """# How fast it is
+
+Made by `make bench`: every figure is measured in the same run as what it is compared with, for machines differ
+and are rarely quiet. This run: {machine}. {failures}
+
+| figure | value | goal | holds |
+| --- | --- | --- | --- |
+{rows}
+
+What each was measured against, and on what:
+
+{notes}
+"""
 
 
 def main() -> int:
@@ -53,6 +70,9 @@ def main() -> int:
     earlier = json.loads(OUTPUT.read_text()) if only is not None and OUTPUT.is_file() else {}
     write_json(OUTPUT, earlier | as_json(results))
     console.print(f"written to {OUTPUT}")
+    if only is None:
+        PAGE.write_text(as_page(results, remarks))
+        console.print(f"written to {PAGE}")
     return 1 if failed else 0
 
 
@@ -88,15 +108,46 @@ def as_table(results: list[Result], remarks: dict[str, str]) -> Group:
     """One row per figure, then what each was measured against, and why one gave no figure."""
     table = Table("figure", "value", "goal", "holds", box=box.SIMPLE_HEAD)
     for result in results:
-        bound = "at most" if result.at_most else "at least"
         table.add_row(
             result.name,
             f"{result.value:.3g} {result.unit}",
-            "" if result.goal is None else f"{bound} {result.goal:g}",
+            _goal(result),
             {True: "[green]yes", False: "[red]no", None: ""}[result.holds],
         )
     notes = {result.name: result.baseline for result in results} | remarks
     return Group(table, *(f"[bold]{name}[/bold]: {escape(note)}" for name, note in notes.items()))
+
+
+def as_page(results: list[Result], remarks: dict[str, str]) -> str:
+    """The same as Markdown, with the machine that it was measured on."""
+    failed = [result.name for result in results if result.holds is False]
+    rows = (
+        f"| `{result.name}` | {result.value:.3g} {result.unit} | {_goal(result)} | "
+        f"{ {True: 'yes', False: '**no**', None: ''}[result.holds] } |"
+        for result in results
+    )
+    notes = {result.name: result.baseline for result in results} | remarks
+    return _PAGE_TEXT.format(
+        machine=_machine(),
+        failures=f"Out of reach in it: {', '.join(failed)}." if failed else "Every goal is reached.",
+        rows="\n".join(rows),
+        notes="\n".join(f"- `{name}`: {note}" for name, note in notes.items()),
+    )
+
+
+def _goal(result: Result) -> str:
+    bound = "at most" if result.at_most else "at least"
+    return "" if result.goal is None else f"{bound} {result.goal:g}"
+
+
+def _machine() -> str:
+    """Processor, cores and Python."""
+    processor = platform.machine()
+    information = Path("/proc/cpuinfo")
+    if information.is_file():
+        names = re.findall(r"^model name\s*:\s*(.*)$", information.read_text(), re.MULTILINE)
+        processor = names[0] if names else processor
+    return f"{os.cpu_count()} cores of {processor}, Python {platform.python_version()}"
 
 
 if __name__ == "__main__":

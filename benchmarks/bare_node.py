@@ -16,13 +16,19 @@ from quadpi_ros.runtime import OUTPUT_QOS, SENSOR_QOS, run, spin
 _IMU_SAMPLES_PER_ALARM = 50
 
 
+# As three models make it.
+PREDICTION_TOPICS = ("prediction", "prediction/bootstrap", "prediction/quality_driven")
+
+
 class BareNode(Node):
-    """Answers every IMU sample with an odometry and a prediction, every fiftieth with an alarm."""
+    """Answers every IMU sample with an odometry and three predictions, every fiftieth with an alarm."""
 
     def __init__(self) -> None:
         super().__init__("bare")
         self._odometry = self.create_publisher(Odometry, "odometry", OUTPUT_QOS)
-        self._prediction = self.create_publisher(WrenchPrediction, "prediction", OUTPUT_QOS)
+        self._predictions = [
+            self.create_publisher(WrenchPrediction, topic, OUTPUT_QOS) for topic in PREDICTION_TOPICS
+        ]
         self._alarm = self.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
         self._samples = 0
         self.create_subscription(Imu, "imu", self._take_imu, SENSOR_QOS)
@@ -36,7 +42,8 @@ class BareNode(Node):
     def _take_imu(self, imu: Imu) -> None:
         self._samples += 1
         self._odometry.publish(Odometry(header=imu.header))
-        self._prediction.publish(WrenchPrediction(header=imu.header))
+        for publisher in self._predictions:
+            publisher.publish(WrenchPrediction(header=imu.header))
         if self._samples % _IMU_SAMPLES_PER_ALARM == 0:
             self._alarm.publish(ExtrapolationAlarm(header=imu.header))
 

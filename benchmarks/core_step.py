@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the core needs for one sample in flight, called from Python as the nodes do, without ROS.
+
+A step is the EKF's prediction, the state it gives, the pairing of the sample with its rotor speeds, the
+low-pass, the inputs, six axes of one method with their bounds, and the alarm.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import Result
+from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
+from quadpi_core.flight import Recording
+from quadpi_core.frames import Array
+from quadpi_core.models import AerodynamicModel
+from quadpi_core.monitor import Monitor
+from quadpi_core.monitor.pairing import Pairing
+from quadpi_core.signals.ekf import Ekf
+from quadpi_core.signals.odometry import fused_sample
+from quadpi_core.vehicle import Vehicle
+
+NAMES = ("core_step_us",)
+
+FLOWN_S = 20.0
+
+
+def run() -> list[Result]:
+    vehicle = Vehicle.load(VEHICLE)
+    recording = swings(vehicle, FLOWN_S)
+    with tempfile.TemporaryDirectory() as folder:
+        models = three_models(Path(folder), vehicle)
+    times = {method: microseconds(model, vehicle, recording) for method, model in models.items()}
+    medians = {method: float(np.median(steps)) for method, (steps, _) in times.items()}
+    slowest = max(medians, key=medians.__getitem__)
+    told = "; ".join(
+        f"{method}: median {medians[method]:.0f}, p99 {np.quantile(steps, 0.99):.0f} µs, "
+        f"correction by a pose {np.median(poses):.0f} µs"
+        for method, (steps, poses) in times.items()
+    )
+    return [Result(NAMES[0], medians[slowest], "µs", told, goal=60.0, at_most=True)]
+
+
+def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording) -> tuple[Array, Array]:
+    """How long each step after the first second takes, and each correction by a pose."""
+    imu, poses, rotors = recording.imu, recording.pose, recording.rotor_speeds
+    assert poses
+    assert rotors
+    ekf, pairing, monitor = Ekf(vehicle, IMU_HZ), Pairing(), Monitor(model, vehicle, IMU_HZ)
+    steps, corrections = [], []
+    pose = 0
+    for k in range(len(imu)):
+        while pose < len(poses) and poses.time_ns[pose] < imu.time_ns[k]:
+            arguments = int(poses.time_ns[pose]), poses.position[pose], poses.attitude[pose]
+            start = time.perf_counter_ns()
+            ekf.update_pose(*arguments)
+            corrections.append(time.perf_counter_ns() - start)
+            pose += 1
+        time_ns, gyro, force = int(imu.time_ns[k]), imu.angular_velocity[k], imu.specific_force[k]
+        speeds = rotors.speeds[k]
+        start = time.perf_counter_ns()
+        ekf.predict(time_ns, gyro, force)
+        if not ekf.initialised:
+            continue
+        sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+        state = sample.odometry
+        pairing.add_imu(time_ns, sample.imu.specific_force[0])
+        pairing.add_state(time_ns, state.velocity[0], state.attitude[0], state.rates[0])
+        pairing.add_rotor_speeds(time_ns, speeds)
+        complete = pairing.take()
+        assert complete
+        monitor.step(*complete)
+        steps.append(time.perf_counter_ns() - start)
+    return np.array(steps[1:]) / 1e3, np.array(corrections) / 1e3
