@@ -21,8 +21,9 @@ from quadpi_core.paths import bags_directory
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-# The first by test/core/logs/test_data_set_guide.py, which makes its files; the second by `make tables`.
-RUN_ELSEWHERE = {"add-a-data-set.md", "paper-tables.md"}
+# By test/core/logs/test_data_set_guide.py and test/core/logs/adapters/test_bags.py, which make their files;
+# the last by `make tables`.
+RUN_ELSEWHERE = {"add-a-data-set.md", "adapters.md", "paper-tables.md"}
 ON_REAL_FLIGHTS = {"commands.md"}
 QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
 

@@ -2,6 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags with messages of other packages, as those packages' recorders write them, through the command line."""
 
+import re
+import shlex
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -10,12 +15,14 @@ from quadpi_core.errors import LogError
 from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.logs import messages, read_recording
 from quadpi_core.logs.bags import read_bag
+from quadpi_core.paths import config_directory
 from quadpi_core.vehicle import Vehicle
 
 from .test_poses import frame
 from .test_rotors import mavros_status, px4_status
 
 VEHICLE = "neurobem"
+PAGE = Path(__file__).parents[4] / "docs" / "adapters.md"
 RAD_S_TO_RPM = 60.0 / (2.0 * np.pi)
 
 
@@ -95,7 +102,7 @@ def test_a_bag_of_mavros_and_motion_capture_is_read_like_one_of_standard_topics(
     np.testing.assert_allclose(turn, 1.0, atol=1e-9)
 
 
-def test_import_and_info_take_the_settings_as_mapping(tmp_path, vendor, topics, settings, quadpi):
+def test_import_and_info_take_the_settings_as_mapping(tmp_path, vendor, topics, flown, settings, quadpi):
     path = write(tmp_path / "field", vendor.px4_1_14, topics)
     result = quadpi("import", path, "--vehicle", VEHICLE, "--mapping", settings, "-o", tmp_path / "bags")
     assert result.status == 0, result.errors
@@ -208,3 +215,15 @@ def test_damaged_messages_are_named(tmp_path, vendor, topics, settings):
     path = write(tmp_path / "field", vendor.px4_1_14, topics)
     with pytest.raises(LogError, match=r"field: topic /rigid_bodies: sample 7: "):
         read_recording(path, Vehicle.load(VEHICLE), settings)
+
+
+def test_commands_of_the_page_run(tmp_path, vendor, topics, quadpi, monkeypatch):
+    text = PAGE.read_text()
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "field_bag", vendor.px4_1_14, topics)
+    shutil.copy(config_directory() / "vehicles" / f"{VEHICLE}.yaml", "my-quad.yaml")
+    (settings,) = re.findall(r"```yaml\n(.*?)```", text, flags=re.DOTALL)
+    Path("field.yaml").write_text(settings)
+    ran = [quadpi(*shlex.split(line)[1:]) for line in re.findall(r"^quadpi .*$", text, flags=re.MULTILINE)]
+    assert [one.status for one in ran] == [0, 0], ran
+    assert read_bag("bags/field_bag.mcap").pose is not None
