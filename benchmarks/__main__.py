@@ -29,8 +29,8 @@ OUTPUT = Path("out") / "bench.json"
 PAGE = Path("docs") / "performance.md"
 _PAGE_TEXT = """# How fast it is
 
-Made by `make bench`: every figure is measured in the same run as what it is compared with, for machines differ
-and are rarely quiet. This run: {machine}. {failures}
+Made by `make bench`: every figure is measured in the same run as what it is compared with, as machines
+differ and are rarely quiet. This run: {machine}. {failures}
 
 | figure | value | goal | holds |
 | --- | --- | --- | --- |

@@ -24,7 +24,6 @@ NAMES = ("soak_growth_mib", "soak_lost")
 FLIGHT_MINUTES = 30.0
 RATE = 4.0
 
-_PAGE_BYTES = 4096
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
 _NANOSECONDS = 1_000_000_000

@@ -73,6 +73,11 @@ class Child:
         user_ticks, system_ticks = after_name[11:13]
         return (int(user_ticks) + int(system_ticks)) / os.sysconf("SC_CLK_TCK")
 
+    def resident_bytes(self) -> int:
+        """Memory that it holds in RAM (proc(5), statm)."""
+        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+
 
 @contextmanager
 def isolated_domain() -> Iterator[Path]:
