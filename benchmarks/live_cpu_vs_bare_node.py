@@ -3,8 +3,8 @@
 """CPU time of the live process against a bare rclpy node with the same topics, on the same executor.
 
 The live process flies three models of six axes, one of each method. Both are fed by the same player (500 Hz
-IMU, 500 Hz rotor speeds, 120 Hz mocap) and heard by the same collector. CPU time is user and system time of all
-threads, from the first message to the last.
+IMU, 500 Hz rotor speeds, 120 Hz mocap) and heard by the same collector. CPU time is user and system time of
+all threads, from the first message to the last.
 """
 
 from __future__ import annotations
