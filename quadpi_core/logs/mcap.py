@@ -186,6 +186,10 @@ def _check_file(file: Path) -> None:
     summary = data[int(footer["summary_start"]) : -footer["crc"].itemsize - len(MAGIC)]
     if footer["crc"] and zlib.crc32(summary.data) != footer["crc"]:
         raise LogError(f"{file}: damaged: its summary does not match its checksum")
+    try:
+        _check_whole(find_records(data, len(MAGIC)), data[: -len(MAGIC)])
+    except LogError as error:
+        raise LogError(f"{file}: {error}") from None
 
 
 def _whole_messages(data: Bytes) -> int:

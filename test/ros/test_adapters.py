@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -26,14 +25,12 @@ from quadpi_core.logs.adapters.settings import RotorSettings
 from quadpi_core.logs.definitions import typestore
 from quadpi_ros.adapters import AdapterError, adapted, definition_of, message_class
 
+from ..core.logs.adapters.conftest import DEFINITIONS, Messages
+
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = Path(sys.prefix)
 STATUS, REPORT = "px4_msgs/msg/EscStatus", "px4_msgs/msg/EscReport"
 SETTINGS = AdapterSettings(rotor_speeds=RotorSettings((1, 2, 3, 4), "rpm"))
-
-_spec = spec_from_file_location("vendor_messages", ROOT / "test/core/logs/adapters/conftest.py")
-vendor_messages = module_from_spec(_spec)
-_spec.loader.exec_module(vendor_messages)
 
 
 @pytest.mark.parametrize("kind", [DiagnosticArray, Odometry, Imu, Byte, MultiDOFJointTrajectory])
@@ -57,7 +54,7 @@ def test_package_that_is_not_installed_and_adapter_that_is_not_known():
 @pytest.fixture
 def messages(monkeypatch):
     """px4_msgs as if it were installed: classes that name their fields as generated ones do."""
-    found = vendor_messages.Messages(vendor_messages.DEFINITIONS)
+    found = Messages(DEFINITIONS)
     fields = {
         REPORT: {"timestamp": "uint64", "esc_errorcount": "uint32", "esc_rpm": "int32"}
         | dict.fromkeys(("esc_voltage", "esc_current", "esc_temperature"), "float")
@@ -110,7 +107,7 @@ def px4_msgs(tmp_path_factory):
     source, prefix = tmp_path_factory.mktemp("px4_msgs"), tmp_path_factory.mktemp("prefix")
     (source / "msg").mkdir()
     for name in (STATUS, REPORT):
-        (source / "msg" / f"{name.rpartition('/')[2]}.msg").write_text(vendor_messages.DEFINITIONS[name])
+        (source / "msg" / f"{name.rpartition('/')[2]}.msg").write_text(DEFINITIONS[name])
     (source / "package.xml").write_text(
         '<package format="3"><name>px4_msgs</name><version>1.16.0</version><description>of PX4</description>'
         '<maintainer email="nobody@example.org">nobody</maintainer><license>BSD</license>'

@@ -66,7 +66,8 @@ class BodyReader:
             self._seen.update(other.decode(errors="replace") for other in np.unique(names)[:_SEEN_MAX])
         position = bodies.columns["pose.position"][rows]
         orientation = bodies.columns["pose.orientation"][rows][:, _WXYZ]
-        norm = np.linalg.norm(orientation, axis=1)
+        with np.errstate(over="ignore"):
+            norm = np.linalg.norm(orientation, axis=1)
         tracked = (np.abs(norm - 1.0) <= NORM_TOLERANCE) & np.isfinite(position).all(axis=1)
         self.dropped.update(
             {

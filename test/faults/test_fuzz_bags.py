@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged bags: whatever their bytes, one line that names the file, or a recording that is checked."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
+from quadpi_core.logs import read_recording
+from quadpi_core.logs.bags import bag_topics, read_bag, read_outputs, write_bag
+from quadpi_core.logs.mcap import CHUNK, MAGIC, find_records
+
+from .damage import bounded, damaged, refusing
+
+N = 12
+_CHUNK_CHECKSUM = 24
+_FOOTER_CHECKSUM = 4 + len(MAGIC)
+
+
+def small_bag(path):
+    rng = np.random.default_rng(4)
+    time_ns = 1_700_000_000_000_000_000 + np.arange(N) * 2_000_000
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (N, 1))
+    three = rng.normal(size=(N, 3))
+    recording = Recording(
+        name="flight",
+        vehicle="bebop2",
+        source="",
+        imu=ImuStream(time_ns, three, three),
+        rotor_speeds=RotorSpeedStream(time_ns, rng.uniform(0, 900, size=(N, 4))),
+        pose=PoseStream(time_ns, three, level),
+        odometry=OdometryStream(time_ns, three, level, three, three),
+        wind=WindStream(time_ns, three),
+    )
+    write_bag(path, recording)
+    return path.read_bytes()
+
+
+def without_checksums(whole):
+    """The bag with every checksum "not computed", so that damage reaches the parsers behind them."""
+    data = bytearray(whole)
+    records = find_records(np.frombuffer(whole, np.uint8), len(MAGIC))
+    for start, _ in zip(*records.of(CHUNK), strict=True):
+        data[start + _CHUNK_CHECKSUM : start + _CHUNK_CHECKSUM + 4] = bytes(4)
+    data[-_FOOTER_CHECKSUM : -len(MAGIC)] = bytes(4)
+    return bytes(data)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("bags")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernels_compiled(folder):
+    """Compilation would count as memory of the first example."""
+    small_bag(folder / "good.mcap")
+    read_bag(folder / "good.mcap")
+
+
+@pytest.fixture(scope="module")
+def whole(folder):
+    return small_bag(folder / "whole.mcap")
+
+
+def read_all(path):
+    for read in (read_bag, bag_topics, read_outputs, lambda path: read_recording(path, None)):
+        with refusing(path):
+            read(path)
+
+
+@pytest.mark.parametrize("checksums", [True, False])
+def test_damaged_bag(folder, whole, checksums):
+    sound = whole if checksums else without_checksums(whole)
+    path = folder / "damaged.mcap"
+
+    @bounded(150)
+    @given(damaged(sound))
+    def check(data):
+        path.write_bytes(data)
+        read_all(path)
+
+    check()
+
+
+def test_lengths_of_records_that_lie(folder, whole):
+    """Every length of every record in turn: nothing, one less, one more, and far too much."""
+    sound = without_checksums(whole)
+    path = folder / "lying.mcap"
+    records = find_records(np.frombuffer(sound, np.uint8), len(MAGIC))
+    for start, length in zip(records.starts.tolist(), records.lengths.tolist(), strict=True):
+        for lie in (0, length - 1, length + 1, 2**31, 2**63 - 1, 2**64 - 1):
+            data = bytearray(sound)
+            data[start - 8 : start] = struct.pack("<Q", max(lie, 0))
+            path.write_bytes(data)
+            with refusing(path):
+                read_bag(path)
+
+
+def test_sizes_of_chunks_that_lie(folder, whole):
+    """The uncompressed size is what a reader would allocate."""
+    sound = without_checksums(whole)
+    path = folder / "sizes.mcap"
+    records = find_records(np.frombuffer(sound, np.uint8), len(MAGIC))
+    for start in records.of(CHUNK)[0].tolist():
+        for offset in (16, 28, 32, 35, 40):
+            for lie in (0, 1, 2**20, 2**31 - 1, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1):
+                data = bytearray(sound)
+                data[start + offset : start + offset + 8] = struct.pack("<Q", lie)
+                path.write_bytes(data)
+                with refusing(path):
+                    read_bag(path)

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bytes that are no messages: a decoder refuses them in one line that names the sample, or gives arrays."""
+
+from dataclasses import fields, is_dataclass
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadpi_core.logs import messages
+from quadpi_core.logs.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.logs.adapters.settings import BodySettings, RotorSettings, StateSettings
+from quadpi_core.logs.definitions import codec
+from quadpi_core.logs.payloads import Payloads
+from quadpi_core.vehicle import Vehicle
+
+from ..core.logs.adapters.conftest import DEFINITIONS, PX4_1_18, Messages
+from ..core.logs.adapters.test_poses import frame, px4_odometry
+from ..core.logs.adapters.test_rotors import mavros_status, mavros_telemetry, px4_status
+from .damage import bounded, damaged, refusing
+
+EXAMPLES = 60
+CORE = {
+    messages.IMU: messages.unpack_imu,
+    messages.POSE: messages.unpack_pose,
+    messages.ODOMETRY: messages.unpack_odometry,
+    messages.WIND: messages.unpack_wind,
+    messages.ROTOR_SPEEDS: messages.unpack_rotor_speeds,
+    messages.ERPM: partial(messages.unpack_erpm, vehicle=Vehicle.load("hdbeetle")),
+    messages.PREDICTION: messages.unpack_predictions,
+    messages.ALARM: messages.unpack_alarms,
+    messages.WRENCH: partial(messages.unpack_body_vectors, type_name=messages.WRENCH),
+}
+
+
+def sound(type_name):
+    """A message with a frame, numbers and, where there are any, texts."""
+    columns = {
+        field.name: "map" if field.format == "string" else ("mu_x", "u") if field.format == "strings" else 0
+        for field in codec(type_name)._fields
+    }
+    if type_name in {messages.POSE, messages.ODOMETRY}:
+        columns[next(name for name in columns if name.endswith("orientation"))] = [0.0, 0.0, 0.0, 1.0]
+    return codec(type_name).encode(1, columns)[0]
+
+
+def assert_arrays(stream, count):
+    """One row per message in every array, and whole stamps."""
+    names = [field.name for field in fields(stream)] if is_dataclass(stream) else []
+    values = [getattr(stream, name) for name in names] or list(stream)
+    for value in values:
+        assert len(value) <= count
+    assert values[0].dtype == np.int64
+
+
+@pytest.mark.parametrize("type_name", CORE)
+def test_damaged_messages(type_name):
+    good, unpack = sound(type_name), CORE[type_name]
+    assert_arrays(unpack(good), 1)
+
+    @bounded(EXAMPLES)
+    @given(damaged(good) | st.binary(max_size=200))
+    def check(data):
+        with refusing("sample 0"):
+            assert_arrays(unpack(data), 1)
+        with refusing("sample 1"):
+            assert_arrays(unpack(Payloads.join([good, data, good])), 3)
+
+    check()
+
+
+def test_every_type_of_the_project_is_here():
+    known = {name for name in vars(messages).values() if isinstance(name, str) and "/msg/" in name}
+    assert {name for name in known if name.startswith("quadpi/")} - {"quadpi/msg/AlarmEvent"} <= CORE.keys()
+
+
+SETTINGS = AdapterSettings(
+    rotor_speeds=RotorSettings((1, 2, 3, 4), "rpm"),
+    mocap=BodySettings("quad", "flu-enu"),
+    odometry=StateSettings(),
+    imu=StateSettings(),
+)
+
+TIME_NS = 1_700_000_000_123_456_000
+BODIES = [("wand", [0, 0, 0], [0, 0, 0, 1]), ("quad", [1, 2, 3], [0, 0, 0, 1])]
+RPM = [1000, 2000, 3000, 4000]
+OF_OTHERS = {
+    "mavros_status": lambda made: mavros_status(made, TIME_NS, RPM),
+    "mavros_telemetry": lambda made: mavros_telemetry(made, TIME_NS, RPM, [1, 2, 3, 4]),
+    "px4_status": lambda made: px4_status(made, TIME_NS, RPM),
+    "px4_odometry": px4_odometry,
+    "px4_imu": lambda made: made.bytes(
+        made.make(
+            "px4_msgs/msg/SensorCombined",
+            timestamp=TIME_NS // 1000,
+            gyro_rad=np.ones(3, np.float32),
+            accelerometer_m_s2=np.ones(3, np.float32),
+        )
+    ),
+    "mocap4r2": lambda made: frame(made, "mocap4r2", TIME_NS, BODIES),
+    "named_poses": lambda made: frame(made, "named_poses", TIME_NS, BODIES),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "definitions"), [*((name, DEFINITIONS) for name in ADAPTERS), ("px4_status", PX4_1_18)]
+)
+def test_damaged_messages_of_other_packages(name, definitions):
+    made = Messages(definitions)
+    adapter, good = ADAPTERS[name], OF_OTHERS[name](made)
+    definition = made.definition(adapter.type_name)
+    assert len(adapter.open(definition, SETTINGS, None).unpack(good)) == 1
+
+    @bounded(EXAMPLES)
+    @given(damaged(good) | st.binary(max_size=200))
+    def check(data):
+        with refusing("sample 0"):
+            assert_arrays(adapter.open(definition, SETTINGS, None).unpack(data), 1)
+        with refusing("sample"):
+            stream = adapter.open(definition, SETTINGS, None).unpack(Payloads.join([good, data, good]))
+            assert_arrays(stream, 3)
+
+    check()
+
+
+@pytest.mark.parametrize("name", ADAPTERS)
+def test_damaged_definitions_of_other_packages(name):
+    made = Messages(DEFINITIONS)
+    adapter, good = ADAPTERS[name], OF_OTHERS[name](made)
+    definition = made.definition(adapter.type_name)
+
+    @bounded(EXAMPLES)
+    @given(damaged(definition.encode()))
+    def check(data):
+        with refusing():
+            stream = adapter.open(data.decode(errors="replace"), SETTINGS, None).unpack(good)
+            assert_arrays(stream, 1)
+
+    check()
