@@ -67,22 +67,24 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
 
 def _imu(source: str, messages: dict[str, Messages]) -> ImuStream | None:
     logged = messages.get("IMU")
-    if logged is None:
+    if logged is None or not logged.holds(*_GYRO, *_ACCELERATION):
         return None
     first = logged.where("I", 0)
     stream = ImuStream(first.time_ns(), first.stack(*_GYRO), first.stack(*_ACCELERATION))
     return usable(source, stream)
 
 
-def _battery(logged: Messages) -> tuple[Stamps, Array]:
+def _battery(logged: Messages) -> tuple[Stamps, Array] | None:
+    if not logged.holds("Volt"):
+        return None
     first = logged.where("Instance", 0).where("Inst", 0)
-    return rising(first.time_ns(), first.column("Volt"))[0], rising(first.time_ns(), first.column("Volt"))[1][
-        0
-    ]
+    time_ns, (volts,) = rising(first.time_ns(), first.column("Volt"))
+    return (time_ns, volts) if len(time_ns) else None
 
 
 def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
-    name = next((name for name in _STATES if name in messages), None)
+    wanted = (*_POSITION, *_VELOCITY)
+    name = next((name for name in _STATES if name in messages and messages[name].holds(*wanted)), None)
     attitude = _attitude(messages)
     if name is None or attitude is None:
         return None
@@ -100,7 +102,7 @@ def _attitude(messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
     """Stamps and quaternions (K, 4) of the best kind of message that is there in number."""
     known = {}
     for name in _ATTITUDES:
-        if name in messages and (name == "ATT" or all(column in messages[name] for column in _QUATERNION)):
+        if name in messages and messages[name].holds(*(_ANGLES if name == "ATT" else _QUATERNION)):
             logged = messages[name]
             known[name] = logged.where("C", int(logged.column("C").min())) if "C" in logged else logged
     if not known:
@@ -129,12 +131,12 @@ def _rotor_speeds(
     if absent:
         note(source, f"topic rotor_speeds: left out, speed controllers {', '.join(absent)} are not logged")
         return None
-    speeds = [controllers[number] for number in order.controllers]
-    together = rotors_together([rising_one(logged) for logged in speeds], order, vehicle)
+    speeds = [_speeds(controllers[number]) for number in order.controllers]
+    together = rotors_together(speeds, order, vehicle)
     return None if together is None else usable(source, together)
 
 
-def rising_one(logged: Messages) -> tuple[Stamps, Array]:
+def _speeds(logged: Messages) -> tuple[Stamps, Array]:
     """Stamps (K,) and mechanical rpm (K, 1) of one speed controller."""
     time_ns, (rpm,) = rising(logged.time_ns(), logged.stack("RPM"))
     return time_ns, rpm
@@ -142,22 +144,22 @@ def rising_one(logged: Messages) -> tuple[Stamps, Array]:
 
 def _controllers(messages: dict[str, Messages]) -> dict[int, Messages]:
     """ESC records by number of the speed controller from 0 on; logs before 2021 have a name for each."""
-    if "ESC" in messages and "Instance" in messages["ESC"] and "RPM" in messages["ESC"]:
+    if "ESC" in messages and messages["ESC"].holds("Instance", "RPM"):
         logged = messages["ESC"]
         numbers = np.unique(logged.records["Instance"]).tolist()
         return {int(number): logged.where("Instance", number) for number in numbers}
     return {
         number - 1: messages[f"ESC{number}"]
         for number in range(1, 9)
-        if f"ESC{number}" in messages and "RPM" in messages[f"ESC{number}"]
+        if f"ESC{number}" in messages and messages[f"ESC{number}"].holds("RPM")
     }
 
 
 def _parameters(messages: dict[str, Messages]) -> dict[str, float]:
     logged = messages.get("PARM")
-    if logged is None:
+    if logged is None or "Value" not in logged:
         return {}
-    return dict(zip(logged.text("Name"), logged.column("Value").tolist(), strict=True))
+    return dict(zip(logged.text("Name"), logged.column("Value").tolist(), strict=False))
 
 
 def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOrder:

@@ -30,6 +30,7 @@ from quadpi_core.vehicle import Vehicle
 _GYRO = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]")
 _ACCELERATION = ("accSmooth[0]", "accSmooth[1]", "accSmooth[2]")
 _ERPM = ("eRPM[0]", "eRPM[1]", "eRPM[2]", "eRPM[3]")
+_ITERATION = "loopIteration"
 _ERPM_PER_COUNT = 100.0
 _HIGH_RESOLUTION = 10.0
 
@@ -93,7 +94,9 @@ def _longest(source: str, path: Path) -> tuple[dict[str, Any], dict[str, Array]]
 
 def _columns(source: str, number: int, parser: Any) -> dict[str, Array]:
     """The columns (N,) of one flight; frames that orangebox cannot tell end it."""
-    names = [name for name in parser.field_names if name in {"time", *_GYRO, *_ACCELERATION, *_ERPM}]
+    event_types = require("orangebox.types", "logs").EventType
+    wanted = {_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM}
+    names = [name for name in parser.field_names if name in wanted]
     places = [parser.field_names.index(name) for name in names]
     rows = []
     try:
@@ -109,7 +112,19 @@ def _columns(source: str, number: int, parser: Any) -> dict[str, Array]:
     table = np.array([row for row in rows if all(type(value) is int for value in row)], dtype=np.float64)
     if len(table) == 0:
         return {}
-    return dict(zip(names, table.T, strict=True))
+    if not any(event.type is event_types.LOG_END for event in parser.events):
+        note(source, f"flight {number}: it has no end: the file is cut off, or the battery was pulled")
+    columns = dict(zip(names, table.T, strict=True))
+    if _ITERATION in columns and (lost := _lost(columns[_ITERATION])):
+        note(source, f"flight {number}: about {lost} frames are damaged or were not logged")
+    return columns
+
+
+def _lost(iterations: Array) -> int:
+    """Frames that are missing between others, by the counter that they carry."""
+    steps = np.diff(iterations)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return int(np.sum(np.round(steps[steps > usual] / usual) - 1)) if usual > 0.0 else 0
 
 
 def _time_ns(columns: dict[str, Array]) -> Stamps:

@@ -62,7 +62,7 @@ class Messages:
 
     Attributes:
         records: (N,) as packed in the log.
-        factors: of each column, to what its name means.
+        factors: of each column of numbers, to what its name means.
     """
 
     records: npt.NDArray[np.void]
@@ -74,6 +74,10 @@ class Messages:
     def __contains__(self, column: str) -> bool:
         return column in self.factors
 
+    def holds(self, *columns: str) -> bool:
+        """Whether there are these columns of numbers, and stamps; a damaged log may name them otherwise."""
+        return all(column in self for column in columns) and any(name in self for name in _TIME_UNITS)
+
     def column(self, name: str) -> Array:
         """One column (N,) in its unit."""
         return self.records[name].astype(np.float64) * self.factors[name]
@@ -83,7 +87,9 @@ class Messages:
         return np.stack([self.column(name) for name in names], axis=1)
 
     def text(self, name: str) -> list[str]:
-        """One column of text."""
+        """One column of text; empty where there is no such column."""
+        if name not in (self.records.dtype.names or ()) or self.records.dtype[name].kind != "S":
+            return []
         return [value.decode(errors="replace") for value in self.records[name].tolist()]
 
     def time_ns(self) -> Stamps:
@@ -202,7 +208,8 @@ def _format(name: str, letters: str, columns: str) -> _Format:
             *((name, _LETTERS[x][0]) for name, x in zip(names, letters, strict=True)),
         ]
     )
-    return _Format(name, layout, {name: _LETTERS[x][1] for name, x in zip(names, letters, strict=True)})
+    numbers = [(name, x) for name, x in zip(names, letters, strict=True) if layout[name].kind in "iuf"]
+    return _Format(name, layout, {name: _LETTERS[x][1] for name, x in numbers})
 
 
 def _gathered(data: bytes, formats: dict[int, _Format]) -> dict[str, Messages]:

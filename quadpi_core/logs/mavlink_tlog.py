@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -43,6 +44,13 @@ class TlogRecord(NamedTuple):
     frame: Frame
 
 
+@dataclass
+class TlogCounts(FrameCounts):
+    """Also the bytes that belong to no record."""
+
+    damaged_bytes: int = 0
+
+
 class _Arrived(NamedTuple):
     sample: Sample
     arrival_ns: int
@@ -56,28 +64,24 @@ def is_tlog(path: Path) -> bool:
     return _is_record(head, 0)
 
 
-def read_records(data: bytes, counts: FrameCounts) -> Iterator[TlogRecord]:
-    """The packets of a telemetry log; what is damaged is passed over and counted."""
+def read_records(data: bytes, counts: TlogCounts) -> Iterator[TlogRecord]:
+    """The packets of a telemetry log; what is damaged is passed over and counted, and so is a cut end."""
     framer = Framer(counts=counts)
     position = 0
-    while position + _STAMP_BYTES < len(data):
+    while position < len(data):
+        start = position + _STAMP_BYTES
+        length = (frame_length(data, start) or 0) if _is_record(data, position) else 0
+        known = counts.frames + counts.unknown
         frames: list[Frame] = []
-        length = 0
-        if _is_record(data, position):
-            length = frame_length(data, position + _STAMP_BYTES) or 0
-            end = position + _STAMP_BYTES + length
-            if length and end <= len(data):
-                before = counts.unknown
-                frames = framer.feed(data[position + _STAMP_BYTES : end], complete=True)
-                if not frames and counts.unknown == before:
-                    length = 0
-        if not length:
-            counts.noise_bytes += 1
+        if 0 < length <= len(data) - start:
+            frames = framer.feed(data[start : start + length], complete=True)
+        if counts.frames + counts.unknown == known:
+            counts.damaged_bytes += 1
             position += 1
             continue
-        for frame in frames:
-            yield TlogRecord(int.from_bytes(data[position : position + _STAMP_BYTES], "big") * 1000, frame)
-        position += _STAMP_BYTES + length
+        arrival_ns = int.from_bytes(data[position:start], "big") * 1000
+        yield from (TlogRecord(arrival_ns, frame) for frame in frames)
+        position = start + length
 
 
 def _is_record(data: bytes, position: int) -> bool:
@@ -103,12 +107,15 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
         LogError: if it holds no packets, or no IMU samples.
     """
     source = str(path)
-    counts = FrameCounts()
+    counts = TlogCounts()
     records = list(read_records(path.read_bytes(), counts))
     if not records:
         raise LogError(f"{source}: byte 0: no MAVLink packet in the whole file")
-    if counts.noise_bytes:
-        note(source, f"{counts.noise_bytes} damaged bytes are passed over")
+    if counts.damaged_bytes:
+        note(
+            source,
+            f"{counts.damaged_bytes} bytes are passed over: the file is damaged, or cut off at its end",
+        )
     if order is None:
         order = RotorOrder.by_layout(vehicle, "quad-x", RPM)
     arrived, samples = _decode(source, records, MavlinkSamples(vehicle, order))

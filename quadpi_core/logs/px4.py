@@ -38,6 +38,11 @@ _TOPICS = (
     "esc_status",
     "battery_status",
 )
+_GYRO = ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")
+_ACCELERATION = ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]")
+_QUATERNION = ("q[0]", "q[1]", "q[2]", "q[3]")
+_LOCAL_POSITION, _LOCAL_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
+_MOCAP_POSITION = ("position[0]", "position[1]", "position[2]")
 _VALID = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")
 # Local NED and local forward-right-down; the names of the field and its numbers changed in 1.14.
 _POSE_FRAMES = MappingProxyType({"local_frame": {0, 1}, "pose_frame": {1, 2}})
@@ -110,22 +115,20 @@ def _stack(columns: Columns, *names: str) -> Array:
     return np.stack([columns[name].astype(np.float64) for name in names], axis=1)
 
 
-def _indexed(name: str, count: int) -> tuple[str, ...]:
-    return tuple(f"{name}[{index}]" for index in range(count))
+def _holds(columns: Columns | None, *names: str) -> bool:
+    """Whether a topic is there with these fields; a damaged log may name them otherwise."""
+    return columns is not None and all(name in columns for name in ("timestamp", *names))
 
 
 def _imu(source: str, columns: Columns | None) -> ImuStream | None:
-    if columns is None:
+    if columns is None or not _holds(columns, *_GYRO, *_ACCELERATION):
         return None
-    gyro, force = (
-        _stack(columns, *_indexed("gyro_rad", 3)),
-        _stack(columns, *_indexed("accelerometer_m_s2", 3)),
-    )
-    return usable(source, ImuStream(_stamps(columns), gyro, force))
+    stream = ImuStream(_stamps(columns), _stack(columns, *_GYRO), _stack(columns, *_ACCELERATION))
+    return usable(source, stream)
 
 
 def _battery(columns: Columns | None) -> tuple[Stamps, Array] | None:
-    if columns is None or "voltage_v" not in columns:
+    if columns is None or not _holds(columns, "voltage_v"):
         return None
     time_ns, (volts,) = rising(_stamps(columns), columns["voltage_v"].astype(np.float64))
     return (time_ns, volts) if len(time_ns) else None
@@ -142,12 +145,14 @@ def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> Odomet
     local, turned = topics.get("vehicle_local_position"), topics.get("vehicle_attitude")
     if local is None or turned is None:
         return None
-    attitude = _attitude(_sampled(turned), _stack(turned, *_indexed("q", 4)))
-    valid = np.all([local[name].astype(bool) for name in _VALID if name in local], axis=0)
+    if not _holds(local, *_LOCAL_POSITION, *_LOCAL_VELOCITY, *_VALID) or not _holds(turned, *_QUATERNION):
+        return None
+    attitude = _attitude(_sampled(turned), _stack(turned, *_QUATERNION))
+    valid = np.all([local[name].astype(bool) for name in _VALID], axis=0)
     if not np.all(valid):
         note(source, f"topic odometry: {np.count_nonzero(~valid)} of {len(valid)} positions are not valid")
     time_ns, (position, velocity) = rising(
-        _sampled(local)[valid], _stack(local, "x", "y", "z")[valid], _stack(local, "vx", "vy", "vz")[valid]
+        _sampled(local)[valid], _stack(local, *_LOCAL_POSITION)[valid], _stack(local, *_LOCAL_VELOCITY)[valid]
     )
     odometry = odometry_of(time_ns, position, velocity, attitude, imu)
     return None if odometry is None else usable(source, odometry)
@@ -165,12 +170,14 @@ def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
         columns = topics.get(name)
         if columns is None:
             continue
+        names = _MOCAP_POSITION if "position[0]" in columns else _LOCAL_POSITION
+        if not _holds(columns, *names, *_QUATERNION):
+            continue
         frame = next((key for key in _POSE_FRAMES if key in columns), None)
         if frame is not None and not set(np.unique(columns[frame]).tolist()) <= _POSE_FRAMES[frame]:
             note(source, f"topic mocap/pose: left out, {name} is in a frame that is neither NED nor FRD")
             continue
-        names = _indexed("position", 3) if "position[0]" in columns else ("x", "y", "z")
-        quaternion = _stack(columns, *_indexed("q", 4))
+        quaternion = _stack(columns, *_QUATERNION)
         norm = np.linalg.norm(quaternion, axis=1)
         is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
         if not np.all(is_unit):
@@ -193,7 +200,7 @@ def _rotor_speeds(
     order: RotorOrder | None,
 ) -> RotorSpeedStream | None:
     """`esc_status` holds 8 reports, 12 since 1.17; which motor each is says actuator_function, since 1.12."""
-    if columns is None:
+    if columns is None or not _holds(columns):
         return None
     if order is None:
         order = _order(source, columns, parameters, vehicle)

@@ -1,0 +1,241 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of ArduPilot, PX4, Betaflight and telemetry: values against a known flight, damage, and real logs."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+pytest.importorskip("pyulog", reason="pyulog is not installed")
+pytest.importorskip("orangebox", reason="orangebox is not installed")
+from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.flight import Recording
+from quadpi_core.logs import FORMATS, identify_format, read_recording
+from quadpi_core.logs.bags import read_bag
+from quadpi_core.logs.importing import import_logs
+from quadpi_core.vehicle import Vehicle
+
+RAD_S = 2 * np.pi / 60
+NAMES = {".BIN": "ardupilot", ".ulg": "px4", ".tlog": "tlog", ".bbl": "betaflight"}
+# Counts of a gyro in deg/s, of an accelerometer with 2048 to one g, of hundreds of eRPM with 7 pole pairs.
+TOLERANCES = {".bbl": (0.5 * np.pi / 180, 9.8 / 2048, 7.2 * RAD_S)}
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return replace(Vehicle.load("neurobem"), pole_pairs=7)
+
+
+@pytest.fixture
+def written(autopilot_logs: dict[str, bytes], tmp_path: Path) -> dict[str, Path]:
+    paths = {suffix: tmp_path / f"flight{suffix}" for suffix in autopilot_logs}
+    for suffix, path in paths.items():
+        path.write_bytes(autopilot_logs[suffix])
+    return paths
+
+
+@pytest.mark.parametrize("suffix", NAMES)
+def test_every_format_is_recognised_by_its_content(suffix: str, written: dict[str, Path]) -> None:
+    renamed = written[suffix].rename(written[suffix].with_suffix(".log"))
+    assert identify_format(renamed) is FORMATS[NAMES[suffix]]
+
+
+@pytest.mark.parametrize("suffix", NAMES)
+def test_imu_and_rotor_speeds(suffix: str, flown: Any, written: dict[str, Path], vehicle: Vehicle) -> None:
+    recording = read_recording(written[suffix], vehicle)
+    gyro, force, speed = TOLERANCES.get(suffix, (1e-6, 1e-5, 1e-3))
+    assert recording.name == "flight"
+    assert len(recording.imu) == len(flown.time_us)
+    assert recording.imu.angular_velocity == pytest.approx(flown.rates, abs=gyro)
+    assert recording.imu.specific_force == pytest.approx(flown.force, abs=force)
+    assert recording.rotor_speeds
+    assert recording.rotor_speeds.speeds == pytest.approx(flown.rpm * RAD_S, abs=speed)
+    stamps = recording.imu.time_ns - recording.imu.time_ns[0]
+    expected = (flown.time_us - flown.time_us[0]) * 1000
+    assert np.abs(stamps - expected).max() < (150_000 if suffix == ".tlog" else 1)
+    assert recording.rotor_speeds.time_ns[0] == pytest.approx(recording.imu.time_ns[0], abs=1000)
+
+
+@pytest.mark.parametrize("suffix", [".BIN", ".ulg", ".tlog"])
+def test_the_autopilot_s_own_state(
+    suffix: str, flown: Any, written: dict[str, Path], vehicle: Vehicle
+) -> None:
+    state = read_recording(written[suffix], vehicle).odometry
+    assert state
+    assert len(state) == len(flown.time_us)
+    turn = Rotation.from_quat(flown.attitude, scalar_first=True)
+    assert state.position == pytest.approx(flown.position, abs=1e-5)
+    assert np.abs(np.sum(state.attitude * flown.attitude, axis=1)) == pytest.approx(1.0)
+    assert state.velocity == pytest.approx(turn.inv().apply(flown.velocity_world), abs=1e-5)
+    assert state.rates == pytest.approx(flown.rates, abs=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".ulg", ".tlog"])
+def test_motion_capture(suffix: str, flown: Any, written: dict[str, Path], vehicle: Vehicle) -> None:
+    recording = read_recording(written[suffix], vehicle)
+    assert recording.pose
+    assert recording.pose.position == pytest.approx(flown.position, abs=1e-6)
+    assert recording.pose.attitude == pytest.approx(flown.attitude, abs=1e-6)
+    # By when it was measured, not when it was published.
+    assert recording.pose.time_ns == pytest.approx(recording.imu.time_ns, abs=1000)
+
+
+def test_telemetry_is_stamped_by_the_computer_that_wrote_it(
+    flown: Any, written: dict[str, Path], vehicle: Vehicle
+) -> None:
+    recording = read_recording(written[".tlog"], vehicle)
+    sent_ns = (1_690_000_000_000_000 + flown.time_us) * 1000
+    assert recording.imu.time_ns == pytest.approx(sent_ns + 20_000_000, abs=300_000)
+
+
+def test_what_is_missing_is_said(written: dict[str, Path], vehicle: Vehicle, tmp_path: Path) -> None:
+    imported = import_logs([written[".bbl"]], vehicle, tmp_path / "out")
+    assert imported[0].missing == (
+        "no velocity, and no pose to get it from: identify, evaluate and replay need one",
+    )
+    imported = import_logs([written[".ulg"]], vehicle, tmp_path / "out")
+    assert imported[0].missing == ()
+    bag = read_bag(imported[0].bag, vehicle)
+    assert [stream.topic for stream in bag.streams()] == ["imu", "rotor_speeds", "mocap/pose", "odometry"]
+
+
+@pytest.mark.parametrize("suffix", NAMES)
+def test_a_mapping_file_gives_another_order(
+    suffix: str, written: dict[str, Path], vehicle: Vehicle, tmp_path: Path
+) -> None:
+    mapping = tmp_path / "order.yaml"
+    mapping.write_text("rotors: [4, 3, 2, 1]")
+    usual = read_recording(written[suffix], vehicle).rotor_speeds
+    other = read_recording(written[suffix], vehicle, mapping).rotor_speeds
+    assert usual
+    assert other
+    assert np.sort(other.speeds[5]) == pytest.approx(np.sort(usual.speeds[5]))
+    assert not np.allclose(other.speeds, usual.speeds)
+
+
+def test_electrical_speeds_need_pole_pairs(written: dict[str, Path]) -> None:
+    unknown = replace(Vehicle.load("neurobem"), pole_pairs=None)
+    with pytest.raises(QuadpiError, match="pole_pairs"):
+        read_recording(written[".bbl"], unknown)
+
+
+def test_other_pole_pairs_than_the_log_says_are_noted(
+    written: dict[str, Path], vehicle: Vehicle, caplog: pytest.LogCaptureFixture
+) -> None:
+    read_recording(written[".bbl"], replace(vehicle, pole_pairs=6))
+    assert "motor_poles is 14, the vehicle file says 12" in caplog.text
+
+
+@pytest.mark.parametrize("suffix", NAMES)
+def test_a_log_that_is_cut_off_is_read_up_to_there(
+    suffix: str, written: dict[str, Path], vehicle: Vehicle, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = written[suffix].read_bytes()
+    written[suffix].write_bytes(data[: len(data) * 2 // 3])
+    recording = read_recording(written[suffix], vehicle)
+    assert 120 <= len(recording.imu) <= 135
+    if suffix != ".ulg":  # pyulog does not say that the last message is cut
+        assert any(word in caplog.text for word in ("cut off", "damaged"))
+
+
+@pytest.mark.parametrize("suffix", NAMES)
+def test_damage_in_the_middle_costs_little_else(
+    suffix: str, written: dict[str, Path], vehicle: Vehicle, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = bytearray(written[suffix].read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 30] = b"\x5a" * 30
+    written[suffix].write_bytes(data)
+    recording = read_recording(written[suffix], vehicle)
+    assert len(recording.imu) >= (95 if suffix == ".bbl" else 190)
+    assert caplog.text
+
+
+@pytest.mark.parametrize("suffix", NAMES)
+@pytest.mark.parametrize("content", [b"\x00", b"garbage" * 200])
+def test_what_is_no_log_is_refused_in_one_line(
+    suffix: str, content: bytes, tmp_path: Path, vehicle: Vehicle
+) -> None:
+    path = tmp_path / f"flight{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r"flight\S+: byte 0: no") as refused:
+        read_recording(path, vehicle)
+    assert "\n" not in str(refused.value)
+
+
+@settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_no_damage_gives_a_traceback(
+    autopilot_logs: dict[str, bytes], vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory, data: Any
+) -> None:
+    logging.disable(logging.WARNING)
+    suffix = data.draw(st.sampled_from(sorted(autopilot_logs)))
+    log = bytearray(autopilot_logs[suffix][: 1 << 14])
+    for place in data.draw(st.lists(st.integers(0, len(log) - 1), max_size=8)):
+        log[place] = data.draw(st.integers(0, 255))
+    path = tmp_path_factory.mktemp("fuzz") / f"flight{suffix}"
+    path.write_bytes(log[: data.draw(st.integers(1, len(log)))])
+    try:
+        with contextlib.suppress(QuadpiError):
+            read_recording(path, vehicle).check()
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+REAL = {
+    "ardupilot_copter_2014.BIN": ("imu", "odometry"),
+    "ardupilot_test.BIN": ("imu", "odometry"),
+    "ardupilot_vtol.tlog": ("imu", "odometry"),
+    "betaflight_error_recovery.bbl": ("imu",),
+    "px4_sample_small.ulg": ("imu",),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_logs(name: str, shared_data: Path, vehicle: Vehicle, tmp_path: Path) -> None:
+    (imported,) = import_logs([shared_data / "logs" / name], vehicle, tmp_path)
+    assert imported.topics == REAL[name]
+    assert any("no rotor speeds" in sentence for sentence in imported.missing)
+    recording: Recording = read_bag(imported.bag, vehicle)
+    # All of them stand or fly level: gravity is up in forward-right-down axes.
+    assert np.median(recording.imu.specific_force[:, 2]) == pytest.approx(-9.8, abs=0.6)
+
+
+def test_dataflash_agrees_with_pymavlink(shared_data: Path) -> None:
+    from pymavlink import DFReader
+
+    from quadpi_core.logs.dataflash import decode_dataflash
+
+    path = shared_data / "logs" / "ardupilot_copter_2014.BIN"
+    messages = decode_dataflash(str(path), path.read_bytes()).messages
+    reader = DFReader.DFReader_binary(str(path))
+    theirs: dict[str, list[Any]] = {}
+    while (message := reader.recv_msg()) is not None:
+        theirs.setdefault(message.get_type(), []).append(message)
+    assert {name: len(found) for name, found in messages.items()} == {k: len(v) for k, v in theirs.items()}
+    for name in ("IMU", "ATT", "EKF1", "RCOU", "BARO"):
+        for column in messages[name].factors:
+            mine = messages[name].column(column)
+            assert mine == pytest.approx([getattr(one, column) for one in theirs[name]]), (name, column)
+
+
+def test_the_library_that_a_format_needs_is_named(
+    written: dict[str, Path], vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    monkeypatch.setitem(sys.modules, "orangebox", None)
+    for suffix, library in ((".ulg", "pyulog"), (".bbl", "orangebox")):
+        with pytest.raises(LogError, match=rf"needs {library}.*pip install quadpi-monitor\[logs\]"):
+            read_recording(written[suffix], vehicle)
