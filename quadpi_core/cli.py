@@ -93,11 +93,18 @@ def options(
 
 @app.command("import")
 def import_(
-    logs: Annotated[list[Path], typer.Argument(help="NeuroBEM .mat, Crazyflie uSD, CSV or Parquet files.")],
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="Logs of any known format, tables or bags: docs/import-logs.md lists them."),
+    ],
     vehicle: VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],
     mapping: Annotated[
-        str | None, typer.Option(help="Mapping for CSV or Parquet: a name in config/mappings, or a file.")
+        str | None,
+        typer.Option(
+            help="What columns or messages of others are, or an autopilot's rotor order: a name in "
+            "config/mappings (tables, autopilots) or config/adapters (bags), or a file."
+        ),
     ] = None,
     align: Annotated[
         bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
@@ -124,13 +131,15 @@ def import_(
             scheduler=scheduler,
             progress=progress,
         )
-    for bag, imu_samples, topics, alignment in bags:
+    for bag, imu_samples, topics, alignment, missing in bags:
         console.print(f"{bag}: {imu_samples} IMU samples; topics {', '.join(topics)}", soft_wrap=True)
         if alignment is not None:
             console.print(
                 f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
                 f"{alignment.correlation:.3f} over {alignment.matches} samples"
             )
+        for sentence in missing:
+            console.print(f"  {sentence}", soft_wrap=True)
 
 
 @app.command()

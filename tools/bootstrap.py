@@ -96,8 +96,8 @@ def make_environment(log: Path) -> None:
 
 
 def install_packages(log: Path) -> None:
-    """Editable quadpi, with ROS and the development tools at the pinned versions."""
-    pip_install(log, "--no-build-isolation", "--editable", ".[ros,test,dev]")
+    """Editable quadpi with ROS, the readers of all logs and the development tools, at the pinned versions."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[ros,mavlink,logs,test,dev]")
 
 
 def install_training(log: Path) -> None:

@@ -10,13 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
 from quadpi_core.logs.conversion import drop_rotor_spikes
 from quadpi_core.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from quadpi_core.logs.rotor_order import RotorOrder
+
 CFUSDLOG_MAGIC = 0xBC
+DATAFLASH_MAGIC = b"\xa3\x95"
+ULOG_MAGIC = b"ULog\x01\x12\x35"
+BLACKBOX_MAGIC = b"H Product:Blackbox"
 
 
 @dataclass(frozen=True)
@@ -98,10 +105,12 @@ def _is_bag_file(path: Path) -> bool:
 
 
 def _is_cfusdlog(path: Path) -> bool:
-    if not path.is_file():
-        return False
+    return path.is_file() and _first_bytes(path, 1) == bytes([CFUSDLOG_MAGIC])
+
+
+def _first_bytes(path: Path, count: int) -> bytes:
     with path.open("rb") as file:
-        return file.read(1) == bytes([CFUSDLOG_MAGIC])
+        return file.read(count)
 
 
 def _has_suffix(*suffixes: str) -> Callable[[Path], bool]:
@@ -136,6 +145,55 @@ def _read_table(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Re
     return read_table(path, vehicle, Mapping.load(mapping))
 
 
+def _is_tlog(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    from quadpi_core.logs.mavlink_tlog import is_tlog
+
+    return path.suffix.lower() == ".tlog" or is_tlog(path)
+
+
+def _begins_with(magic: bytes, *suffixes: str) -> Callable[[Path], bool]:
+    """Whether a file begins so, or has one of the suffixes: then its reader says what is wrong with it."""
+
+    def recognise(path: Path) -> bool:
+        if not path.is_file():
+            return False
+        return path.suffix.lower() in suffixes or _first_bytes(path, len(magic)) == magic
+
+    return recognise
+
+
+def _read_tlog(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
+    from quadpi_core.logs.mavlink_tlog import read_tlog
+
+    return read_tlog(path, vehicle, _rotor_order(mapping))
+
+
+def _read_ardupilot(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
+    from quadpi_core.logs.ardupilot import read_ardupilot
+
+    return read_ardupilot(path, vehicle, _rotor_order(mapping))
+
+
+def _read_px4(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
+    from quadpi_core.logs.px4 import read_px4
+
+    return read_px4(path, vehicle, _rotor_order(mapping))
+
+
+def _read_betaflight(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
+    from quadpi_core.logs.betaflight import read_betaflight
+
+    return read_betaflight(path, vehicle, _rotor_order(mapping))
+
+
+def _rotor_order(mapping: Path | None) -> RotorOrder | None:
+    from quadpi_core.logs.rotor_order import RotorOrder
+
+    return None if mapping is None else RotorOrder.load(mapping)
+
+
 FORMATS = {
     "bag": LogFormat("bag (.mcap, .db3, rosbag2 folder)", _is_bag, _read_bag, takes_mapping=True),
     "neurobem": LogFormat("NeuroBEM flight (.mat)", _has_suffix(".mat"), _read_neurobem),
@@ -146,4 +204,15 @@ FORMATS = {
         takes_mapping=True,
     ),
     "cfusdlog": LogFormat("Crazyflie uSD log", _is_cfusdlog, _read_cfusdlog),
+    "ardupilot": LogFormat(
+        "ArduPilot log (.bin)", _begins_with(DATAFLASH_MAGIC, ".bin"), _read_ardupilot, takes_mapping=True
+    ),
+    "px4": LogFormat("PX4 log (.ulg)", _begins_with(ULOG_MAGIC, ".ulg"), _read_px4, takes_mapping=True),
+    "betaflight": LogFormat(
+        "Betaflight Blackbox log (.bbl, .bfl, .txt)",
+        _begins_with(BLACKBOX_MAGIC, ".bbl", ".bfl"),
+        _read_betaflight,
+        takes_mapping=True,
+    ),
+    "tlog": LogFormat("MAVLink telemetry log (.tlog)", _is_tlog, _read_tlog, takes_mapping=True),
 }

@@ -14,6 +14,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+from quadpi_core.logs.missing import missing
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
@@ -22,12 +23,13 @@ from quadpi_core.vehicle import Vehicle
 
 
 class Imported(NamedTuple):
-    """A bag that was written, what it holds, and how its poses were moved in time, if they were."""
+    """A bag that was written: what it holds and lacks, and how its poses were moved in time, if they were."""
 
     bag: Path
     imu_samples: int
     topics: tuple[str, ...]
     alignment: Alignment | None
+    missing: tuple[str, ...] = ()
 
 
 def import_logs(
@@ -102,4 +104,4 @@ def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
     bag = staged(task.staging, f"{recording.name}.mcap")
     write_bag(bag, recording)
     topics = tuple(stream.topic for stream in recording.streams())
-    return Imported(bag, len(recording.imu), topics, alignment), sha256
+    return Imported(bag, len(recording.imu), topics, alignment, tuple(missing(recording))), sha256
