@@ -46,6 +46,30 @@ def bounded(examples: int) -> Callable[[Any], Any]:
     )
 
 
+_WRONG = st.sampled_from(
+    (
+        None,
+        True,
+        False,
+        "",
+        "x",
+        0,
+        -1,
+        1,
+        2**63,
+        -1e-300,
+        1e308,
+        0.5,
+        [],
+        [1.0],
+        [[1.0]],
+        {},
+        {"a": 1},
+        [None],
+    )
+)
+
+
 @st.composite
 def damaged(draw: st.DrawFn, whole: bytes, changes: int = 3) -> bytes:
     """The bytes with one to a few changes: cut, flipped, overwritten, taken out, doubled, other lengths."""
@@ -90,3 +114,26 @@ def refusing(*names: object) -> Iterator[None]:
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
     assert peak < MEMORY_MAX
+
+
+@st.composite
+def altered(draw: st.DrawFn, content: Any) -> Any:
+    """JSON or YAML content in which something is another value, absent, there twice, or added."""
+    if isinstance(content, dict) and content and draw(st.integers(0, 9)):
+        key = draw(st.sampled_from(sorted(content)))
+        return {**content, key: draw(altered(content[key]))}
+    if isinstance(content, list) and content and draw(st.integers(0, 9)):
+        index = draw(st.integers(0, len(content) - 1))
+        return [*content[:index], draw(altered(content[index])), *content[index + 1 :]]
+    kind = draw(st.sampled_from(("replace", "shrink", "grow", "scale")))
+    if kind == "shrink" and isinstance(content, dict | list) and content:
+        if isinstance(content, list):
+            return content[1:]
+        return {key: value for key, value in content.items() if key != draw(st.sampled_from(sorted(content)))}
+    if kind == "grow" and isinstance(content, list):
+        return [*content, *(content[:1] or [1.0])]
+    if kind == "grow" and isinstance(content, dict):
+        return {**content, "unknown": draw(_WRONG)}
+    if kind == "scale" and isinstance(content, int | float):
+        return content * draw(st.sampled_from((-1, 0, 2, 1000, 1e200)))
+    return draw(_WRONG)

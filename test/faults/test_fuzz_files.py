@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Altered model folders, vehicle files and mappings: refused in one line that names the file, or usable."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.logs.adapters import AdapterSettings
+from quadpi_core.logs.mapping import Mapping
+from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.paths import config_directory
+from quadpi_core.vehicle import Vehicle
+
+from .damage import altered, bounded, damaged, refusing
+
+EXAMPLES = 60
+
+
+@pytest.fixture
+def load_model(each_model, tmp_path):
+    """load_model(JSON text, arrays): writes both into a folder, and uses the model if it loads."""
+    folder = tmp_path / "model"
+    folder.mkdir()
+    inputs = np.zeros((2, len(INPUT_NAMES)))
+    AerodynamicModel.load(each_model).evaluate(inputs)
+
+    def load(text, arrays):
+        (folder / MODEL_FILE).write_bytes(text)
+        (folder / ARRAYS_FILE).write_bytes(arrays)
+        with refusing(folder):
+            model = AerodynamicModel.load(folder)
+            model.evaluate(inputs)
+            assert model.calibration()
+
+    return load
+
+
+def test_altered_model(each_model, load_model):
+    arrays = (each_model / ARRAYS_FILE).read_bytes()
+    content = json.loads((each_model / MODEL_FILE).read_text())
+
+    @bounded(EXAMPLES)
+    @given(altered(content))
+    def check(data):
+        load_model(json.dumps(data).encode(), arrays)
+
+    check()
+
+
+def test_damaged_model_file(each_model, load_model):
+    arrays = (each_model / ARRAYS_FILE).read_bytes()
+    text = (each_model / MODEL_FILE).read_bytes()
+
+    @bounded(EXAMPLES)
+    @given(damaged(text))
+    def check(data):
+        load_model(data, arrays)
+
+    check()
+
+
+def test_damaged_arrays_with_the_hash_put_right(each_model, load_model):
+    arrays = (each_model / ARRAYS_FILE).read_bytes()
+    content = json.loads((each_model / MODEL_FILE).read_text())
+    header = int.from_bytes(arrays[:8], "little") + 8
+
+    @bounded(EXAMPLES)
+    @given(damaged(arrays[:header]).map(lambda head: head + arrays[header:]) | damaged(arrays))
+    def check(data):
+        right = {**content, "arrays_sha256": hashlib.sha256(data).hexdigest()}
+        load_model(json.dumps(right).encode(), data)
+
+    check()
+
+
+LOADERS = {
+    "vehicles/neurobem.yaml": Vehicle.load,
+    "vehicles/bebop2.yaml": Vehicle.load,
+    "mappings/nanodrone.yaml": Mapping.load,
+    "adapters/px4.yaml": AdapterSettings.load,
+}
+
+
+@pytest.mark.parametrize("name", LOADERS)
+def test_altered_and_damaged_configuration(name, tmp_path):
+    text = (config_directory() / name).read_bytes()
+    path = tmp_path / "mine.yaml"
+    content = yaml.safe_load(text)
+
+    @bounded(EXAMPLES)
+    @given(altered(content).map(lambda data: yaml.safe_dump(data).encode()) | damaged(text) | st.binary())
+    def check(data):
+        path.write_bytes(data)
+        with refusing(path):
+            LOADERS[name](path)
+
+    check()
