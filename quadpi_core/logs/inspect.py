@@ -15,6 +15,7 @@ from quadpi_core.flight import Recording, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.bags import bag_topics
 from quadpi_core.logs.conversion import SPIKE_SHARE, rotor_spikes
+from quadpi_core.logs.missing import missing
 from quadpi_core.logs.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
@@ -87,7 +88,7 @@ def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> I
         *(finding for stream in recording.streams() for finding in _frozen_findings(stream)),
         *_rotor_findings(recording, vehicle),
         *_battery_findings(recording),
-        *_missing_findings(recording),
+        *missing(recording),
     )
     return Inspection(
         name=recording.name,
@@ -242,15 +243,6 @@ def _battery_findings(recording: Recording) -> Iterator[str]:
         volts = recording.battery_v[1]
         if np.all(volts == volts[0]):
             yield f"battery: the voltage is constant at {volts[0]:.3g} V: not measured?"
-
-
-def _missing_findings(recording: Recording) -> Iterator[str]:
-    if recording.rotor_speeds is None:
-        yield "no rotor speeds: rules out identification, prediction and replay"
-    if recording.pose is None and recording.odometry is None:
-        yield "neither pose nor odometry: rules out everything that needs velocity or attitude"
-    elif recording.pose is None:
-        yield "no motion-capture pose: the state is the logged odometry; rules out the live estimator"
 
 
 def _envelope(recording: Recording) -> Iterator[Range]:

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from quadpi_core.flight import Recording
 from quadpi_core.signals.resample import nominal_rate
 
@@ -16,11 +18,14 @@ _MARGIN = 0.9
 
 def missing(recording: Recording) -> Iterator[str]:
     """One sentence for each thing that is absent and rules something out."""
-    if len(recording.imu) > 1 and (rate := nominal_rate(recording.imu.time_ns)) < _MARGIN * _SLOWEST_IMU_HZ:
-        yield f"imu at {rate:.3g} Hz: identify, evaluate and replay need {_SLOWEST_IMU_HZ:g} Hz"
     if recording.rotor_speeds is None:
-        yield "no rotor speeds: identify, evaluate and replay need them; only info can use this flight"
+        yield "no rotor speeds: rules out identification, prediction and replay"
     if recording.pose is None and recording.odometry is None:
-        yield "no velocity, and no pose to get it from: identify, evaluate and replay need one"
+        yield "neither pose nor odometry: rules out everything that needs velocity or attitude"
     elif recording.pose is None:
-        yield "no motion capture: velocity and attitude are the autopilot's own estimate"
+        yield "no motion-capture pose: the state is the logged odometry; rules out the live estimator"
+    if len(recording.imu) > 1:
+        with np.errstate(divide="ignore"):  # stamps that all repeat are reported elsewhere
+            rate_hz = nominal_rate(recording.imu.time_ns)
+        if rate_hz < _MARGIN * _SLOWEST_IMU_HZ:
+            yield f"imu at {rate_hz:.3g} Hz: rules out identification, prediction and replay: too slow"

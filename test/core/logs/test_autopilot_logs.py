@@ -103,7 +103,7 @@ def test_telemetry_is_stamped_by_the_computer_that_wrote_it(
 def test_what_is_missing_is_said(written: dict[str, Path], vehicle: Vehicle, tmp_path: Path) -> None:
     imported = import_logs([written[".bbl"]], vehicle, tmp_path / "out")
     assert imported[0].missing == (
-        "no velocity, and no pose to get it from: identify, evaluate and replay need one",
+        "neither pose nor odometry: rules out everything that needs velocity or attitude",
     )
     imported = import_logs([written[".ulg"]], vehicle, tmp_path / "out")
     assert imported[0].missing == ()

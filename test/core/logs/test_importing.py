@@ -28,7 +28,7 @@ def test_bags_replace_those_of_the_same_name_only(bags, vehicle, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     counts = []
     imported = import_logs(bags, vehicle, tmp_path, progress=counts.append)
-    assert [bag for bag, _, _, _ in imported] == [tmp_path / bag.name for bag in bags]
+    assert [one.bag for one in imported] == [tmp_path / bag.name for bag in bags]
     assert imported[0].imu_samples == 3200
     assert imported[0].topics == ("imu", "rotor_speeds", "mocap/pose")
     assert imported[0].alignment is None
