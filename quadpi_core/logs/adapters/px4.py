@@ -16,9 +16,9 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream
 from quadpi_core.frames import rotate_world_to_body
-from quadpi_core.logs.adapters.stamps import microsecond_stamps
 from quadpi_core.logs.cdr import Columns
 from quadpi_core.logs.conversion import NORM_TOLERANCE
+from quadpi_core.logs.stamps import microsecond_stamps
 
 _POSE_FRAMES = (1, 2)
 _BODY = 3

@@ -18,11 +18,11 @@ from quadpi_core.logs.adapters.bodies import BodyReader
 from quadpi_core.logs.adapters.px4 import OdometryReader, read_sensor_combined
 from quadpi_core.logs.adapters.rotors import EscReports, RotorReader
 from quadpi_core.logs.adapters.settings import AdapterSettings, BodySettings, RotorSettings
-from quadpi_core.logs.adapters.stamps import header_stamps
 from quadpi_core.logs.arrays import ArrayCodec, Items
 from quadpi_core.logs.cdr import Columns
 from quadpi_core.logs.definitions import array_codec
 from quadpi_core.logs.payloads import Indices, Payloads
+from quadpi_core.logs.stamps import header_stamps
 from quadpi_core.vehicle import Vehicle
 
 
@@ -111,7 +111,7 @@ def _bodies(array: str, name: str) -> Callable[[BodySettings, Vehicle | None], _
     def start(settings: BodySettings, _vehicle: Vehicle | None) -> _Reading:
         reader = BodyReader(settings)
         return _Reading(
-            lambda columns, items: reader.read(header_stamps(columns, "header.stamp."), items[array], name),
+            lambda columns, items: reader.read(header_stamps(columns), items[array], name),
             lambda: reader.dropped,
         )
 

@@ -19,11 +19,11 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.adapters.stamps import header_stamps, microsecond_stamps
 from quadpi_core.logs.arrays import Items
 from quadpi_core.logs.cdr import Columns
 from quadpi_core.logs.payloads import Indices
 from quadpi_core.logs.rotor_order import ERPM, RotorOrder
+from quadpi_core.logs.stamps import header_stamps, microsecond_stamps
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # PX4 takes an ESC that has not reported for as long for gone (MavlinkStreamESCStatus).
@@ -77,7 +77,7 @@ class EscReports(NamedTuple):
 def mavros_status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
     """Reports of mavros_msgs/ESCStatus: in ESC order; each item has the stamp of its own ESC_STATUS."""
     array = items["esc_status"]
-    marks = header_stamps(array.columns, "header.stamp.")
+    marks = header_stamps(array.columns)
     return _in_esc_order(columns, array, marks, order)
 
 
@@ -88,7 +88,7 @@ def mavros_telemetry(columns: Columns, items: dict[str, Items], order: Indices) 
 
 
 def _in_esc_order(columns: Columns, array: Items, marks: Indices, order: Indices) -> EscReports:
-    time_ns = header_stamps(columns, "header.stamp.")
+    time_ns = header_stamps(columns)
     rpm = array.columns["rpm"].astype(np.float64)
     return EscReports(time_ns, *_numbered(array.counts, rpm, marks, order))
 

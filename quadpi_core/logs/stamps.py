@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps of messages of other packages, as nanoseconds."""
+"""Stamps as they stand in messages, as nanoseconds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MICROSECOND = 1_000
 _LAST_US = np.iinfo(np.int64).max // _MICROSECOND
 
 
-def header_stamps(columns: Columns, prefix: str) -> Stamps:
+def header_stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:
     """Stamps (N,) from the columns of a builtin_interfaces/Time.
 
     Raises:
