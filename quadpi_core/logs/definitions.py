@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -89,6 +89,7 @@ def array_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int], 
     try:
         types = get_types_from_msg(definition, type_name)
         fields = tuple(_flat_fields({**typestore().fielddefs, **types}, type_name, ""))
+        _refuse_repeated(fields)
     except (TypesysError, TypeError, KeyError, RecursionError) as error:
         reason = one_line(error)[:_REASON_LENGTH]
         raise LogError(f"the definition of {type_name} cannot be used: {reason}") from error
@@ -98,6 +99,16 @@ def array_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int], 
         if field is None or width != ((field.count or 1) if field.is_number else 0):
             raise LogError(f"this version of {type_name} has no field {name} of the kind known here")
     return made
+
+
+def _refuse_repeated(fields: Sequence[Field]) -> None:
+    names = [field.name for field in fields]
+    for name in names:
+        if names.count(name) > 1:
+            raise TypeError(f"the field {name} stands twice")
+    for field in fields:
+        if isinstance(field, ItemsField):
+            _refuse_repeated(field.members)
 
 
 def _join_wrenches(fields: list[Field]) -> Iterator[Field]:

@@ -77,7 +77,7 @@ class EscReports(NamedTuple):
 def mavros_status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
     """Reports of mavros_msgs/ESCStatus: in ESC order; each item has the stamp of its own ESC_STATUS."""
     array = items["esc_status"]
-    marks = header_stamps(array.columns)
+    marks = array.columns["header.stamp.sec"].astype(np.int64) << 32 | array.columns["header.stamp.nanosec"]
     return _in_esc_order(columns, array, marks, order)
 
 

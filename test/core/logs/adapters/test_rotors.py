@@ -1,5 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -198,3 +199,15 @@ def test_settings_of_the_kind_are_needed(vendor):
     adapter = ADAPTERS[STATUS]
     with pytest.raises(LogError, match="needs settings for `rotor_speeds`"):
         adapter.open(vendor.px4_1_14.definition(adapter.type_name), AdapterSettings(), None)
+
+
+def test_a_stamp_that_is_none_names_the_message(vendor):
+    """Stamps of items only tell new reports from old ones, so that theirs may be anything."""
+    good = make(vendor.px4_1_14, STATUS, 0, RPMS[0])
+    nanoseconds = good.index(struct.pack("<I", START_NS % 10**9))
+    bad = good[:nanoseconds] + struct.pack("<I", 10**9) + good[nanoseconds + 4 :]
+    with pytest.raises(LogError, match="sample 1: the stamp has 1000000000 ns beyond its second"):
+        opened(vendor.px4_1_14, STATUS).unpack(Payloads.join([good, bad]))
+    in_item = good.rindex(struct.pack("<I", START_NS % 10**9))
+    odd = good[:in_item] + struct.pack("<I", 2**32 - 1) + good[in_item + 4 :]
+    assert len(opened(vendor.px4_1_14, STATUS).unpack(odd)) == 1
