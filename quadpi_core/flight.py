@@ -10,7 +10,7 @@ the vehicle file. Stamps are integer nanoseconds; samples are on the first axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -77,13 +77,41 @@ class RotorSpeedStream(Stream):
     speeds: Array
 
 
+def _not_given() -> Stamps:
+    return np.empty(0, dtype=np.int64)
+
+
 @dataclass(frozen=True)
-class PoseStream(Stream):
+class _LateStream(Stream):
+    """A stream that a network delays.
+
+    `arrival_ns` (N,) is the stamp of the newest IMU sample that was there before each sample came; its own
+    stamp where that is not known.
+    """
+
+    arrival_ns: Stamps = field(default_factory=_not_given, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not len(self.arrival_ns):
+            object.__setattr__(self, "arrival_ns", self.time_ns)
+
+
+@dataclass(frozen=True)
+class PoseStream(_LateStream):
     """position (N, 3) m in the world and attitude (N, 4) body to world, from motion capture."""
 
     topic: ClassVar[str] = "mocap/pose"
     position: Array
     attitude: Array
+
+
+@dataclass(frozen=True)
+class TwistStream(_LateStream):
+    """velocity (N, 3) m/s over ground, from motion capture: in body axes where `in_body` (N,), else world."""
+
+    topic: ClassVar[str] = "mocap/twist"
+    velocity: Array
+    in_body: npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -122,13 +150,14 @@ class Recording:
     imu: ImuStream
     rotor_speeds: RotorSpeedStream | None = None
     pose: PoseStream | None = None
+    twist: TwistStream | None = None
     odometry: OdometryStream | None = None
     wind: WindStream | None = None
     battery_v: tuple[Stamps, Array] | None = None
 
     def streams(self) -> list[Stream]:
         """The streams that are present."""
-        candidates = (self.imu, self.rotor_speeds, self.pose, self.odometry, self.wind)
+        candidates = (self.imu, self.rotor_speeds, self.pose, self.twist, self.odometry, self.wind)
         return [stream for stream in candidates if stream is not None]
 
     def check(self) -> None:

@@ -25,7 +25,9 @@ SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
 class SensorNoise:
     """Noise of the sensors that the estimator fuses, one standard deviation.
 
-    ``*_noise`` of the IMU are per sample; ``*_bias_walk`` are in units per square-root second.
+    ``*_noise`` of the IMU are per sample; ``*_bias_walk`` are in units per square-root second. Motion capture
+    that stamps s was true at s - `mocap_delay_s`, known to `mocap_delay_std_s`: the estimator finds the rest;
+    with a deviation of zero it takes that delay as exact.
     """
 
     accelerometer_noise_m_s2: float = 0.3
@@ -34,6 +36,9 @@ class SensorNoise:
     gyro_bias_walk: float = 0.001
     mocap_position_m: float = 0.003
     mocap_attitude_rad: float = 0.01
+    mocap_velocity_m_s: float = 0.05
+    mocap_delay_s: float = 0.0
+    mocap_delay_std_s: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -198,4 +203,19 @@ def _noise(path: Path, data: dict[str, Any]) -> SensorNoise:
     for key in data:
         if key not in known:
             raise VehicleError(f"{path}: unknown key `noise.{key}`; known: {sorted(known)}")
-    return SensorNoise(**{key: _positive(path, data, key) for key in data})
+    return SensorNoise(
+        **{key: _within(path, data, key) if key in _BOUNDS else _positive(path, data, key) for key in data}
+    )
+
+
+# Of what need not be positive; the estimator's buffer bounds the delay.
+_BOUNDS = {"mocap_delay_s": (-0.3, 0.3), "mocap_delay_std_s": (0.0, 0.3)}
+
+
+def _within(path: Path, data: dict[str, Any], key: str) -> float:
+    value, (lowest, highest) = data[key], _BOUNDS[key]
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not lowest <= value <= highest:
+        raise VehicleError(
+            f"{path}: `noise.{key}` must be a number from {lowest:g} to {highest:g}, found {value!r}"
+        )
+    return float(value)

@@ -7,10 +7,11 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from rosbags.interfaces import Connection
 
 from quadpi_core import __version__
@@ -31,6 +32,8 @@ TOPIC_TYPES = {
     "erpm": messages.ERPM,
     "rotor_speeds": messages.ROTOR_SPEEDS,
     "mocap/pose": messages.POSE,
+    "mocap/odometry": messages.ODOMETRY,
+    "mocap/twist": messages.TWIST,
     "odometry": messages.ODOMETRY,
     "wind": messages.WIND,
     "prediction": messages.PREDICTION,
@@ -42,13 +45,15 @@ TOPIC_TYPES = {
     "truth/wind": messages.WIND,
     "truth/reference": messages.POSE,
 }
-_RECORDED = ("imu", "erpm", "rotor_speeds", "mocap/pose", "odometry", "wind")
+# Motion capture in its forms: of several in one bag the first counts, as a node listens to one of them.
+_MOCAP = ("mocap/pose", "mocap/odometry", "mocap/twist")
+_RECORDED = ("imu", "erpm", "rotor_speeds", *_MOCAP, "odometry", "wind")
 # Kinds of streams that messages of other packages give, by the standard topics they stand in for.
 _KINDS = {
     "imu": "imu",
     "rotor_speeds": "rotor_speeds",
     "erpm": "rotor_speeds",
-    "mocap/pose": "mocap",
+    **dict.fromkeys(_MOCAP, "mocap"),
     "odometry": "odometry",
 }
 _FIELDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
@@ -105,6 +110,8 @@ def read_bag(
             found = ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
             raise LogError(f"{path}: topic imu: missing; topics of the bag: {found}")
         vehicle_name = _vehicle_name(bag, vehicle)
+        for other in [topic for topic in _MOCAP if topic in names][1:]:
+            names.pop(other)
         if "rotor_speeds" in names:
             names.pop("erpm", None)
         topics = bag.read([*names.values(), *(topic.name for topic in adapted.values())])
@@ -122,20 +129,37 @@ def read_bag(
             raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
         return messages.unpack_erpm(payloads, vehicle)
 
+    pose, twist = unpacked("mocap/pose", messages.unpack_pose), unpacked("mocap/twist", messages.unpack_twist)
+    if "mocap/odometry" in names:
+        pose, twist = unpacked_topic(path, topics[names["mocap/odometry"]], messages.unpack_mocap_odometry)
+    if "imu" in names:
+        imu = unpacked_topic(path, topics[names["imu"]], messages.unpack_imu)
+        streams.setdefault("imu", imu)
+        for mocap in [topics[names[topic]] for topic in _MOCAP if topic in names]:
+            arrival_ns = _arrivals(imu.time_ns, topics[names["imu"]], mocap)
+            pose = None if pose is None else replace(pose, arrival_ns=arrival_ns)
+            twist = None if twist is None else replace(twist, arrival_ns=arrival_ns)
     return Recording(
         name=path.stem,
         vehicle=vehicle_name,
         source=str(path),
         **{
-            "imu": unpacked("imu", messages.unpack_imu),
             "rotor_speeds": unpacked("rotor_speeds", messages.unpack_rotor_speeds)
             or unpacked("erpm", unpack_erpm),
-            "pose": unpacked("mocap/pose", messages.unpack_pose),
+            "pose": pose,
+            "twist": twist,
             "odometry": unpacked("odometry", messages.unpack_odometry),
             "wind": unpacked("wind", messages.unpack_wind),
             **streams,
         },
     )
+
+
+def _arrivals(imu_ns: Stamps, imu: Topic, late: Topic) -> Stamps:
+    """Stamp of the newest IMU sample that was logged before each message of another topic, or with it."""
+    newest = np.searchsorted(imu.log_time_ns, late.log_time_ns, side="right") - 1
+    arrivals: Stamps = np.where(newest >= 0, imu_ns[np.maximum(newest, 0)], imu_ns[0] - 1)
+    return arrivals
 
 
 def read_outputs(path: Path | str) -> tuple[Predictions | None, messages.ReportedAlarms | None]:
@@ -179,6 +203,9 @@ def write_bag(
         topics.append(output_topic("rotor_speeds", stream.time_ns, messages.pack_rotor_speeds(stream)))
     if recording.pose is not None:
         topics.append(output_topic("mocap/pose", recording.pose.time_ns, messages.pack_pose(recording.pose)))
+    if recording.twist is not None:
+        twist = recording.twist
+        topics.append(output_topic("mocap/twist", twist.time_ns, messages.pack_twist(twist)))
     if recording.odometry is not None:
         odometry = recording.odometry
         topics.append(output_topic("odometry", odometry.time_ns, messages.pack_odometry(odometry)))
@@ -265,7 +292,9 @@ def find_topic(bag: Bag, topic: str) -> Connection | None:
 def _is_named(name: str, topic: str) -> bool:
     whole = f"/{name}"
     namespace = whole.removesuffix(f"/{topic}")
-    return namespace != whole and "truth" not in namespace.split("/")
+    parts = namespace.split("/")
+    # What motion capture sends is no state that an estimator fused.
+    return namespace != whole and "truth" not in parts and not (topic == "odometry" and parts[-1] == "mocap")
 
 
 def unpacked_topic(path: Path, topic: Topic, unpack: Callable[[Payloads], _Content]) -> _Content:

@@ -25,6 +25,7 @@ from quadpi_core.flight import (
     PoseStream,
     RotorSpeedStream,
     Stamps,
+    TwistStream,
     WindStream,
 )
 from quadpi_core.frames import (
@@ -52,6 +53,7 @@ from quadpi_core.vehicle import Vehicle
 IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
+TWIST = "geometry_msgs/msg/TwistStamped"
 WIND = "geometry_msgs/msg/Vector3Stamped"
 ERPM = "quadpi/msg/Erpm"
 ROTOR_SPEEDS = "quadpi/msg/RotorSpeeds"
@@ -182,6 +184,39 @@ def pack_odometry(
     )
     texts = (("header.frame_id", frame_id), ("child_frame_id", child_frame_id))
     return codec(ODOMETRY).encode_stamped(stream.time_ns, values, texts)
+
+
+def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> TwistStream:
+    """Decode geometry_msgs/TwistStamped: in body axes where its frame is `body_frame`, else in the world."""
+    columns = codec(TWIST).decode(payloads)
+    linear = columns["twist.linear"]
+    frames = columns["header.frame_id"]
+    in_body = np.array([frame.decode(errors="replace") == body_frame for frame in frames], dtype=bool)
+    velocity = np.where(in_body[:, np.newaxis], body_flu_to_frd(linear), world_enu_to_ned(linear))
+    return TwistStream(_stamps(columns), velocity, in_body)
+
+
+def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: str = WORLD_FRAME) -> Payloads:
+    """Encode as geometry_msgs/TwistStamped of no rotation; the frame tells the axes."""
+    parts, orders = [], []
+    for in_body, frame in ((True, body_frame), (False, world_frame)):
+        rows = np.flatnonzero(stream.in_body == in_body)
+        if len(rows):
+            velocity = stream.velocity[rows]
+            linear = body_frd_to_flu(velocity) if in_body else world_ned_to_enu(velocity)
+            columns = {**_header(stream.time_ns[rows], frame), "twist.linear": linear}
+            parts.append(codec(TWIST).encode(len(rows), columns))
+            orders.append(rows)
+    return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
+
+
+def unpack_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream, TwistStream]:
+    """Decode nav_msgs/Odometry of motion capture as the pose and the velocity that it holds."""
+    odometry = unpack_odometry(payloads)
+    return (
+        PoseStream(odometry.time_ns, odometry.position, odometry.attitude),
+        TwistStream(odometry.time_ns, odometry.velocity, np.ones(len(odometry), dtype=bool)),
+    )
 
 
 def unpack_wind(payloads: Payloads | bytes) -> WindStream:

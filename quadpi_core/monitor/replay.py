@@ -95,10 +95,10 @@ def replay(
     rate_hz = nominal_rate(recording.imu.time_ns)
     monitor = Monitor(model, vehicle, rate_hz, confidence, settings)
     imu, odometry, topics = recording.imu, recording.odometry, []
-    if recording.pose is not None:
+    if recording.pose is not None or recording.twist is not None:
         trace = Ekf(vehicle, rate_hz).run(recording)
         imu, odometry = _estimator_output(trace, recording.imu)
-        payloads = messages.pack_odometry(odometry, _pose_covariance(trace))
+        payloads = messages.pack_odometry(odometry, _pose_covariance(trace, _published(trace)))
         topics.append(output_topic("odometry", odometry.time_ns, payloads))
     if odometry is None:
         raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
@@ -201,29 +201,44 @@ def _replay(task: _Replay, bag: Path) -> ReplaySummary:
 def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[ImuStream, OdometryStream]:
     """What the estimator hands to the monitor in its process: IMU samples less their biases, and states.
 
-    Samples that it cannot use come as they are: the monitor has to report them.
+    Samples that it cannot use come as they are, and while it is lost there are no states: the monitor has to
+    report both.
     """
     used = np.searchsorted(imu.time_ns, trace.time_ns)
     rates, specific_force = imu.angular_velocity.copy(), imu.specific_force.copy()
     rates[used] -= trace.gyro_bias
     specific_force[used] -= trace.accelerometer_bias
-    states = OdometryStream(trace.time_ns, trace.position, trace.attitude, trace.velocity_body, rates[used])
+    sent = _published(trace)
+    states = OdometryStream(
+        trace.time_ns[sent],
+        trace.position[sent],
+        trace.attitude[sent],
+        trace.velocity_body[sent],
+        rates[used][sent],
+    )
     kept = np.union1d(used, np.flatnonzero(~_usable(imu)))
     return ImuStream(imu.time_ns[kept], rates[kept], specific_force[kept]), states
 
 
 def _usable(imu: ImuStream) -> npt.NDArray[np.bool_]:
     """Samples (N,) that the estimator can use."""
-    samples = zip(imu.angular_velocity, imu.specific_force, strict=True)
-    return np.array([ekf_kernels.usable_imu(*sample) for sample in samples])
+    samples = np.concatenate((imu.angular_velocity, imu.specific_force), axis=1)
+    return np.array([ekf_kernels.usable_imu(sample) for sample in samples])
 
 
-def _pose_covariance(trace: EkfTrace) -> Array:
-    """Covariance (M, 6, 6) of position and of rotation about the world's axes, from the variances."""
-    rotation = rotation_matrix(trace.attitude)
-    covariance = np.zeros((len(trace), 6, 6))
-    covariance[:, [0, 1, 2], [0, 1, 2]] = trace.variance[:, ekf_kernels.POSITION]
-    attitude_variance = trace.variance[:, None, ekf_kernels.ATTITUDE]
+def _published(trace: EkfTrace) -> npt.NDArray[np.bool_]:
+    """Estimates (M,) that the estimator publishes: none while it is lost."""
+    published: npt.NDArray[np.bool_] = trace.status != ekf_kernels.EstimatorStatus.LOST
+    return published
+
+
+def _pose_covariance(trace: EkfTrace, rows: npt.NDArray[np.bool_]) -> Array:
+    """Covariance (K, 6, 6) of position and of rotation about the world's axes, from the variances."""
+    rotation = rotation_matrix(trace.attitude[rows])
+    variance = trace.variance[rows]
+    covariance = np.zeros((len(variance), 6, 6))
+    covariance[:, [0, 1, 2], [0, 1, 2]] = variance[:, ekf_kernels.POSITION]
+    attitude_variance = variance[:, None, ekf_kernels.ATTITUDE]
     covariance[:, 3:, 3:] = (rotation * attitude_variance) @ rotation.swapaxes(1, 2)
     return covariance
 

@@ -1,16 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Error-state extended Kalman filter of IMU and motion-capture pose: one implementation, offline and live.
+"""Error-state extended Kalman filter of IMU and motion capture: one implementation, offline and live.
 
-Live, feed :meth:`Ekf.predict` and :meth:`Ekf.update_pose` as samples arrive. Offline, :meth:`Ekf.run` calls
-the same compiled steps over a whole recording, and gives the same states bit for bit.
+Live, feed :meth:`Ekf.predict`, :meth:`Ekf.update_pose` and :meth:`Ekf.update_velocity` as samples arrive.
+Offline, :meth:`Ekf.run` calls the same compiled steps over a whole recording, and gives the same states bit
+for bit.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,15 +19,81 @@ import numpy.typing as npt
 from quadpi_core.errors import SignalError
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.signals import ekf_buffer as buffer
 from quadpi_core.signals import ekf_kernels as kernels
 from quadpi_core.signals import ekf_run
-from quadpi_core.signals.ekf_initial import COLLECT_NS, initial_state
-from quadpi_core.signals.ekf_kernels import Outcome, State
+from quadpi_core.signals.ekf_buffer import Clock, Source
+from quadpi_core.signals.ekf_corrections import BODY_VELOCITY, JOURNAL, POSE, VALUES, WORLD_VELOCITY
+from quadpi_core.signals.ekf_initial import (
+    COLLECT_NS,
+    ImuSample,
+    Initial,
+    Measurement,
+    initial_from_poses,
+    initial_from_velocities,
+)
+from quadpi_core.signals.ekf_kernels import ERROR_STATES, EstimatorStatus, Noise, Outcome, Row
 from quadpi_core.vehicle import Vehicle
 
-Sample: TypeAlias = tuple[int, Array, Array]
-
 _COLLECTED_MAX = 8192
+# How far the delay of motion capture wanders: the drift of unrelated clocks, 1 ms in half a minute.
+_DELAY_WALK_S = 2e-4
+_OUTCOMES = tuple(Outcome)
+_STATUSES = tuple(EstimatorStatus)
+_IMU, _POSE, _VELOCITY = range(3)
+_NO_JOURNAL = (np.empty(0, dtype=np.int64), np.empty((0, JOURNAL)))
+
+
+class State(NamedTuple):
+    """The estimate at the stamp of the newest IMU sample; views that the next samples overwrite.
+
+    Attributes:
+        time_ns: (1,) stamp.
+        row: (279,) see :class:`quadpi_core.signals.ekf_kernels.Row`.
+    """
+
+    time_ns: Stamps
+    row: Array
+
+    @property
+    def position(self) -> Array:
+        """(3,) m, world."""
+        return self.row[Row.POSITION]
+
+    @property
+    def velocity(self) -> Array:
+        """(3,) m/s over ground, world."""
+        return self.row[Row.VELOCITY]
+
+    @property
+    def attitude(self) -> Array:
+        """(4,) body to world."""
+        return self.row[Row.ATTITUDE]
+
+    @property
+    def gyro_bias(self) -> Array:
+        """(3,) rad/s."""
+        return self.row[Row.GYRO_BIAS]
+
+    @property
+    def accelerometer_bias(self) -> Array:
+        """(3,) m/s²."""
+        return self.row[Row.ACCELEROMETER_BIAS]
+
+    @property
+    def rates(self) -> Array:
+        """(3,) rad/s, the IMU sample as it came."""
+        return self.row[Row.RATES]
+
+    @property
+    def specific_force(self) -> Array:
+        """(3,) m/s², the IMU sample as it came."""
+        return self.row[Row.FORCE]
+
+    @property
+    def covariance(self) -> Array:
+        """(16, 16) of the error state, ordered as the slices of :mod:`quadpi_core.signals.ekf_kernels`."""
+        return self.row[Row.COVARIANCE].reshape(ERROR_STATES, ERROR_STATES)
 
 
 @dataclass(frozen=True)
@@ -42,9 +109,11 @@ class EkfTrace:
         attitude: (M, 4) body to world.
         gyro_bias: (M, 3) rad/s.
         accelerometer_bias: (M, 3) m/s².
-        variance: (M, 15) diagonal of the covariance of the error state, ordered as the slices of
+        delay_s: (M,) of motion capture.
+        variance: (M, 16) diagonal of the covariance of the error state, ordered as the slices of
             :mod:`quadpi_core.signals.ekf_kernels` (POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, …).
-        imu_counts, pose_counts: how many samples met each :class:`Outcome`.
+        status: (M,) see :class:`EstimatorStatus`.
+        imu_counts, pose_counts, velocity_counts: how many samples met each :class:`Outcome`.
     """
 
     time_ns: Stamps
@@ -53,9 +122,12 @@ class EkfTrace:
     attitude: Array
     gyro_bias: Array
     accelerometer_bias: Array
+    delay_s: Array
     variance: Array
+    status: npt.NDArray[np.uint8]
     imu_counts: dict[Outcome, int]
     pose_counts: dict[Outcome, int]
+    velocity_counts: dict[Outcome, int]
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -66,8 +138,26 @@ class EkfTrace:
         return rotate_world_to_body(self.attitude, self.velocity)
 
 
+class Segment(NamedTuple):
+    """What the filter did between two beginnings, for the smoother.
+
+    Attributes:
+        initial: estimate that it began with.
+        samples: indices of the IMU samples that it used, from the one at or before the beginning on.
+        first: place in `samples` of the first one that live has an estimate at.
+        journal_ns: (J,) instants of its corrections.
+        journal: (J, 13) those, see :mod:`.ekf_corrections`.
+    """
+
+    initial: Initial
+    samples: npt.NDArray[np.int64]
+    first: int
+    journal_ns: Stamps
+    journal: Array
+
+
 class Ekf:
-    """The filter; it starts by itself once a second of IMU samples and poses has come.
+    """The filter; it starts by itself once a second of IMU samples and corrections has come.
 
     Args:
         vehicle: for its sensor noise and gravity.
@@ -75,196 +165,326 @@ class Ekf:
     """
 
     def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
-        noise = vehicle.noise
-        self._sensors = noise
-        self._noise = kernels.Noise(
-            gyro=noise.gyro_noise_rad_s**2 / rate_hz,
-            accelerometer=noise.accelerometer_noise_m_s2**2 / rate_hz,
-            gyro_bias=noise.gyro_bias_walk**2,
-            accelerometer_bias=noise.accelerometer_bias_walk**2,
-            position=noise.mocap_position_m**2,
-            attitude=noise.mocap_attitude_rad**2,
-            gravity=vehicle.gravity_m_s2,
-        )
-        self._state: State | None = None
-        self._imu: deque[Sample] = deque(maxlen=_COLLECTED_MAX)
-        self._poses: deque[Sample] = deque(maxlen=_COLLECTED_MAX)
-        self._imu_counts = np.zeros(len(Outcome), dtype=np.int64)
-        self._pose_counts = np.zeros(len(Outcome), dtype=np.int64)
+        self._sensors = vehicle.noise
+        self._gravity = vehicle.gravity_m_s2
+        self._memory = buffer.allocate(rate_hz, _noise(vehicle, rate_hz))
+        self._initial: Initial | None = None
+        self._caught_up: Stamps = np.empty(0, dtype=np.int64)
+        self._imu: deque[ImuSample] = deque(maxlen=_COLLECTED_MAX)
+        self._measurements: deque[Measurement] = deque(maxlen=_COLLECTED_MAX)
+        self._journal = _NO_JOURNAL
+        self._sample = np.empty(6)
+        self._value = np.zeros(VALUES)
 
     @property
     def initialised(self) -> bool:
         """Whether there is an estimate."""
-        return self._state is not None
+        return self._initial is not None
+
+    @property
+    def status(self) -> EstimatorStatus:
+        """How far the estimate can be used; of a LOST one nothing may be published as odometry."""
+        status: EstimatorStatus = _STATUSES[self._memory.clock[Clock.STATUS]]
+        return status
 
     @property
     def state(self) -> State:
-        """The estimate as it stands; its arrays change with the next sample.
+        """The estimate as it stands.
 
         Raises:
             SignalError: before the first second has been collected.
         """
-        if self._state is None:
-            raise SignalError("the estimator is not initialised: it needs a second of IMU samples and poses")
-        return self._state
+        if self._initial is None:
+            raise SignalError(
+                "the estimator is not initialised: it needs a second of IMU samples and motion capture"
+            )
+        head = self._memory.clock[Clock.HEAD]
+        return State(self._memory.stamps[head : head + 1], self._memory.rows[head])
+
+    @property
+    def delay_s(self) -> float:
+        """By how much motion capture's stamps are late, as estimated."""
+        return float(self.state.row[Row.DELAY])
+
+    @property
+    def delay_std_s(self) -> float:
+        """Standard deviation of :attr:`delay_s`."""
+        return float(np.sqrt(self.state.covariance[kernels.DELAY, kernels.DELAY]))
+
+    @property
+    def since_correction_s(self) -> float:
+        """Time of the IMU's clock since a correction was last accepted."""
+        return 1e-9 * float(self.state.time_ns[0] - self._memory.clock[Clock.ACCEPTED_NS])
 
     @property
     def imu_counts(self) -> dict[Outcome, int]:
         """How many IMU samples met each outcome so far."""
-        return _as_dict(self._imu_counts)
+        return self._counts(_IMU)
 
     @property
     def pose_counts(self) -> dict[Outcome, int]:
-        """How many poses met each outcome so far."""
-        return _as_dict(self._pose_counts)
+        """How many poses met each outcome so far; one that is held counts when it is fused or refused."""
+        return self._counts(_POSE)
+
+    @property
+    def velocity_counts(self) -> dict[Outcome, int]:
+        """How many velocities met each outcome so far; see :attr:`pose_counts`."""
+        return self._counts(_VELOCITY)
 
     def reset(self) -> None:
         """Forget the estimate and start collecting anew; the counts stay."""
-        self._state = None
+        buffer.forget(self._memory)
+        self._initial = None
         self._imu.clear()
-        self._poses.clear()
+        self._measurements.clear()
 
     def predict(self, time_ns: int, gyro: Array, specific_force: Array) -> Outcome:
         """Take one IMU sample: gyro (3,) rad/s and specific_force (3,) m/s², body axes.
 
-        Never raises on bad samples: they are refused, counted, and the outcome says why.
+        Corrections that waited for it are fused. Never raises on bad samples: they are refused, counted, and
+        the outcome says why.
         """
-        if self._state is None:
-            outcome = self._collect_imu(time_ns, gyro, specific_force)
+        sample = self._sample
+        sample[:3] = gyro
+        sample[3:] = specific_force
+        if self._initial is None:
+            outcome = self._collect_imu(time_ns, sample)
         else:
-            outcome = Outcome(kernels.predict(self._state, self._noise, time_ns, gyro, specific_force))
+            outcome = _OUTCOMES[buffer.predict(self._memory, time_ns, sample)]
+            if outcome == Outcome.USED and self._memory.clock[Clock.HELD_COUNT]:
+                buffer.release(self._memory, *self._journal)
             if outcome == Outcome.RESET:
                 self.reset()
-                self._collect_imu(time_ns, gyro, specific_force)
-        self._imu_counts[outcome] += 1
+                self._collect_imu(time_ns, sample)
+        self._memory.counts[_IMU, outcome] += 1
         return outcome
 
     def update_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
         """Take one pose: position (3,) m in the world, attitude (4,) body to world, of either sign.
 
-        Never raises on bad samples: they are refused, counted, and the outcome says why.
+        It is COLLECTED and fused at the IMU sample after :data:`.ekf_buffer.HOLD_NS`, or refused at once;
+        what became of it then is in :attr:`pose_counts`. Never raises on bad samples.
         """
-        if self._state is None:
-            outcome = self._collect_pose(time_ns, position, attitude)
-        else:
-            outcome = Outcome(kernels.update_pose(self._state, self._noise, time_ns, position, attitude))
-        self._pose_counts[outcome] += 1
-        return outcome
+        self._value[:3] = position
+        self._value[3:] = attitude
+        return self._take(time_ns, POSE)
+
+    def update_velocity(self, time_ns: int, velocity: Array, body: bool) -> Outcome:
+        """Take one velocity (3,) m/s over ground, in body axes or in the world; see :meth:`update_pose`."""
+        self._value[:3] = velocity
+        self._value[3:] = 0.0
+        return self._take(time_ns, BODY_VELOCITY if body else WORLD_VELOCITY)
 
     def run(self, recording: Recording) -> EkfTrace:
-        """Estimate over a whole recording, its streams merged by stamp; IMU first where stamps tie.
+        """Estimate over a whole recording, its streams merged by arrival; IMU first where they tie.
 
         Continues from the estimate as it stands, so a fresh recording wants a fresh filter.
 
         Raises:
-            SignalError: if the recording has no pose, or never a second of IMU samples and poses.
+            SignalError: if the recording has no motion capture, or never a second of IMU samples and that.
         """
-        imu, pose = recording.imu, recording.pose
-        if pose is None:
-            raise SignalError(
-                f"{recording.source}: topic mocap/pose is missing: nothing to correct the IMU by"
-            )
-        samples = (imu.time_ns, _rows(imu.angular_velocity), _rows(imu.specific_force))
-        poses = (pose.time_ns, _rows(pose.position), _rows(pose.attitude))
-        track = _empty_track(len(imu))
-        progress = ekf_run.Progress(
-            next_imu=np.zeros(1, dtype=np.int64),
-            next_pose=np.zeros(1, dtype=np.int64),
-            recorded=np.zeros(1, dtype=np.int64),
-            imu_counts=self._imu_counts,
-            pose_counts=self._pose_counts,
-        )
-        while progress.next_imu[0] < len(imu):
-            if self._state is None:
-                self._feed_next(samples, poses, progress)
-                if self._state is not None:
-                    ekf_run.record(self._state, track, progress)
-            else:
-                ekf_run.run(self._state, self._noise, samples, poses, progress, track)
-                if progress.next_imu[0] < len(imu):
-                    self._feed_next(samples, poses, progress)
-        recorded = slice(int(progress.recorded[0]))
-        if recorded.stop == 0:
-            raise SignalError(
-                f"{recording.source}: the estimator never started: it needs one second with IMU samples and "
-                f"poses; imu spans {_span(imu.time_ns)}, mocap/pose {_span(pose.time_ns)}"
-            )
+        track, _ = self._run(recording, journalled=False)
+        nominal = track.nominal
+        offset = Row.NOMINAL.start
+
+        def columns(part: slice) -> Array:
+            return nominal[:, part.start - offset : part.stop - offset]
+
         return EkfTrace(
-            **{name: column[recorded] for name, column in track._asdict().items()},
+            time_ns=track.time_ns,
+            position=columns(Row.POSITION),
+            velocity=columns(Row.VELOCITY),
+            attitude=columns(Row.ATTITUDE),
+            gyro_bias=columns(Row.GYRO_BIAS),
+            accelerometer_bias=columns(Row.ACCELEROMETER_BIAS),
+            delay_s=nominal[:, Row.DELAY - offset],
+            variance=track.variance,
+            status=track.status,
             imu_counts=self.imu_counts,
             pose_counts=self.pose_counts,
+            velocity_counts=self.velocity_counts,
+        )
+
+    def segments(self, recording: Recording) -> list[Segment]:
+        """What the filter does over a whole recording, for the smoother.
+
+        Raises:
+            SignalError: as :meth:`run`.
+        """
+        return self._run(recording, journalled=True)[1]
+
+    @property
+    def noise(self) -> Noise:
+        """What the filter assumes of the sensors."""
+        return buffer.noise_of(self._memory.noise)
+
+    def _run(self, recording: Recording, *, journalled: bool) -> tuple[ekf_run.Track, list[Segment]]:
+        imu = recording.imu
+        if recording.pose is None and recording.twist is None:
+            raise SignalError(
+                f"{recording.source}: topics mocap/pose, mocap/odometry and mocap/twist are missing: "
+                "nothing to correct the IMU by"
+            )
+        samples = np.ascontiguousarray(np.concatenate((imu.angular_velocity, imu.specific_force), axis=1))
+        measurements = ekf_run.merge(recording.pose, recording.twist)
+        track = ekf_run.empty_track(len(imu))
+        progress = ekf_run.Progress(*(np.zeros(1, dtype=np.int64) for _ in range(3)))
+        if journalled:
+            room = len(measurements.time_ns)
+            self._journal = np.empty(room, dtype=np.int64), np.empty((room, JOURNAL))
+        segments: list[Segment] = []
+        began: int | None = None
+
+        def close() -> None:
+            if self._initial is not None and began is not None and journalled:
+                sampled = track.sample[began + 1 : int(progress.recorded[0])]
+                segments.append(self._segment(self._initial, imu.time_ns, sampled))
+
+        while progress.imu[0] < len(imu):
+            if self._initial is not None and began is not None:
+                ekf_run.run(self._memory, imu.time_ns, samples, measurements, progress, track, *self._journal)
+                if progress.imu[0] == len(imu):
+                    break
+                close()
+                began = None
+            index = int(progress.imu[0])
+            self._feed_next(imu.time_ns, samples, measurements, progress)
+            if self._initial is not None and progress.imu[0] > index:
+                began = int(progress.recorded[0])
+                ekf_run.record(self._memory, track, progress, index)
+        close()
+        self._journal = _NO_JOURNAL
+        recorded = int(progress.recorded[0])
+        if recorded == 0:
+            raise SignalError(
+                f"{recording.source}: the estimator never started: it needs one second with IMU samples and "
+                f"motion capture; imu spans {_span(imu.time_ns)}, {_span_of_mocap(recording)}"
+            )
+        return track.until(recorded), segments
+
+    def _segment(self, initial: Initial, imu_ns: Stamps, sampled: npt.NDArray[np.int64]) -> Segment:
+        """What happened since the beginning; `sampled` are the IMU samples used since it caught up."""
+        used = np.concatenate((np.searchsorted(imu_ns, self._caught_up), sampled))
+        corrections = int(self._memory.clock[Clock.JOURNALLED])
+        journal_ns, journal = self._journal
+        return Segment(
+            initial,
+            used,
+            len(self._caught_up) - 1,
+            journal_ns[:corrections].copy(),
+            journal[:corrections].copy(),
         )
 
     def _feed_next(
         self,
-        imu: tuple[Stamps, Array, Array],
-        poses: tuple[Stamps, Array, Array],
+        imu_ns: Stamps,
+        samples: Array,
+        measurements: ekf_run.Measurements,
         progress: ekf_run.Progress,
     ) -> None:
-        """Take the next sample by stamp as if it arrived live."""
-        index, pose = progress.next_imu[0], progress.next_pose[0]
-        if pose < len(poses[0]) and poses[0][pose] < imu[0][index]:
-            self.update_pose(int(poses[0][pose]), poses[1][pose], poses[2][pose])
-            progress.next_pose[0] += 1
+        """Take the next sample by arrival as if it came live."""
+        index, following = int(progress.imu[0]), int(progress.measurement[0])
+        if following < len(measurements.time_ns) and measurements.arrival_ns[following] < imu_ns[index]:
+            self._value[:] = measurements.value[following]
+            self._take(int(measurements.time_ns[following]), int(measurements.kind[following]))
+            progress.measurement[0] += 1
         else:
-            self.predict(int(imu[0][index]), imu[1][index], imu[2][index])
-            progress.next_imu[0] += 1
+            self.predict(int(imu_ns[index]), samples[index, :3], samples[index, 3:])
+            progress.imu[0] += 1
 
-    def _collect_imu(self, time_ns: int, gyro: Array, specific_force: Array) -> Outcome:
-        if not kernels.usable_imu(gyro, specific_force):
+    def _take(self, time_ns: int, kind: int) -> Outcome:
+        if self._initial is not None:
+            return _OUTCOMES[buffer.hold(self._memory, time_ns, kind, self._value)]
+        outcome = self._collect_measurement(time_ns, kind)
+        self._memory.counts[_POSE if kind == POSE else _VELOCITY, outcome] += 1
+        return outcome
+
+    def _collect_imu(self, time_ns: int, sample: Array) -> Outcome:
+        if not kernels.usable_imu(sample):
             return Outcome.UNUSABLE
         last_ns = self._imu[-1][0] if self._imu else time_ns - 1
-        if not -kernels.MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
+        if not -buffer.MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
             self.reset()
         elif time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING
-        self._imu.append((time_ns, np.array(gyro), np.array(specific_force)))
+        self._imu.append((time_ns, sample.copy()))
         if time_ns - self._imu[0][0] >= COLLECT_NS:
-            self._state = initial_state(self._imu, self._poses, self._sensors)
-            if self._state is None:
-                self._forget_before(time_ns - COLLECT_NS)
-            else:
-                self._catch_up(self._state)
+            self._start(time_ns)
         return Outcome.COLLECTED
 
-    def _collect_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
-        if not kernels.usable_pose(position, attitude):
+    def _collect_measurement(self, time_ns: int, kind: int) -> Outcome:
+        value = self._value
+        usable = kernels.usable_pose(value) if kind == POSE else kernels.usable_velocity(value)
+        if not usable:
             return Outcome.UNUSABLE
-        if self._poses and time_ns < self._poses[-1][0] - kernels.MAX_JUMP_BACK_NS:
-            self._poses.clear()
-        elif self._poses and time_ns <= self._poses[-1][0]:
+        marks = self._memory.sources[0 if kind == POSE else 1]
+        last_ns = int(marks[Source.ARRIVED_NS])
+        if last_ns - buffer.MAX_JUMP_BACK_NS <= time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING
-        self._poses.append((time_ns, np.array(position), np.array(attitude)))
+        if time_ns <= last_ns:
+            self._measurements.clear()
+        marks[Source.ARRIVED_NS] = time_ns
+        self._measurements.append((time_ns, kind, value.copy()))
         return Outcome.COLLECTED
 
-    def _forget_before(self, time_ns: int) -> None:
-        for collected in (self._imu, self._poses):
-            while collected and collected[0][0] < time_ns:
-                collected.popleft()
-
-    def _catch_up(self, state: State) -> None:
-        """Bring the state from the last pose that it was initialised by to the last IMU sample."""
-        for time_ns, gyro, specific_force in self._imu:
-            if time_ns > state.time_ns[0]:
-                kernels.predict(state, self._noise, time_ns, gyro, specific_force)
+    def _start(self, time_ns: int) -> None:
+        """Begin to estimate if what was collected suffices, else forget what is too old for that."""
+        imu = list(self._imu)
+        poses = [one for one in self._measurements if one[1] == POSE]
+        velocities = [one for one in self._measurements if one[1] != POSE]
+        initial = initial_from_poses(imu, poses, self._sensors, self._gravity) if poses else None
+        if initial is None and not poses and velocities:
+            initial = initial_from_velocities(imu, velocities, self._sensors, self._gravity)
+        if initial is None:
+            while self._imu and self._imu[0][0] < time_ns - COLLECT_NS:
+                self._imu.popleft()
+            while self._measurements and self._measurements[0][0] < time_ns - COLLECT_NS:
+                self._measurements.popleft()
+            return
+        self._initial = initial
+        arrived_ns = self._memory.sources[:, Source.ARRIVED_NS].copy()
+        buffer.start(self._memory, initial.time_ns, initial.row, initial.imu_ns)
+        caught_up = [(stamp, sample) for stamp, sample in imu if stamp >= initial.imu_ns]
+        for stamp, sample in caught_up[1:]:
+            buffer.predict(self._memory, stamp, sample)
+        self._caught_up = np.array([stamp for stamp, _ in caught_up], dtype=np.int64)
+        delay_ns = round(1e9 * self._sensors.mocap_delay_s)
+        for stamp, kind, value in self._measurements:
+            if stamp - delay_ns > initial.time_ns:
+                buffer.hold(self._memory, stamp, kind, value)
+        self._memory.sources[:, Source.ARRIVED_NS] = arrived_ns
+        self._memory.clock[Clock.ACCEPTED_NS] = time_ns
+        self._memory.clock[Clock.STATUS] = EstimatorStatus.OK
         self._imu.clear()
-        self._poses.clear()
+        self._measurements.clear()
+
+    def _counts(self, source: int) -> dict[Outcome, int]:
+        counted = self._memory.counts[source]
+        return {outcome: int(counted[outcome]) for outcome in Outcome}
 
 
-def _rows(values: Array) -> Array:
-    return np.ascontiguousarray(values, dtype=np.float64)
-
-
-def _empty_track(samples: int) -> ekf_run.Track:
-    return ekf_run.Track(
-        np.empty(samples, dtype=np.int64),
-        *(np.empty((samples, columns)) for columns in (3, 3, 4, 3, 3, kernels.ERROR_STATES)),
+def _noise(vehicle: Vehicle, rate_hz: float) -> Noise:
+    noise = vehicle.noise
+    return Noise(
+        gyro=noise.gyro_noise_rad_s**2 / rate_hz,
+        accelerometer=noise.accelerometer_noise_m_s2**2 / rate_hz,
+        gyro_bias=noise.gyro_bias_walk**2,
+        accelerometer_bias=noise.accelerometer_bias_walk**2,
+        delay=_DELAY_WALK_S**2 if noise.mocap_delay_std_s > 0.0 else 0.0,
+        position=noise.mocap_position_m**2,
+        attitude=noise.mocap_attitude_rad**2,
+        velocity=noise.mocap_velocity_m_s**2,
+        delay_prior=noise.mocap_delay_std_s**2,
+        rates=noise.gyro_noise_rad_s**2,
+        force=noise.accelerometer_noise_m_s2**2,
+        gravity=vehicle.gravity_m_s2,
     )
-
-
-def _as_dict(counts: npt.NDArray[np.int64]) -> dict[Outcome, int]:
-    return {outcome: int(counts[outcome]) for outcome in Outcome}
 
 
 def _span(time_ns: Stamps) -> str:
     return f"{time_ns[0] * 1e-9:.3f} to {time_ns[-1] * 1e-9:.3f} s"
+
+
+def _span_of_mocap(recording: Recording) -> str:
+    stream = recording.pose or recording.twist
+    return f"{stream.topic} {_span(stream.time_ns)}" if stream else ""

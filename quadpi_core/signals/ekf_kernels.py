@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled steps of the error-state Kalman filter; :mod:`quadpi_core.signals.ekf` drives them.
+"""The compiled steps of the error-state Kalman filter on one estimate; :mod:`.ekf_buffer` drives them.
 
-Error state, 15 numbers: position and velocity in the world, attitude as a rotation vector in body axes
-(true = estimated ⊗ exp(error)), gyro bias, accelerometer bias. After Solà, "Quaternion kinematics for the
-error-state Kalman filter" (2017), section 5, with blocks of three exploited throughout.
+Error state, 16 numbers: position and velocity in the world, attitude as a rotation vector in body axes
+(true = estimated ⊗ exp(error)), gyro bias, accelerometer bias, and the delay of motion capture: what it
+stamps s was true at s less the delay. After Solà, "Quaternion kinematics for the error-state Kalman filter"
+(2017), section 5, with blocks of three exploited throughout.
 """
 
 from __future__ import annotations
@@ -15,37 +16,74 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import MAX_GAP_NS, RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, Stamps
+from quadpi_core.flight import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 
-ERROR_STATES = 15
+ERROR_STATES = 16
 POSITION = slice(0, 3)
 VELOCITY = slice(3, 6)
 ATTITUDE = slice(6, 9)
 GYRO_BIAS = slice(9, 12)
 ACCELEROMETER_BIAS = slice(12, 15)
+DELAY = 15
+
+
+class Row:
+    """Where an estimate of one instant, a row of numbers, holds what: an IMU sample and the state with it."""
+
+    RATES = slice(0, 3)
+    FORCE = slice(3, 6)
+    IMU = slice(0, 6)
+    POSITION = slice(6, 9)
+    VELOCITY = slice(9, 12)
+    ATTITUDE = slice(12, 16)
+    GYRO_BIAS = slice(16, 19)
+    ACCELEROMETER_BIAS = slice(19, 22)
+    DELAY = 22
+    NOMINAL = slice(6, 23)
+    COVARIANCE = slice(23, 23 + ERROR_STATES**2)
+    WIDTH = 23 + ERROR_STATES**2
+
+
+# Kernels take slices of constants from module level only.
+_RATES, _FORCE, _POSITION, _VELOCITY = Row.RATES, Row.FORCE, Row.POSITION, Row.VELOCITY
+_ATTITUDE, _GYRO_BIAS, _ACCELEROMETER_BIAS = Row.ATTITUDE, Row.GYRO_BIAS, Row.ACCELEROMETER_BIAS
+_DELAY, _COVARIANCE = Row.DELAY, Row.COVARIANCE
 
 # Small vectors travel as tuples inside the kernels: they cost no allocation.
 Vector: TypeAlias = tuple[float, float, float]
 
-MAX_LATENESS_NS = 20_000_000
-MAX_JUMP_BACK_NS = 1_000_000_000
+# A motion capture whose stamps are farther off than this cannot be fused from the buffer.
+DELAY_MAX_S = 0.35
 _MIN_QUATERNION_NORM = 0.5
-# Farther than any motion capture sees.
+_MAX_QUATERNION_NORM = 1e6
+# Farther and faster than any motion capture sees.
 _POSITION_MAX_M = 10_000.0
+_SPEED_MAX_M_S = 300.0
 
 
 class Outcome(IntEnum):
     """What became of one sample."""
 
     USED = 0
-    COLLECTED = 1  # kept for the initialisation
+    COLLECTED = 1  # kept: for the initialisation, or until it is time to fuse it
     UNUSABLE = 2  # a value is not finite or cannot be, or an attitude is no rotation
     STAMP_NOT_ADVANCING = 3
     TOO_LATE = 4
     TOO_EARLY = 5
     RESET = 6  # the IMU paused too long or its clock jumped back: the filter starts anew with this sample
+    REJECTED = 7  # contradicts the estimate by more than both uncertainties allow
+    FROZEN = 8  # repeats the value before it bit for bit: no new measurement
+
+
+class EstimatorStatus(IntEnum):
+    """How far the estimate can be used."""
+
+    INITIALISING = 0
+    OK = 1
+    DEGRADED = 2  # no correction for a while, or corrections are being rejected
+    LOST = 3  # no correction for so long, or a velocity so uncertain, that there is no usable state
 
 
 class Noise(NamedTuple):
@@ -53,8 +91,10 @@ class Noise(NamedTuple):
 
     Attributes:
         gyro, accelerometer: densities, (rad/s)²/Hz and (m/s²)²/Hz.
-        gyro_bias, accelerometer_bias: growth of the biases' variances per second.
-        position, attitude: variances of a pose, m² and rad².
+        gyro_bias, accelerometer_bias, delay: growth of their variances per second.
+        position, attitude, velocity: variances of a correction, m², rad² and (m/s)².
+        delay_prior: variance of the delay before anything is known of it, s²; 0 where stamps are trusted.
+        rates, force: variances of one sample of gyro and accelerometer, (rad/s)² and (m/s²)².
         gravity: m/s², along the world's third axis.
     """
 
@@ -62,210 +102,136 @@ class Noise(NamedTuple):
     accelerometer: float
     gyro_bias: float
     accelerometer_bias: float
+    delay: float
     position: float
     attitude: float
+    velocity: float
+    delay_prior: float
+    rates: float
+    force: float
     gravity: float
 
 
-class State(NamedTuple):
-    """The filter's memory; arrays that the kernels change in place.
+@njit(cache=True)
+def usable_imu(sample: Array) -> bool:
+    """Whether rates rad/s and specific force m/s² (6,) can be those of a flight; NaN cannot."""
+    for index in range(3):
+        if not (abs(sample[index]) <= RATE_MAX_RAD_S and abs(sample[3 + index]) <= SPECIFIC_FORCE_MAX_M_S2):
+            return False
+    return True
 
-    Attributes:
-        time_ns: (1,) stamp that the state belongs to.
-        position, velocity: (3,) m and m/s, world.
-        attitude: (4,) body to world.
-        gyro_bias, accelerometer_bias: (3,) rad/s and m/s², body axes.
-        covariance: (15, 15) of the error state.
-        imu_time_ns: (1,) stamp of the last IMU sample.
-        rates, specific_force: (3,) the last IMU sample.
+
+@njit(cache=True)
+def usable_pose(value: Array) -> bool:
+    """Whether a position m can be measured and its attitude (7,) is a rotation, but for scale."""
+    for index in range(3):
+        if not abs(value[index]) <= _POSITION_MAX_M:
+            return False
+    norm2 = value[3] ** 2 + value[4] ** 2 + value[5] ** 2 + value[6] ** 2
+    return bool(_MIN_QUATERNION_NORM**2 <= norm2 <= _MAX_QUATERNION_NORM**2)
+
+
+@njit(cache=True)
+def usable_velocity(value: Array) -> bool:
+    """Whether a velocity m/s, the first three numbers, can be that of a flight."""
+    largest = max(abs(value[0]), abs(value[1]), abs(value[2]))
+    # The largest of some numbers and NaN may be either.
+    return bool(largest <= _SPEED_MAX_M_S and not np.isnan(value[0] + value[1] + value[2]))
+
+
+@njit(cache=True)
+def copy(source: Array, target: Array, begin: int, end: int) -> None:
+    """Copy numbers; compiles in a fraction of the time that an assignment of slices takes."""
+    for index in range(begin, end):
+        target[index] = source[index]
+
+
+@njit(cache=True)
+def covariance_of(row: Array) -> Array:
+    """The covariance (16, 16) in a row, as a view."""
+    return row[_COVARIANCE].reshape((ERROR_STATES, ERROR_STATES))
+
+
+@njit(cache=True)
+def linearise(row: Array, dt: float, rates: Vector, force: Vector, transition: Array) -> None:
+    """What a step of `dt` s does to errors, into `transition` (31,): see :class:`Step`.
+
+    Args:
+        row: estimate before the step.
+        dt: s.
+        rates: measured, mean over the step.
+        force: measured specific force, mean over the step.
+        transition: to be filled.
     """
-
-    time_ns: Stamps
-    position: Array
-    velocity: Array
-    attitude: Array
-    gyro_bias: Array
-    accelerometer_bias: Array
-    covariance: Array
-    imu_time_ns: Stamps
-    rates: Array
-    specific_force: Array
-
-
-@njit(cache=True)
-def predict(state: State, noise: Noise, time_ns: int, rates: Array, specific_force: Array) -> Outcome:
-    """Take one IMU sample: rates (3,) rad/s and specific_force (3,) m/s², and move the state to its stamp.
-
-    The IMU signal is taken as linear between its samples. Gives an :class:`Outcome`; the state is untouched
-    unless it is USED.
-    """
-    if not usable_imu(rates, specific_force):
-        return Outcome.UNUSABLE
-    since_imu = time_ns - state.imu_time_ns[0]
-    if since_imu > MAX_GAP_NS or since_imu < -MAX_JUMP_BACK_NS:
-        return Outcome.RESET
-    if since_imu <= 0:
-        return Outcome.STAMP_NOT_ADVANCING
-    step = time_ns - state.time_ns[0]
-    if step > 0:
-        middle = 1.0 - 0.5 * step / since_imu
-        propagate(
-            state,
-            noise,
-            time_ns,
-            _between(state.rates, rates, middle),
-            _between(state.specific_force, specific_force, middle),
-        )
-    state.imu_time_ns[0] = time_ns
-    state.rates[:] = rates
-    state.specific_force[:] = specific_force
-    return Outcome.USED
-
-
-@njit(cache=True)
-def update_pose(state: State, noise: Noise, time_ns: int, position: Array, attitude: Array) -> Outcome:
-    """Correct the state by a pose: position (3,) m world, attitude (4,) body to world.
-
-    Between IMU samples the last one is held to reach the pose's stamp; a pose late by up to MAX_LATENESS_NS
-    is first moved to the state's stamp by the state's own motion. Gives an :class:`Outcome`; the state is
-    untouched unless USED.
-    """
-    if not usable_pose(position, attitude):
-        return Outcome.UNUSABLE
-    if time_ns < state.time_ns[0] - MAX_LATENESS_NS:
-        return Outcome.TOO_LATE
-    if time_ns > state.imu_time_ns[0] + MAX_GAP_NS:
-        return Outcome.TOO_EARLY
-    if time_ns > state.time_ns[0]:
-        propagate(state, noise, time_ns, state.rates, state.specific_force)
-    late = 1e-9 * (state.time_ns[0] - time_ns)
-    turn = _minus(state.rates, state.gyro_bias, late)
-    correct(
-        state,
-        noise,
-        (
-            position[0] + late * state.velocity[0],
-            position[1] + late * state.velocity[1],
-            position[2] + late * state.velocity[2],
-        ),
-        rotations.product(rotations.normalised(attitude), rotations.from_rotation_vector(turn)),
-    )
-    return Outcome.USED
-
-
-@njit(cache=True)
-def usable_imu(rates: Array, specific_force: Array) -> bool:
-    """Whether rates (3,) rad/s and specific_force (3,) m/s² can be those of a flight; NaN cannot."""
-    return bool(
-        np.all(np.abs(rates) <= RATE_MAX_RAD_S) and np.all(np.abs(specific_force) <= SPECIFIC_FORCE_MAX_M_S2)
-    )
-
-
-@njit(cache=True)
-def usable_pose(position: Array, attitude: Array) -> bool:
-    """Whether a position (3,) m can be measured and its attitude (4,) is a rotation, but for scale."""
-    if not (np.all(np.abs(position) <= _POSITION_MAX_M) and np.all(np.isfinite(attitude))):
-        return False
-    return bool(np.sum(attitude * attitude) >= _MIN_QUATERNION_NORM**2)
-
-
-@njit(cache=True)
-def propagate(
-    state: State, noise: Noise, time_ns: int, rates: Array | Vector, specific_force: Array | Vector
-) -> None:
-    """Move the state to `time_ns` under a constant measured rate and specific force."""
-    dt = 1e-9 * (time_ns - state.time_ns[0])
-    turn = _minus(rates, state.gyro_bias, dt)
+    turn = _minus(rates, row[_GYRO_BIAS], dt)
     half_turn = (0.5 * turn[0], 0.5 * turn[1], 0.5 * turn[2])
-    force = _minus(specific_force, state.accelerometer_bias, 1.0)
-    half_turned = rotations.product(state.attitude, rotations.from_rotation_vector(half_turn))
+    f0, f1, f2 = _minus(force, row[_ACCELEROMETER_BIAS], 1.0)
+    half_turned = rotations.product(row[_ATTITUDE], rotations.from_rotation_vector(half_turn))
     rotation = rotations.matrix(half_turned)
+    turned_back = rotations.matrix(rotations.from_rotation_vector((-turn[0], -turn[1], -turn[2])))
+    transition[0] = dt
     for axis in range(3):
-        acceleration = (
-            rotation[axis, 0] * force[0] + rotation[axis, 1] * force[1] + rotation[axis, 2] * force[2]
-        )
+        r0, r1, r2 = rotation[axis, 0], rotation[axis, 1], rotation[axis, 2]
+        a, b, c = -dt * r0, -dt * r1, -dt * r2
+        at = 1 + 3 * axis
+        transition[at], transition[at + 1], transition[at + 2] = a, b, c
+        transition[at + 9], transition[at + 10] = b * f2 - c * f1, c * f0 - a * f2
+        transition[at + 11] = a * f1 - b * f0
+        for column in range(3):
+            transition[at + 18 + column] = turned_back[axis, column]
+        transition[28 + axis] = r0 * f0 + r1 * f1 + r2 * f2
+
+
+TRANSITION = 31
+# Places in a transition: the step, then blocks (3, 3) of its matrix, then the specific force in the world.
+BY_ACCELEROMETER_BIAS, BY_ATTITUDE, TURN_BACK, WORLD_FORCE = 1, 10, 19, 28
+
+
+@njit(cache=True)
+def propagate(row: Array, noise: Noise, dt: float, rates: Vector, force: Vector, transition: Array) -> None:
+    """Move an estimate by `dt` s under a constant measured rate and specific force."""
+    linearise(row, dt, rates, force, transition)
+    position, velocity = row[_POSITION], row[_VELOCITY]
+    for axis in range(3):
+        acceleration = transition[WORLD_FORCE + axis]
         if axis == 2:
             acceleration += noise.gravity
-        state.position[axis] += (state.velocity[axis] + 0.5 * acceleration * dt) * dt
-        state.velocity[axis] += acceleration * dt
-    state.attitude[:] = rotations.normalised(
-        rotations.product(state.attitude, rotations.from_rotation_vector(turn))
-    )
-    state.time_ns[0] = time_ns
-    _propagate_covariance(state.covariance, noise, dt, rotation, turn, force)
+        position[axis] += (velocity[axis] + 0.5 * acceleration * dt) * dt
+        velocity[axis] += acceleration * dt
+    turn = _minus(rates, row[_GYRO_BIAS], dt)
+    attitude = rotations.product(row[_ATTITUDE], rotations.from_rotation_vector(turn))
+    w, x, y, z = rotations.normalised(attitude)
+    at = _ATTITUDE.start
+    row[at], row[at + 1], row[at + 2], row[at + 3] = w, x, y, z
 
-
-@njit(cache=True)
-def _between(first: Array, second: Array, share: float) -> Vector:
-    """The vector (3,) at a share of the way from the first to the second."""
-    return (
-        first[0] + share * (second[0] - first[0]),
-        first[1] + share * (second[1] - first[1]),
-        first[2] + share * (second[2] - first[2]),
-    )
-
-
-@njit(cache=True)
-def _minus(vector: Array | Vector, other: Array, scale: float) -> Vector:
-    """The difference of two vectors (3,), scaled."""
-    return scale * (vector[0] - other[0]), scale * (vector[1] - other[1]), scale * (vector[2] - other[2])
-
-
-@njit(cache=True)
-def _propagate_covariance(
-    covariance: Array,
-    noise: Noise,
-    dt: float,
-    rotation: Array,
-    turn: Vector,
-    force: Vector,
-) -> None:
-    """P ← F P Fᵀ + Q with F = I but for the blocks named below; F acts on rows, then on columns."""
-    velocity_by_bias = -dt * rotation
-    velocity_by_attitude = np.empty((3, 3))
-    for row in range(3):
-        a, b, c = velocity_by_bias[row, 0], velocity_by_bias[row, 1], velocity_by_bias[row, 2]
-        velocity_by_attitude[row, 0] = b * force[2] - c * force[1]
-        velocity_by_attitude[row, 1] = c * force[0] - a * force[2]
-        velocity_by_attitude[row, 2] = a * force[1] - b * force[0]
-    turned_back = rotations.from_rotation_vector((-turn[0], -turn[1], -turn[2]))
-    attitude_by_attitude = rotations.matrix(turned_back)
-
-    _transform_rows(covariance, dt, velocity_by_attitude, velocity_by_bias, attitude_by_attitude)
-    _transform_columns(covariance, dt, velocity_by_attitude, velocity_by_bias, attitude_by_attitude)
-    for row in range(ERROR_STATES):
-        for column in range(row):
-            covariance[column, row] = covariance[row, column]
+    covariance = covariance_of(row)
+    _transform_rows(covariance, transition)
+    _transform_columns(covariance, transition)
+    for i in range(ERROR_STATES):
+        for j in range(i):
+            covariance[j, i] = covariance[i, j]
     for axis in range(3):
-        covariance[VELOCITY.start + axis, VELOCITY.start + axis] += noise.accelerometer * dt
-        covariance[ATTITUDE.start + axis, ATTITUDE.start + axis] += noise.gyro * dt
-        covariance[GYRO_BIAS.start + axis, GYRO_BIAS.start + axis] += noise.gyro_bias * dt
-        covariance[ACCELEROMETER_BIAS.start + axis, ACCELEROMETER_BIAS.start + axis] += (
-            noise.accelerometer_bias * dt
-        )
+        covariance[3 + axis, 3 + axis] += noise.accelerometer * dt
+        covariance[6 + axis, 6 + axis] += noise.gyro * dt
+        covariance[9 + axis, 9 + axis] += noise.gyro_bias * dt
+        covariance[12 + axis, 12 + axis] += noise.accelerometer_bias * dt
+    covariance[DELAY, DELAY] += noise.delay * dt
 
 
 @njit(cache=True)
-def _transform_rows(
-    covariance: Array,
-    dt: float,
-    velocity_by_attitude: Array,
-    velocity_by_bias: Array,
-    attitude_by_attitude: Array,
-) -> None:
+def _transform_rows(covariance: Array, transition: Array) -> None:
     """P ← F P in place: position, velocity, attitude in the order in which they feed."""
-    position, velocity, attitude = covariance[POSITION], covariance[VELOCITY], covariance[ATTITUDE]
-    gyro_bias, accelerometer_bias = covariance[GYRO_BIAS], covariance[ACCELEROMETER_BIAS]
+    dt = transition[0]
+    position, velocity, attitude = covariance[0:3], covariance[3:6], covariance[6:9]
+    gyro_bias, accelerometer_bias = covariance[9:12], covariance[12:15]
     for axis in range(3):
         for column in range(ERROR_STATES):
             position[axis, column] += dt * velocity[axis, column]
     for axis in range(3):
-        a0, a1, a2 = (
-            velocity_by_attitude[axis, 0],
-            velocity_by_attitude[axis, 1],
-            velocity_by_attitude[axis, 2],
-        )
-        b0, b1, b2 = velocity_by_bias[axis, 0], velocity_by_bias[axis, 1], velocity_by_bias[axis, 2]
+        at = BY_ATTITUDE + 3 * axis
+        a0, a1, a2 = transition[at], transition[at + 1], transition[at + 2]
+        at = BY_ACCELEROMETER_BIAS + 3 * axis
+        b0, b1, b2 = transition[at], transition[at + 1], transition[at + 2]
         for column in range(ERROR_STATES):
             velocity[axis, column] += (
                 a0 * attitude[0, column]
@@ -275,99 +241,141 @@ def _transform_rows(
                 + b1 * accelerometer_bias[1, column]
                 + b2 * accelerometer_bias[2, column]
             )
+    t00, t01, t02 = transition[TURN_BACK], transition[TURN_BACK + 1], transition[TURN_BACK + 2]
+    t10, t11, t12 = transition[TURN_BACK + 3], transition[TURN_BACK + 4], transition[TURN_BACK + 5]
+    t20, t21, t22 = transition[TURN_BACK + 6], transition[TURN_BACK + 7], transition[TURN_BACK + 8]
     for column in range(ERROR_STATES):
         a0, a1, a2 = attitude[0, column], attitude[1, column], attitude[2, column]
-        for axis in range(3):
-            attitude[axis, column] = (
-                attitude_by_attitude[axis, 0] * a0
-                + attitude_by_attitude[axis, 1] * a1
-                + attitude_by_attitude[axis, 2] * a2
-                - dt * gyro_bias[axis, column]
-            )
+        attitude[0, column] = t00 * a0 + t01 * a1 + t02 * a2 - dt * gyro_bias[0, column]
+        attitude[1, column] = t10 * a0 + t11 * a1 + t12 * a2 - dt * gyro_bias[1, column]
+        attitude[2, column] = t20 * a0 + t21 * a1 + t22 * a2 - dt * gyro_bias[2, column]
 
 
 @njit(cache=True)
-def _transform_columns(
-    covariance: Array,
-    dt: float,
-    velocity_by_attitude: Array,
-    velocity_by_bias: Array,
-    attitude_by_attitude: Array,
-) -> None:
+def _transform_columns(covariance: Array, transition: Array) -> None:
     """P ← P Fᵀ in place, where only the lower triangle is needed."""
     for index in range(ERROR_STATES):
         row = covariance[index]
-        position, velocity, attitude = row[POSITION], row[VELOCITY], row[ATTITUDE]
-        gyro_bias, accelerometer_bias = row[GYRO_BIAS], row[ACCELEROMETER_BIAS]
         for axis in range(3):
-            position[axis] += dt * velocity[axis]
+            row[axis] += transition[0] * row[3 + axis]
         if index < VELOCITY.start:
             continue
-        a0, a1, a2 = attitude[0], attitude[1], attitude[2]
-        b0, b1, b2 = accelerometer_bias[0], accelerometer_bias[1], accelerometer_bias[2]
+        a0, a1, a2 = row[6], row[7], row[8]
+        b0, b1, b2 = row[12], row[13], row[14]
         for axis in range(3):
-            velocity[axis] += (
-                velocity_by_attitude[axis, 0] * a0
-                + velocity_by_attitude[axis, 1] * a1
-                + velocity_by_attitude[axis, 2] * a2
-                + velocity_by_bias[axis, 0] * b0
-                + velocity_by_bias[axis, 1] * b1
-                + velocity_by_bias[axis, 2] * b2
+            at, to = BY_ATTITUDE + 3 * axis, BY_ACCELEROMETER_BIAS + 3 * axis
+            row[3 + axis] += (
+                transition[at] * a0
+                + transition[at + 1] * a1
+                + transition[at + 2] * a2
+                + transition[to] * b0
+                + transition[to + 1] * b1
+                + transition[to + 2] * b2
             )
         if index < ATTITUDE.start:
             continue
         for axis in range(3):
-            attitude[axis] = (
-                attitude_by_attitude[axis, 0] * a0
-                + attitude_by_attitude[axis, 1] * a1
-                + attitude_by_attitude[axis, 2] * a2
-                - dt * gyro_bias[axis]
+            at = TURN_BACK + 3 * axis
+            row[6 + axis] = (
+                transition[at] * a0
+                + transition[at + 1] * a1
+                + transition[at + 2] * a2
+                - transition[0] * row[9 + axis]
             )
 
 
 @njit(cache=True)
-def correct(state: State, noise: Noise, position: Vector, attitude: rotations.Quaternion) -> None:
-    """Measurement update by a pose at the state's own stamp, one scalar at a time, in Joseph form."""
-    attitude_error = rotations.to_rotation_vector(
-        rotations.product(rotations.inverse(state.attitude), attitude)
-    )
-    error = np.zeros(ERROR_STATES)
+def back(transition: Array, vector: Array) -> None:
+    """Fᵀ times a vector (16,), in place."""
+    dt = transition[0]
+    v0, v1, v2 = vector[3], vector[4], vector[5]
+    a0, a1, a2 = vector[6], vector[7], vector[8]
     for axis in range(3):
-        _correct_scalar(
-            state.covariance,
-            error,
-            POSITION.start + axis,
-            position[axis] - state.position[axis],
-            noise.position,
+        at, by = BY_ATTITUDE + axis, BY_ACCELEROMETER_BIAS + axis
+        turn = TURN_BACK + axis
+        vector[6 + axis] = (
+            transition[turn] * a0
+            + transition[turn + 3] * a1
+            + transition[turn + 6] * a2
+            + transition[at] * v0
+            + transition[at + 3] * v1
+            + transition[at + 6] * v2
         )
-    for axis in range(3):
-        _correct_scalar(state.covariance, error, ATTITUDE.start + axis, attitude_error[axis], noise.attitude)
-    state.position[:] += error[POSITION]
-    state.velocity[:] += error[VELOCITY]
-    state.attitude[:] = rotations.normalised(
-        rotations.product(state.attitude, rotations.from_rotation_vector(error[ATTITUDE]))
-    )
-    state.gyro_bias[:] += error[GYRO_BIAS]
-    state.accelerometer_bias[:] += error[ACCELEROMETER_BIAS]
+        vector[12 + axis] += transition[by] * v0 + transition[by + 3] * v1 + transition[by + 6] * v2
+        vector[3 + axis] += dt * vector[axis]
+    vector[9] -= dt * a0
+    vector[10] -= dt * a1
+    vector[11] -= dt * a2
 
 
 @njit(cache=True)
-def _correct_scalar(covariance: Array, error: Array, index: int, measured: float, variance: float) -> None:
-    """Measure error state `index` directly: P ← (I − k hᵀ) P (I − k hᵀ)ᵀ + k r kᵀ."""
-    innovation_variance = covariance[index, index] + variance
-    row_before = covariance[index].copy()
-    gain = row_before / innovation_variance
-    # Column `index` of (I − k hᵀ) P.
-    column = row_before - gain * row_before[index]
-    innovation = measured - error[index]
+def correct_scalar(
+    covariance: Array, error: Array, by: Array, measured: float, variance: float, gain: Array
+) -> tuple[float, float]:
+    """Measure `by` · error: P ← (I − k hᵀ) P (I − k hᵀ)ᵀ + k r kᵀ, Joseph's form.
+
+    Args:
+        covariance: (16, 16) of the error, renewed.
+        error: (16,) estimated so far, renewed.
+        by: (16,) h.
+        measured: its value.
+        variance: r, of the measurement.
+        gain: (16,) filled with k.
+
+    Returns:
+        The innovation and its variance.
+    """
+    innovation, expected = measured, variance
+    projected = np.empty(ERROR_STATES)
+    for i in range(ERROR_STATES):
+        total = 0.0
+        for j in range(ERROR_STATES):
+            total += covariance[i, j] * by[j]
+        projected[i] = total
+        innovation -= by[i] * error[i]
+        expected += by[i] * total
+    prior = expected - variance
+    for i in range(ERROR_STATES):
+        gain[i] = projected[i] / expected
     for i in range(ERROR_STATES):
         error[i] += gain[i] * innovation
+        # Row i of (I − k hᵀ) P hᵀ, which Joseph's form takes off once more.
+        remaining = projected[i] - gain[i] * prior
         for j in range(i + 1):
             updated = (
-                covariance[i, j]
-                - gain[i] * row_before[j]
-                - column[i] * gain[j]
-                + gain[i] * variance * gain[j]
+                covariance[i, j] - gain[i] * projected[j] - remaining * gain[j] + gain[i] * variance * gain[j]
             )
             covariance[i, j] = updated
             covariance[j, i] = updated
+    return innovation, expected
+
+
+@njit(cache=True)
+def inject(row: Array, error: Array) -> None:
+    """Add an estimated error (16,) to the state of a row."""
+    for axis in range(3):
+        row[_POSITION.start + axis] += error[axis]
+        row[_VELOCITY.start + axis] += error[3 + axis]
+        row[_GYRO_BIAS.start + axis] += error[9 + axis]
+        row[_ACCELEROMETER_BIAS.start + axis] += error[12 + axis]
+    turned = rotations.product(row[_ATTITUDE], rotations.from_rotation_vector((error[6], error[7], error[8])))
+    w, x, y, z = rotations.normalised(turned)
+    at = _ATTITUDE.start
+    row[at], row[at + 1], row[at + 2], row[at + 3] = w, x, y, z
+    row[_DELAY] = min(max(row[_DELAY] + error[DELAY], -DELAY_MAX_S), DELAY_MAX_S)
+
+
+@njit(cache=True)
+def between(first: Array, second: Array, at: int, share: float) -> Vector:
+    """Three numbers from place `at` on, at a share of the way from the first array to the second."""
+    return (
+        first[at] + share * (second[at] - first[at]),
+        first[at + 1] + share * (second[at + 1] - first[at + 1]),
+        first[at + 2] + share * (second[at + 2] - first[at + 2]),
+    )
+
+
+@njit(cache=True)
+def _minus(vector: Vector, other: Array, scale: float) -> Vector:
+    """The difference of two vectors (3,), scaled."""
+    return scale * (vector[0] - other[0]), scale * (vector[1] - other[1]), scale * (vector[2] - other[2])

@@ -1,81 +1,153 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Kalman filter over whole streams, compiled: the steps that run live, merged by stamp."""
+"""The Kalman filter over whole streams, compiled: the steps that run live, merged by arrival."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from quadpi_core.compiled import njit
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import PoseStream, Stamps, TwistStream
 from quadpi_core.frames import Array
-from quadpi_core.signals.ekf_kernels import ERROR_STATES, Noise, Outcome, State, predict, update_pose
+from quadpi_core.signals.ekf_buffer import Clock, Memory, hold, predict, release
+from quadpi_core.signals.ekf_corrections import BODY_VELOCITY, POSE, VALUES, WORLD_VELOCITY, Count
+from quadpi_core.signals.ekf_kernels import ERROR_STATES, Outcome, Row, covariance_of
+
+_HEAD, _STATUS = Clock.HEAD, Clock.STATUS
+_NOMINAL = Row.NOMINAL
+
+
+class Measurements(NamedTuple):
+    """Corrections in the order of their arrival.
+
+    Attributes:
+        arrival_ns: (M,) stamp of the newest IMU sample that was there before it.
+        time_ns: (M,) stamps.
+        kind: (M,) see :mod:`.ekf_corrections`.
+        value: (M, 7).
+    """
+
+    arrival_ns: Stamps
+    time_ns: Stamps
+    kind: Count
+    value: Array
 
 
 class Track(NamedTuple):
-    """States at M IMU stamps, filled by :func:`run`; `variance` (M, 15) is the diagonal of the covariance."""
+    """Estimates at M IMU stamps, filled by :func:`run`.
+
+    Attributes:
+        nominal: (M, 17) see :class:`Row`.
+        variance: (M, 16) the diagonal of the covariance.
+        status: (M,) see :class:`EstimatorStatus`.
+        sample: (M,) index of the IMU sample.
+    """
 
     time_ns: Stamps
-    position: Array
-    velocity: Array
-    attitude: Array
-    gyro_bias: Array
-    accelerometer_bias: Array
+    nominal: Array
     variance: Array
+    status: npt.NDArray[np.uint8]
+    sample: Count
+
+    def until(self, end: int) -> Track:
+        """The first estimates."""
+        return Track(
+            self.time_ns[:end], self.nominal[:end], self.variance[:end], self.status[:end], self.sample[:end]
+        )
 
 
 class Progress(NamedTuple):
-    """How far :func:`run` has come: arrays (1,), and how many samples met each Outcome."""
+    """How far :func:`run` has come: arrays (1,)."""
 
-    next_imu: Stamps
-    next_pose: Stamps
-    recorded: Stamps
-    imu_counts: Stamps
-    pose_counts: Stamps
+    imu: Count
+    measurement: Count
+    recorded: Count
+
+
+def merge(pose: PoseStream | None, twist: TwistStream | None) -> Measurements:
+    """Poses and velocities in the order of their arrival, the pose first where they tie."""
+    arrival_ns, time_ns, kind, value = [], [], [], []
+    if pose is not None:
+        arrival_ns.append(pose.arrival_ns)
+        time_ns.append(pose.time_ns)
+        kind.append(np.full(len(pose), POSE))
+        value.append(np.concatenate((pose.position, pose.attitude), axis=1))
+    if twist is not None:
+        arrival_ns.append(twist.arrival_ns)
+        time_ns.append(twist.time_ns)
+        kind.append(np.where(twist.in_body, BODY_VELOCITY, WORLD_VELOCITY))
+        value.append(np.pad(twist.velocity, ((0, 0), (0, VALUES - 3))))
+    arrived = np.concatenate(arrival_ns)
+    order = np.argsort(arrived, kind="stable")
+    return Measurements(
+        arrived[order],
+        np.concatenate(time_ns)[order],
+        np.concatenate(kind).astype(np.int64)[order],
+        np.ascontiguousarray(np.concatenate(value)[order], dtype=np.float64),
+    )
+
+
+def empty_track(samples: int) -> Track:
+    """Room for that many estimates."""
+    return Track(
+        np.empty(samples, dtype=np.int64),
+        np.empty((samples, _NOMINAL.stop - _NOMINAL.start)),
+        np.empty((samples, ERROR_STATES)),
+        np.empty(samples, dtype=np.uint8),
+        np.empty(samples, dtype=np.int64),
+    )
 
 
 @njit(cache=True)
 def run(
-    state: State,
-    noise: Noise,
-    imu: tuple[Stamps, Array, Array],
-    poses: tuple[Stamps, Array, Array],
+    memory: Memory,
+    imu_ns: Stamps,
+    samples: Array,
+    measurements: Measurements,
     progress: Progress,
     track: Track,
+    journal_ns: Stamps,
+    journal: Array,
 ) -> None:
-    """Merge IMU samples and poses by stamp, the IMU first where they tie, from `progress` on.
+    """Take IMU samples (N, 6) and measurements from `progress` on, as they arrived.
 
     Stops at the end of the IMU samples, or before one that asks for a RESET.
     """
-    imu_time_ns, rates, specific_force = imu
-    pose_time_ns, position, attitude = poses
-    while progress.next_imu[0] < len(imu_time_ns):
-        index = progress.next_imu[0]
-        pose = progress.next_pose[0]
-        if pose < len(pose_time_ns) and pose_time_ns[pose] < imu_time_ns[index]:
-            outcome = update_pose(state, noise, pose_time_ns[pose], position[pose], attitude[pose])
-            progress.pose_counts[outcome.value] += 1
-            progress.next_pose[0] += 1
+    while progress.imu[0] < len(imu_ns):
+        index, following = progress.imu[0], progress.measurement[0]
+        if following < len(measurements.time_ns) and measurements.arrival_ns[following] < imu_ns[index]:
+            hold(
+                memory,
+                measurements.time_ns[following],
+                measurements.kind[following],
+                measurements.value[following],
+            )
+            progress.measurement[0] += 1
             continue
-        outcome = predict(state, noise, imu_time_ns[index], rates[index], specific_force[index])
-        if outcome == Outcome.RESET:
+        outcome = predict(memory, imu_ns[index], samples[index])
+        if outcome == Outcome.RESET.value:
             return
-        progress.imu_counts[outcome.value] += 1
-        progress.next_imu[0] += 1
-        if outcome == Outcome.USED:
-            record(state, track, progress)
+        memory.counts[0, outcome] += 1
+        progress.imu[0] += 1
+        if outcome == Outcome.USED.value:
+            release(memory, journal_ns, journal)
+            record(memory, track, progress, index)
 
 
 @njit(cache=True)
-def record(state: State, track: Track, progress: Progress) -> None:
-    """Append the state to the track."""
+def record(memory: Memory, track: Track, progress: Progress, sample: int) -> None:
+    """Append the estimate as it stands after an IMU sample."""
     row = progress.recorded[0]
-    track.time_ns[row] = state.imu_time_ns[0]
-    track.position[row] = state.position
-    track.velocity[row] = state.velocity
-    track.attitude[row] = state.attitude
-    track.gyro_bias[row] = state.gyro_bias
-    track.accelerometer_bias[row] = state.accelerometer_bias
+    head = memory.clock[_HEAD]
+    track.time_ns[row] = memory.stamps[head]
+    for index in range(track.nominal.shape[1]):
+        track.nominal[row, index] = memory.rows[head, _NOMINAL.start + index]
+    track.status[row] = memory.clock[_STATUS]
+    track.sample[row] = sample
+    covariance = covariance_of(memory.rows[head])
     for index in range(ERROR_STATES):
-        track.variance[row, index] = state.covariance[index, index]
+        track.variance[row, index] = covariance[index, index]
     progress.recorded[0] += 1

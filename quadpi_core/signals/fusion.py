@@ -20,6 +20,7 @@ from quadpi_core.signals.resample import (
     nominal_rate,
     uniform_stamps,
 )
+from quadpi_core.signals.smoother import smooth
 from quadpi_core.vehicle import Vehicle
 
 
@@ -37,11 +38,11 @@ class Estimate(NamedTuple):
 def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
     """Estimate the state, bring every stream to the IMU's nominal grid and low-pass all of it alike.
 
-    The state comes from the EKF where the recording has poses, else from its odometry, whose biases are
-    taken as zero. The IMU is corrected by the bias estimates of each instant, as it is live: they wander at
-    the pace of the bias walk in the vehicle file. The flight covers the time in which every stream has
-    samples and the estimator is initialised; wind may be absent (still air), else its first and last sample
-    hold beyond its ends.
+    The state comes from the smoother over the EKF's model where the recording has motion capture, else from
+    its odometry, whose biases are taken as zero. The IMU is corrected by the bias estimates of each instant,
+    which wander at the pace of the bias walk in the vehicle file. The flight covers the time in which every
+    stream has samples and the estimator is initialised; wind may be absent (still air), else its first and
+    last sample hold beyond its ends.
 
     Args:
         recording: checked streams.
@@ -101,15 +102,15 @@ def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
 
 
 def _estimate(recording: Recording, vehicle: Vehicle) -> Estimate:
-    if recording.pose is not None:
-        trace = Ekf(vehicle, nominal_rate(recording.imu.time_ns)).run(recording)
+    if recording.pose is not None or recording.twist is not None:
+        smoothed = smooth(recording, Ekf(vehicle, nominal_rate(recording.imu.time_ns)))
         return Estimate(
-            trace.time_ns,
-            trace.position,
-            trace.attitude,
-            trace.velocity_body,
-            trace.gyro_bias,
-            trace.accelerometer_bias,
+            smoothed.time_ns,
+            smoothed.position,
+            smoothed.attitude,
+            smoothed.velocity_body,
+            smoothed.gyro_bias,
+            smoothed.accelerometer_bias,
         )
     odometry = recording.odometry
     if odometry is None:

@@ -12,18 +12,16 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import ImuStream, OdometryStream
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
-from quadpi_core.signals.ekf_kernels import (
-    ATTITUDE,
-    ERROR_STATES,
-    GYRO_BIAS,
-    POSITION,
-    VELOCITY,
-    State,
-)
+from quadpi_core.signals.ekf import State
+from quadpi_core.signals.ekf_kernels import Row, covariance_of
 
-# Order of a covariance in nav_msgs/Odometry: three linear components, then three angular ones.
-_LINEAR = slice(0, 3)
-_ANGULAR = slice(3, 6)
+_RATES, _FORCE, _POSITION, _VELOCITY = Row.RATES, Row.FORCE, Row.POSITION, Row.VELOCITY
+_ATTITUDE, _GYRO_BIAS, _ACCELEROMETER_BIAS = Row.ATTITUDE, Row.GYRO_BIAS, Row.ACCELEROMETER_BIAS
+# Where the numbers of a fused sample lie: one array, filled by one kernel.
+_OUT_POSITION, _OUT_ATTITUDE, _OUT_VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
+_OUT_RATES, _OUT_FORCE = slice(10, 13), slice(13, 16)
+_OUT_POSE, _OUT_TWIST = slice(16, 52), slice(52, 88)
+_OUT = 88
 
 
 class FusedSample(NamedTuple):
@@ -49,48 +47,70 @@ def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSample:
         state: of the filter, as :meth:`Ekf.predict` left it.
         gyro_noise_rad_s: standard deviation of a gyro sample, which adds to the covariance of the rates.
     """
-    time_ns = state.imu_time_ns.copy()
-    rates = (state.rates - state.gyro_bias)[None]
-    specific_force = (state.specific_force - state.accelerometer_bias)[None]
-    velocity = np.empty((1, 3))
-    pose_covariance, twist_covariance = np.empty((1, 6, 6)), np.empty((1, 6, 6))
-    _fill(state, gyro_noise_rad_s**2, velocity[0], pose_covariance[0], twist_covariance[0])
-    odometry = OdometryStream(
-        time_ns, state.position[None].copy(), state.attitude[None].copy(), velocity, rates
+    out = np.empty((1, _OUT))
+    _fill(state.row, gyro_noise_rad_s**2, out[0])
+    time_ns, rates = state.time_ns.copy(), out[:, _OUT_RATES]
+    return FusedSample(
+        OdometryStream(time_ns, out[:, _OUT_POSITION], out[:, _OUT_ATTITUDE], out[:, _OUT_VELOCITY], rates),
+        ImuStream(time_ns, rates, out[:, _OUT_FORCE]),
+        out[:, _OUT_POSE].reshape(1, 6, 6),
+        out[:, _OUT_TWIST].reshape(1, 6, 6),
     )
-    imu = ImuStream(time_ns, rates, specific_force)
-    return FusedSample(odometry, imu, pose_covariance, twist_covariance)
 
 
 @njit(cache=True)
-def _fill(
-    state: State, gyro_variance: float, velocity: Array, pose_covariance: Array, twist_covariance: Array
-) -> None:
-    """First-order propagation of the error state into pose and twist.
+def _fill(row: Array, gyro_variance: float, out: Array) -> None:
+    """State, and first-order propagation of the error state into pose and twist.
 
     With attitude error δθ in body axes, rotations about the world's axes are R δθ, and the velocity in body
     axes errs by Rᵀ δv + v × δθ.
     """
-    to_world = rotations.matrix(state.attitude)
-    to_body = np.ascontiguousarray(to_world.T)
-    velocity[:] = to_body @ state.velocity
+    to_world = rotations.matrix(row[_ATTITUDE])
+    velocity = row[_VELOCITY]
+    out[_OUT_POSITION] = row[_POSITION]
+    out[_OUT_ATTITUDE] = row[_ATTITUDE]
+    for axis in range(3):
+        in_body = 0.0
+        for other in range(3):
+            in_body += to_world[other, axis] * velocity[other]
+        out[_OUT_VELOCITY.start + axis] = in_body
+        out[_OUT_RATES.start + axis] = row[_RATES.start + axis] - row[_GYRO_BIAS.start + axis]
+        out[_OUT_FORCE.start + axis] = row[_FORCE.start + axis] - row[_ACCELEROMETER_BIAS.start + axis]
+    u, v, w = out[_OUT_VELOCITY.start], out[_OUT_VELOCITY.start + 1], out[_OUT_VELOCITY.start + 2]
 
-    pose = np.zeros((6, ERROR_STATES))
-    pose[_LINEAR, POSITION] = np.eye(3)
-    pose[_ANGULAR, ATTITUDE] = to_world
-    pose_covariance[:] = pose @ state.covariance @ pose.T
-
-    twist = np.zeros((6, ERROR_STATES))
-    twist[_LINEAR, VELOCITY] = to_body
-    twist[_LINEAR, ATTITUDE] = _cross_matrix(velocity)
-    twist[_ANGULAR, GYRO_BIAS] = -np.eye(3)
-    twist_covariance[:] = twist @ state.covariance @ twist.T
+    # Rows of the two Jacobians over position, velocity, attitude and gyro bias.
+    pose, twist = np.zeros((6, 12)), np.zeros((6, 12))
+    for axis in range(3):
+        pose[axis, axis] = 1.0
+        twist[3 + axis, 9 + axis] = -1.0
+        for other in range(3):
+            pose[3 + axis, 6 + other] = to_world[axis, other]
+            twist[axis, 3 + other] = to_world[other, axis]
+    twist[0, 7], twist[0, 8] = -w, v
+    twist[1, 6], twist[1, 8] = w, -u
+    twist[2, 6], twist[2, 7] = -v, u
+    covariance = covariance_of(row)
+    _sandwich(pose, covariance, out[_OUT_POSE])
+    _sandwich(twist, covariance, out[_OUT_TWIST])
     for axis in range(3, 6):
-        twist_covariance[axis, axis] += gyro_variance
+        out[_OUT_TWIST.start + 7 * axis] += gyro_variance
 
 
 @njit(cache=True)
-def _cross_matrix(vector: Array) -> Array:
-    """(3, 3) matrix whose product with u is vector × u."""
-    x, y, z = vector[0], vector[1], vector[2]
-    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+def _sandwich(by: Array, covariance: Array, out: Array) -> None:
+    """J P Jᵀ into `out` (36,), of the first columns of P."""
+    columns = by.shape[1]
+    projected = np.zeros((6, columns))
+    for row in range(6):
+        for inner in range(columns):
+            factor = by[row, inner]
+            if factor != 0.0:
+                for column in range(columns):
+                    projected[row, column] += factor * covariance[inner, column]
+    for row in range(6):
+        for other in range(row + 1):
+            total = 0.0
+            for column in range(columns):
+                total += projected[row, column] * by[other, column]
+            out[6 * row + other] = total
+            out[6 * other + row] = total

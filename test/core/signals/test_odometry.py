@@ -6,7 +6,8 @@ import numpy as np
 
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import rotations
-from quadpi_core.signals.ekf_kernels import ATTITUDE, ERROR_STATES, GYRO_BIAS, POSITION, VELOCITY, State
+from quadpi_core.signals.ekf import State
+from quadpi_core.signals.ekf_kernels import ATTITUDE, ERROR_STATES, GYRO_BIAS, POSITION, VELOCITY, Row
 from quadpi_core.signals.odometry import fused_sample
 
 GYRO_NOISE = 0.02
@@ -14,19 +15,11 @@ GYRO_NOISE = 0.02
 
 def make_state(rng: np.random.Generator) -> State:
     root = 0.02 * rng.standard_normal((ERROR_STATES, ERROR_STATES))
-    attitude = rng.standard_normal(4)
-    return State(
-        time_ns=np.array([7]),
-        position=rng.standard_normal(3),
-        velocity=10.0 * rng.standard_normal(3),
-        attitude=attitude / np.linalg.norm(attitude),
-        gyro_bias=rng.standard_normal(3),
-        accelerometer_bias=rng.standard_normal(3),
-        covariance=root @ root.T,
-        imu_time_ns=np.array([7]),
-        rates=rng.standard_normal(3),
-        specific_force=rng.standard_normal(3),
-    )
+    row = rng.standard_normal(Row.WIDTH)
+    row[Row.VELOCITY] *= 10.0
+    row[Row.ATTITUDE] /= np.linalg.norm(row[Row.ATTITUDE])
+    row[Row.COVARIANCE] = (root @ root.T).ravel()
+    return State(np.array([7]), row)
 
 
 def test_imu_is_corrected_and_velocity_in_body_axes() -> None:
