@@ -146,7 +146,9 @@ def import_(
 def info(
     path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
     vehicle: OptionalVehicle = None,
-    mapping: Annotated[str | None, typer.Option(help="Mapping for a CSV or Parquet file.")] = None,
+    mapping: Annotated[
+        str | None, typer.Option(help="Mapping for a table or bag, as `import` takes it.")
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
@@ -185,6 +187,9 @@ def identify(
         float | None, typer.Option(help="Cut-off of the low-pass over all signals; default: 30, paper: 100.")
     ] = None,
     confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
+    false_alarms_per_hour: Annotated[
+        float, typer.Option(help="Rate that the limits of the alarm are calibrated to.")
+    ] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the networks of an ensemble.")] = 0,
     device: Annotated[
         Literal["cpu", "cuda"], typer.Option(help="That trains an ensemble; flying needs none.")
@@ -226,6 +231,7 @@ def identify(
             confidence=confidence,
             seed=seed,
             device=device,
+            false_alarms_per_hour=false_alarms_per_hour,
             progress=progress,
         ).save(output)
     for axis in model.axes:
@@ -236,6 +242,7 @@ def identify(
         f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
     )
     console.print(model.calibration(), soft_wrap=True)
+    console.print(model.alarm_limits.sentence(), soft_wrap=True)
     if held_out := held_out_table(model):
         console.print(held_out)
     if json_file or html_file:

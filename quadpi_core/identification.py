@@ -22,15 +22,18 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.ensembles.bootstrap import BootstrapEnsemble
 from quadpi_core.models.ensembles.estimator import Ensemble, fit_axes, require_training
 from quadpi_core.models.ensembles.quality_driven import QualityDrivenEnsemble
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.rules import require_confidence
 from quadpi_core.models.selection import StopRule
-from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.monitor.assessment import alarm_of_flight
+from quadpi_core.monitor.calibration import calibrate_alarm, hover_rotor_speed, left_out
 from quadpi_core.parallel import map_files
 from quadpi_core.signals.fusion import fuse
 from quadpi_core.signals.wrench import measured_wrench
@@ -182,9 +185,10 @@ def identify(
     confidence: float = 0.95,
     seed: int = 0,
     device: str = "cpu",
+    false_alarms_per_hour: float = RATE_PER_HOUR,
     progress: Callable[[Step], None] = lambda _: None,
 ) -> AerodynamicModel:
-    """Identify a model of every axis of `pools`, with its envelope.
+    """Identify a model of every axis of `pools`, with its envelope and the limits of its alarm.
 
     Args:
         flights: to identify on; errors of flights left out in turn calibrate the intervals.
@@ -197,6 +201,7 @@ def identify(
         confidence: nominal coverage that the monitor will use, and quality-driven bounds are trained for.
         seed: of an ensemble.
         device: that trains an ensemble, "cpu" or "cuda".
+        false_alarms_per_hour: that the limits of the alarm are calibrated to, on the flights left out.
         progress: called before each polynomial, or after each epoch of an ensemble.
 
     Raises:
@@ -228,6 +233,15 @@ def identify(
     compiled = METHODS[method].compile(fitted)
     evidence = compiled.evaluate(inputs, compiled.factors(confidence))
     coverage = {axis: estimators[axis].held_out_coverage(confidence) for axis in axes}
+    envelope, limits = calibrate_alarm(
+        Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
+        left_out(
+            flights, {axis: (fitted[axis].rule, estimators[axis].held_out_) for axis in axes}, confidence
+        ),
+        confidence=confidence,
+        rate_per_hour=false_alarms_per_hour,
+        hover_rotor_speed=hover_rotor_speed(inputs, wrench, vehicle.mass_kg * vehicle.gravity_m_s2),
+    )
     return AerodynamicModel(
         name="",
         vehicle=vehicle.name,
@@ -236,13 +250,14 @@ def identify(
         cutoff_hz=cutoff_hz,
         confidence=confidence,
         fitted=fitted,
-        envelope=Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
+        envelope=envelope,
         training_range={axis: float(np.ptp(targets[:, column])) for column, axis in enumerate(axes)},
         flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
         selection={axis: _selection_log(estimators[axis]) for axis in axes},
         held_out_coverage={
             axis: [] if shares is None else shares.tolist() for axis, shares in coverage.items()
         },
+        alarm_limits=limits,
     )
 
 
@@ -327,7 +342,12 @@ def _selection_log(estimator: StepwisePolynomial | Ensemble) -> list[dict[str, A
 
 
 def predict_flight(
-    model: AerodynamicModel, flight: PreparedFlight, confidence: float, *, adaptive: bool = False
+    model: AerodynamicModel,
+    flight: PreparedFlight,
+    confidence: float,
+    *,
+    adaptive: bool = False,
+    with_alarm: bool = False,
 ) -> FlightResult:
     """What the model says of one flight, beside what was measured.
 
@@ -336,12 +356,16 @@ def predict_flight(
         flight: passed the low-pass of the model.
         confidence: nominal coverage of the intervals.
         adaptive: intervals that adapt to the measurement as the flight goes, as the monitor's may.
+        with_alarm: run the alarm as well; it goes by the model's own intervals either way.
     """
     evaluation = model.evaluate(flight.inputs, confidence)
     lower, upper = evaluation.lower, evaluation.upper
     if adaptive:
         rate_hz = 1.0 / float(np.median(np.diff(flight.time)))
         lower, upper = AdaptiveFactor(confidence, rate_hz).step(flight.wrench, lower, upper)
+    alarm = None
+    if with_alarm:
+        alarm = alarm_of_flight(model, flight.time, flight.inputs, flight.wrench, evaluation, confidence)
     return FlightResult(
         name=flight.name,
         axes=model.axes,
@@ -352,6 +376,7 @@ def predict_flight(
         upper=upper,
         inputs=flight.inputs,
         height=flight.height,
+        alarm=alarm,
     )
 
 
@@ -382,7 +407,9 @@ def judge(
     def at(level: float) -> Iterator[FlightResult]:
         return (predict_flight(model, flight, level, adaptive=adaptive) for flight in flights)
 
-    results = list(at(confidence))
+    results = [
+        predict_flight(model, flight, confidence, adaptive=adaptive, with_alarm=True) for flight in flights
+    ]
     evaluation = evaluate_flights(
         results,
         groups,

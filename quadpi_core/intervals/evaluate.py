@@ -19,6 +19,7 @@ from quadpi_core.intervals import metrics
 from quadpi_core.intervals.autocorrelation import effective_sample_size
 from quadpi_core.intervals.bootstrap import coverage_interval
 from quadpi_core.intervals.regimes import by_bin, round_edges
+from quadpi_core.monitor.assessment import Assessed, FlightAlarm, assess
 
 # Confidences of the calibration curve.
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
@@ -45,6 +46,7 @@ class FlightResult:
         measured, predicted, lower, upper: (N, 6).
         inputs: (N, 19), columns as :data:`quadpi_core.inputs.INPUT_NAMES`.
         height: (N,) m above the origin of the world.
+        alarm: what the alarm says, sample by sample; None where it was not run.
     """
 
     name: str
@@ -56,6 +58,7 @@ class FlightResult:
     upper: Array
     inputs: Array
     height: Array
+    alarm: FlightAlarm | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -120,7 +123,8 @@ def evaluate_flights(
 
     Keys: `model`, `vehicle`, `method`, `adaptive`, `confidence`, `quadpi_version`, `training_range.AXIS`,
     `nmpiw_denominator`, `cwc.{eta, mu}`, `calibration_levels`, `regime_edges.QUANTITY`,
-    `groups.NAME.{flights, axes.AXIS}` and `flights.NAME.{duration_s, axes.AXIS}`. Each axis holds
+    `groups.NAME.{flights, axes.AXIS, alarm}` and `flights.NAME.{duration_s, axes.AXIS, alarm}`. Each axis
+    holds
 
     - `picp`: coverage as a fraction; `picp_ci`: its 95 % confidence interval [low, high], see
       :func:`quadpi_core.intervals.bootstrap.coverage_interval`;
@@ -132,6 +136,14 @@ def evaluate_flights(
     - `regimes.QUANTITY.{n, picp, mpiw}`: the same in each bin between `regime_edges`, null for an empty one.
       All groups and flights share the bins;
     - `n` samples; `n_eff`: how many independent samples the prediction errors are worth.
+
+    `alarm` is null where the alarm was not run, else holds (see :mod:`quadpi_core.monitor.assessment`)
+
+    - `false_alarms` in `hours_inside`, and `false_alarms_per_hour`, null without such time;
+    - `flights_off`: flights in which the model is off; `flights_undetected`: those without an alarm from then
+      on; `detection_delay_s`: median delay of the others, null without any;
+    - `auroc.{inputs, leverage, width, miscoverage}`: area under the ROC curve of each signal for samples
+      that lie outside their interval in any axis, null where all or none do.
 
     Args:
         results: one per flight.
@@ -186,14 +198,34 @@ def evaluate_flights(
         "calibration_levels": list(LEVELS),
         "regime_edges": {quantity: values.tolist() for quantity, values in edges.items()},
         "groups": {
-            name: {"flights": [flight.name for flight in flights], "axes": judge(flights)}
+            name: {
+                "flights": [flight.name for flight in flights],
+                "axes": judge(flights),
+                "alarm": _assess(flights),
+            }
             for name, flights in members.items()
         },
         "flights": {
-            name: {"duration_s": float(flight.time[-1] - flight.time[0]), "axes": judge([flight])}
+            name: {
+                "duration_s": float(flight.time[-1] - flight.time[0]),
+                "axes": judge([flight]),
+                "alarm": _assess([flight]),
+            }
             for name, flight in by_name.items()
         },
     }
+
+
+def _assess(flights: Sequence[FlightResult]) -> dict[str, Any] | None:
+    """The alarm on the flights; None where it was not run on all of them."""
+    assessed = []
+    for flight in flights:
+        if flight.alarm is None:
+            return None
+        columns = [AXES.index(axis) for axis in flight.axes]
+        missed = (flight.measured < flight.lower) | (flight.measured > flight.upper)
+        assessed.append(Assessed(flight.time, missed[:, columns], flight.alarm))
+    return assess(assessed)
 
 
 def _evaluate_axis(

@@ -38,6 +38,7 @@ TOPIC_TYPES = {
     "wind": messages.WIND,
     "prediction": messages.PREDICTION,
     "extrapolation_alarm": messages.ALARM,
+    "alarm_log": messages.EVENT,
     "truth/odometry": messages.ODOMETRY,
     "truth/wrench": messages.WRENCH,
     "truth/acceleration": messages.ACCELERATION,

@@ -47,7 +47,9 @@ from quadpi_core.logs.values import (
     odometry_values,
     prediction_values,
 )
+from quadpi_core.monitor.events import AlarmEvent
 from quadpi_core.monitor.output import Alarms, Predictions
+from quadpi_core.monitor.reasons import reasons
 from quadpi_core.vehicle import Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
@@ -59,6 +61,7 @@ ERPM = "quadpi/msg/Erpm"
 ROTOR_SPEEDS = "quadpi/msg/RotorSpeeds"
 PREDICTION = "quadpi/msg/WrenchPrediction"
 ALARM = "quadpi/msg/ExtrapolationAlarm"
+EVENT = "quadpi/msg/AlarmEvent"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ACCELERATION = "geometry_msgs/msg/AccelStamped"
 
@@ -338,15 +341,35 @@ class ReportedAlarms:
     Attributes:
         envelope_distance: (M,) how far the worst input lies outside its training range.
         inputs_outside: names of the inputs outside the envelope, the farthest first, per message.
+        reasons: why the causes are not ok, in plain words, per message.
     """
 
     time_ns: Stamps
     level: npt.NDArray[np.uint8]
     causes: npt.NDArray[np.uint8]
+    cause_level: npt.NDArray[np.uint8]
+    cause_health: npt.NDArray[np.uint8]
+    cause_evidence: Array
     leverage: Array
     width: Array
+    miscoverage: Array
+    miss_share: Array
     envelope_distance: Array
     inputs_outside: list[tuple[str, ...]]
+    reasons: list[tuple[str, ...]]
+
+
+_ALARM_NUMBERS = (
+    "level",
+    "causes",
+    "cause_level",
+    "cause_health",
+    "cause_evidence",
+    "leverage",
+    "width",
+    "miscoverage",
+    "miss_share",
+)
 
 
 def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
@@ -354,37 +377,82 @@ def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
     columns = codec(ALARM).decode(payloads)
     return ReportedAlarms(
         time_ns=_stamps(columns),
-        level=columns["level"].copy(),
-        causes=columns["causes"].copy(),
-        leverage=columns["leverage"].astype(np.float64),
-        width=columns["width"].astype(np.float64),
-        envelope_distance=columns["envelope_distance"].astype(np.float64),
-        inputs_outside=[
-            tuple(name.decode(errors="replace") for name in names) for names in columns["inputs_outside"]
-        ],
+        **{name: columns[name].copy() for name in _ALARM_NUMBERS},
+        envelope_distance=columns["envelope_distance"].copy(),
+        inputs_outside=_texts(columns["inputs_outside"]),
+        reasons=_texts(columns["reasons"]),
     )
 
 
 def pack_alarms(alarms: Alarms, frame_id: str = BODY_FRAME) -> Payloads:
     """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first."""
-    farthest_first = np.argsort(-alarms.input_excess, axis=1, kind="stable")
-    outside = np.take_along_axis(alarms.input_excess, farthest_first, axis=1) > 0.0
-    rankings, membership = np.unique(np.where(outside, farthest_first, -1), axis=0, return_inverse=True)
+    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
+    for row in range(len(alarms)):
+        groups.setdefault((_inputs_outside(alarms.input_excess[row]), reasons(alarms, row)), []).append(row)
     parts, orders = [], []
-    for number, ranking in enumerate(rankings):
-        rows = np.flatnonzero(membership.reshape(-1) == number)
+    for (outside, told), members in groups.items():
+        rows = np.array(members)
         columns = {
             **_header(alarms.time_ns[rows], frame_id),
-            "level": alarms.level[rows],
-            "causes": alarms.causes[rows],
-            "leverage": alarms.leverage[rows],
-            "width": alarms.width[rows],
+            **{name: getattr(alarms, name)[rows] for name in _ALARM_NUMBERS},
             "envelope_distance": alarms.input_excess[rows].max(axis=1),
-            "inputs_outside": tuple(INPUT_NAMES[index] for index in ranking if index >= 0),
+            "inputs_outside": outside,
+            "reasons": told,
         }
         parts.append(codec(ALARM).encode(len(rows), columns))
         orders.append(rows)
     return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
+
+
+def pack_events(events: Sequence[AlarmEvent], frame_id: str = BODY_FRAME) -> Payloads:
+    """Encode as quadpi/AlarmEvent, one message per event."""
+    parts = []
+    for event in events:
+        columns = {
+            **_header(np.array([event.time_ns]), frame_id),
+            **_time("start", event.start_ns),
+            **_time("end", event.end_ns),
+            "number": event.number,
+            "cause": event.cause,
+            "peak_evidence": event.peak_evidence,
+            "reasons": event.reasons,
+        }
+        parts.append(codec(EVENT).encode(1, columns))
+    return Payloads.concatenate(parts)
+
+
+def unpack_events(payloads: Payloads | bytes) -> list[AlarmEvent]:
+    """Decode quadpi/AlarmEvent."""
+    columns = codec(EVENT).decode(payloads)
+    told = _texts(columns["reasons"])
+    times, starts, ends = (_stamps(columns, prefix) for prefix in ("header.stamp.", "start.", "end."))
+    return [
+        AlarmEvent(
+            number=int(columns["number"][k]),
+            cause=int(columns["cause"][k]),
+            time_ns=int(times[k]),
+            start_ns=int(starts[k]),
+            end_ns=int(ends[k]),
+            peak_evidence=float(columns["peak_evidence"][k]),
+            reasons=words,
+        )
+        for k, words in enumerate(told)
+    ]
+
+
+def _inputs_outside(excess: Array) -> tuple[str, ...]:
+    if not excess.any():
+        return ()
+    return tuple(INPUT_NAMES[k] for k in np.argsort(-excess, kind="stable") if excess[k] > 0.0)
+
+
+def _texts(column: npt.NDArray[Any]) -> list[tuple[str, ...]]:
+    return [tuple(text.decode(errors="replace") for text in texts) for texts in column]
+
+
+def _time(name: str, time_ns: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(time_ns, _NANOSECONDS)
+    return {f"{name}.sec": seconds, f"{name}.nanosec": nanoseconds}
 
 
 def _stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:

@@ -4,17 +4,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.methods import METHODS, CompiledAxes, Evaluation, FittedAxis
 from quadpi_core.models.rules import HeldOutRule
-from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.vehicle import Vehicle
 
 
@@ -46,6 +49,7 @@ class AerodynamicModel:
         held_out_coverage: per axis, the coverage of each of `flights` by model and intervals of the others;
             empty under the paper's settings.
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
+        alarm_limits: of the alarm, beside those of `envelope`; uncalibrated unless given.
     """
 
     name: str
@@ -61,6 +65,7 @@ class AerodynamicModel:
     selection: dict[str, list[dict[str, Any]]]
     held_out_coverage: dict[str, list[float]]
     identity: str = ""
+    alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -120,6 +125,16 @@ class AerodynamicModel:
         if confidence is None:
             confidence = self.confidence
         return self._compiled.evaluate(inputs, self._factors(confidence))
+
+    def interval_ratio(self, confidence: float) -> Array:
+        """Width (6,) of the intervals of the model's own confidence over that of another; 1 where not held.
+
+        Raises:
+            ModelError: for a confidence that the calibration cannot support.
+        """
+        own, other = self._factors(self.confidence), self._factors(confidence)
+        ratio: Array = np.divide(own, other, out=np.ones(len(AXES)), where=other > 0.0)
+        return ratio
 
     def __getstate__(self) -> dict[str, Any]:
         """What travels to another process, which compiles for itself."""

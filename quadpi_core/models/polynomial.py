@@ -30,6 +30,8 @@ from quadpi_core.models.spread import PlacedErrors, SpreadShape, fit_shape, leve
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]
 
+# Every so manieth sample tells how far leverage and spread went.
+_PEAK_STEP = 8
 # Contiguous parts that stand in for flights where the samples are not grouped.
 _PARTS_WITHOUT_GROUPS = 5
 
@@ -311,7 +313,12 @@ class StepwisePolynomial:
             error, leverage = _errors(chosen, *fit_coefficients(sum_grams(rest), active), X, y)
             mine = flights == left_out
             inside = inside_range(X[mine], of=X[~mine])
-            held_out.append(PlacedErrors(error[mine], leverage[mine], squared_speed(X[mine]), inside))
+            others = [
+                (leverage[rows], squared_speed(X[rows]))
+                for rows in (np.flatnonzero(flights == k)[::_PEAK_STEP] for k in range(len(grams)))
+                if flights[rows[0]] != left_out
+            ]
+            held_out.append(PlacedErrors(error[mine], leverage[mine], squared_speed(X[mine]), inside, others))
         return held_out
 
 

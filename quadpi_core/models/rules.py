@@ -11,7 +11,7 @@ uses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Protocol, TypeAlias
 
@@ -28,6 +28,8 @@ FLIGHT_SHARE = 0.9
 # Least share of a flight inside the envelope of the others for its held-out errors to count: the corner of a
 # flight that the others happen to touch is no sample of flying inside the envelope.
 FEWEST_INSIDE = 0.5
+# Of a quantity over a flight, taken for its peak.
+PEAK_QUANTILE = 0.999
 # Confidence levels at which the held-out flights' quantiles are stored.
 LEVELS: Array = np.concatenate((np.arange(0.50, 0.99, 0.01), np.arange(0.99, 0.9991, 0.001)))
 
@@ -147,13 +149,17 @@ class HeldOutRule:
 
         Outside the envelope of the others too: what a flight unlike them can expect.
         """
+        return np.array([1.0 - np.mean(missed) for missed in self.held_out_misses(held_out, confidence)])
+
+    def held_out_misses(
+        self, held_out: Sequence[FlightErrors], confidence: float
+    ) -> list[npt.NDArray[np.bool_]]:
+        """Which errors (N,) of each flight, when it was left out, the others' factors do not cover."""
         factors = [
             _ranked_factor(np.delete(self.flight_factors, k, axis=0), confidence)
             for k in range(len(held_out))
         ]
-        return np.array(
-            [np.mean(flight.scores() <= factor) for flight, factor in zip(held_out, factors, strict=True)]
-        )
+        return [flight.scores() > factor for flight, factor in zip(held_out, factors, strict=True)]
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, as stored with a model."""
@@ -197,11 +203,15 @@ class FlightErrors:
         error: (N,) measured − centre of the interval.
         spread: (N,) of that model, positive.
         inside: (N,) whether every input lies in the range of the samples that the model was fitted to.
+        width: (N,) spread over its peak on the flights that were fitted to; None where not asked for.
+        leverage: (N,) leverage over its peak there; None where not asked for, or without leverage.
     """
 
     error: Array
     spread: Array
     inside: npt.NDArray[np.bool_]
+    width: Array | None = None
+    leverage: Array | None = None
 
     def factors(self) -> Array:
         """Factors (len(LEVELS),) whose intervals would have covered the errors inside."""
@@ -232,6 +242,11 @@ def inside_range(inputs: Array, of: Array) -> npt.NDArray[np.bool_]:
     """Which samples (N,) of inputs (N, D) lie in the range of others (M, D) in every input."""
     inside: npt.NDArray[np.bool_] = np.all((inputs >= of.min(axis=0)) & (inputs <= of.max(axis=0)), axis=1)
     return inside
+
+
+def flights_peak(values: Iterable[Array]) -> float:
+    """Largest 99.9 % quantile of the flights' values (N,): what they reached, without single spikes."""
+    return max(float(np.quantile(flight, PEAK_QUANTILE)) for flight in values)
 
 
 def conformal_rank(flights: int) -> int:

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
-from quadpi_core.models.rules import FlightErrors
+from quadpi_core.models.rules import FlightErrors, flights_peak
 
 # u, v, w of the input vector.
 VELOCITY = [INPUT_INDEX[name] for name in ("u", "v", "w")]
@@ -54,16 +54,27 @@ class PlacedErrors:
         leverage: (N,).
         speed_squared: (N,) of the airspeed, m²/s².
         inside: (N,) whether every input lies in the range of the samples that the polynomial was fitted to.
+        others: leverage (M,) and squared airspeed (M,) of some samples of each flight that it was fitted to.
     """
 
     error: Array
     leverage: Array
     speed_squared: Array
     inside: npt.NDArray[np.bool_]
+    others: Sequence[tuple[Array, Array]] = ()
 
     def under(self, shape: SpreadShape) -> FlightErrors:
         """The errors beside the spread of a shape."""
-        return FlightErrors(self.error, shape.of(self.leverage, self.speed_squared), self.inside)
+        spread = shape.of(self.leverage, self.speed_squared)
+        if not self.others:
+            return FlightErrors(self.error, spread, self.inside)
+        return FlightErrors(
+            self.error,
+            spread,
+            self.inside,
+            width=spread / flights_peak(shape.of(*causes) for causes in self.others),
+            leverage=self.leverage / flights_peak(leverage for leverage, _ in self.others),
+        )
 
 
 def fit_shape(flights: Sequence[PlacedErrors], most_inflation: float) -> SpreadShape:

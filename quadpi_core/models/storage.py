@@ -25,13 +25,14 @@ from quadpi_core.errors import ModelError, OutputError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.methods import METHODS, FittedAxis
-from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.paths import require_folder, whole_output
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
-FORMAT = 3
+FORMAT = 4
 
 
 def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
@@ -61,6 +62,7 @@ def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
         "confidence": model.confidence,
         "axes": axes,
         "envelope": model.envelope.to_json(),
+        "alarm": model.alarm_limits.to_json(),
         "flights": [asdict(flight) for flight in model.flights],
         "versions": {"quadpi": __version__, "numpy": np.__version__, "python": platform.python_version()},
         "arrays_sha256": hashlib.sha256(array_bytes).hexdigest(),
@@ -125,6 +127,7 @@ def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identit
             axis: [float(c) for c in entry["held_out_coverage"]] for axis, entry in axes.items()
         },
         identity=identity,
+        alarm_limits=AlarmLimits.from_json(content["alarm"]),
     )
 
 

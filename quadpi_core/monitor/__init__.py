@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The monitor: predictions with intervals and the alarm, sample by sample, live and in replay."""
 
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import MonitorSettings
-from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.output import Alarms, Predictions
 

@@ -1,12 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From evidence per sample to an alarm with persistence and hysteresis, O(1) per sample.
+"""From evidence per sample to an alarm of three causes, with persistence and hysteresis, O(1) per sample.
 
-Each cause keeps a charge between 0 and 1: evidence fills it within `persistence_s`, its absence drains
-it within `release_s`. The cause is raised when the charge is full and cleared when it is empty, so that
-evidence with short gaps still raises it, one sample inside does not clear it and nothing chatters.
-Between, from half full on, the cause is a warning. A single sample that cannot be judged charges
-BAD_DATA to one half at once: it is reported, and becomes an alarm if more follow.
+Every signal is a score, its value over its limit. EXTRAPOLATION and BAD_DATA keep a charge between 0 and
+1: evidence (a score above 1, a fault) fills it within `persistence_s`, its absence drains it within
+`release_s`. The cause is raised when the charge is full and cleared when it is empty, so that evidence
+with short gaps still raises it, one sample inside does not clear it and nothing chatters. Between, from
+half full on, it is a warning. A single sample that cannot be judged charges BAD_DATA to one half at
+once: it is reported, and becomes an alarm if more follow.
+
+MISCOVERAGE is a sequential test per axis (Page 1954): S ← max(0, S + dt (miss − k)), with the model's
+own interval and k between the allowed share of misses and the alternative (`models.alarm_limits`). S
+over its limit is the score, and takes the place of the charge: full at 1, half full at ½, empty at ¼.
+
+On the ground neither of the two is judged, for there the wrench is not aerodynamic.
 """
 
 from __future__ import annotations
@@ -21,16 +28,17 @@ from quadpi_core.compiled import njit
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.envelope import Envelope
+from quadpi_core.monitor.faults import IN_FLIGHT_ONLY
 from quadpi_core.monitor.output import Alarms
 
 LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
-
-# Rows of the per-cause state; MISCOVERAGE has none, its bit is never set here.
-_EXTRAPOLATION_ROW, _BAD_DATA_ROW = 0, 1
-_CAUSE_BITS = (EXTRAPOLATION, BAD_DATA)
+CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
+# Judged; not judged on the ground; nor for want of usable samples; judged by limits without a stated rate.
+ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
 
 _WARNING_CHARGE = 0.5
 # Sums of steps such as 50 × 0.02 miss 1 by rounding.
@@ -38,6 +46,41 @@ _ROUNDING = 1e-9
 # A gap in the samples counts as this long: nobody knows what happened in it.
 _STEP_MAX_S = 0.02
 _NO_STAMP = np.iinfo(np.int64).min
+# The sum of the test ends here, in limits, so that it comes down again; below the other, it is over.
+_SUM_MOST, _SUM_OVER = 1.5, 0.25
+# Over which the share of misses is told.
+_SHARE_S = 2.0
+# Without a usable sample for so long, there is nothing to judge.
+_SILENT_S = 0.1
+# The vehicle flies from this share of its weight on. It stands when the rotors carry less than the other one
+# and it stays slow: in the air 0.3 g would have made it faster within that time.
+_LIFTED, _STANDING, _STANDING_M_S, _STANDING_S = 0.9, 0.7, 0.3, 0.3
+
+_INPUTS, _AXES = len(INPUT_NAMES), len(AXES)
+_OMEGA_AVG = INPUT_INDEX["omega_avg"]
+# Places of the limits of the kernel.
+_LOWER, _UPPER, _SCALE, _MARGIN = 0, _INPUTS, 2 * _INPUTS, 3 * _INPUTS
+_LEVERAGE = 4 * _INPUTS
+_WIDTH, _MISSES, _RATIO = _LEVERAGE + _AXES, _LEVERAGE + 2 * _AXES, _LEVERAGE + 3 * _AXES
+_PERSISTENCE = _LEVERAGE + 4 * _AXES
+_RELEASE, _ALLOWANCE, _LIFT_SQUARE, _STAND_SQUARE, _PERIOD, _RATED = range(_PERSISTENCE + 1, _PERSISTENCE + 7)
+# Places of its state: first what a row holds (the largest since the row before), then what it remembers.
+_ROW_SCORE, _ROW_EXCESS = 0, _INPUTS
+_ROW_LEVERAGE = 2 * _INPUTS
+_ROW_WIDTH, _ROW_MISSES, _ROW_SHARE = (
+    _ROW_LEVERAGE + _AXES,
+    _ROW_LEVERAGE + 2 * _AXES,
+    _ROW_LEVERAGE + 3 * _AXES,
+)
+_ROW_EVIDENCE = _ROW_LEVERAGE + 4 * _AXES
+_ROW_SIZE = _ROW_EVIDENCE + len(CAUSES)
+_SUM, _SHARE, _CHARGE = _ROW_SIZE, _ROW_SIZE + _AXES, _ROW_SIZE + 2 * _AXES
+_SILENT, _STANDING_FOR = _CHARGE + len(CAUSES), _CHARGE + len(CAUSES) + 1
+_STATE_SIZE = _STANDING_FOR + 1
+# Places of the integers of a row, and of those remembered.
+_TIME, _LEVEL, _CAUSES, _CAUSE_LEVEL, _HEALTH, _FAULTS = 0, 1, 2, 3, 6, 9
+_ROW_INTEGERS = 10
+_PREVIOUS, _FLYING, _NAMED, _TOLD, _MEMORY_SIZE = 10, 11, 12, 13, 14
 
 
 @dataclass(frozen=True)
@@ -67,124 +110,121 @@ class MonitorSettings:
                 raise QuadpiError(f"monitor setting {name} must be positive, found {value}")
 
 
-class _Limits(NamedTuple):
-    """The envelope and settings as the kernel takes them."""
+class Judged(NamedTuple):
+    """What the alarm goes by: U usable samples, in order; columns of axes as `AXES`, zero where not held.
 
-    lower: Array
-    upper: Array
-    scale: Array
-    margin: Array
-    leverage: Array
-    width: Array
-    persistence_s: float
-    release_s: float
-    period_ns: int
-
-
-class _State(NamedTuple):
-    """What the kernel remembers; arrays, because it changes them in place.
-
-    `charge` and `level` hold one entry per cause, `published` the level and causes of the latest row. The
-    peaks are the largest evidence since that row. `named` marks the inputs beyond their margin in any row
-    since the level left ok.
+    Attributes:
+        inputs: (U, 19) input vectors.
+        velocity: (U, 3) over ground, m/s.
+        leverage, relative_width: (U, 6).
+        measured, lower, upper: (U, 6) measured wrench and the model's own interval.
     """
 
-    previous_ns: npt.NDArray[np.int64]
-    charge: Array
-    level: npt.NDArray[np.uint8]
-    published: npt.NDArray[np.uint8]
-    named: npt.NDArray[np.bool_]
-    peak_excess: Array
-    peak_leverage: Array
-    peak_width: Array
+    inputs: Array
+    velocity: Array
+    leverage: Array
+    relative_width: Array
+    measured: Array
+    lower: Array
+    upper: Array
 
 
 class Alarm:
     """Follows one vehicle; rows come at every change and at a steady rate by stamps in between.
 
-    A row comes when the level or the causes change, when one more input leaves the envelope while the level
-    is not ok, and at the first sample of each period of `alarm_rate_hz`. Its evidence is the largest since
-    the row before it.
+    A row comes when the level or health of a cause changes, when one more input leaves the envelope or one
+    more fault shows while the level is not ok, and at the first sample of each period of `alarm_rate_hz`. Its
+    evidence is the largest since the row before it.
+
+    Args:
+        envelope: of the model, with its limits.
+        limits: the other limits.
+        settings: how quickly it follows.
+        held: (6,) axes that the model holds; all unless given.
+        interval_ratio: (6,) width of the intervals that the limits were calibrated with over the width of
+            those that :meth:`step` will be given.
     """
 
-    def __init__(self, envelope: Envelope, settings: MonitorSettings) -> None:
-        self._limits = _Limits(
-            lower=envelope.lower,
-            upper=envelope.upper,
-            scale=envelope.scale,
-            margin=envelope.margin,
-            leverage=envelope.leverage_limit,
-            width=envelope.width_limit,
-            persistence_s=settings.persistence_s,
-            release_s=settings.release_s,
-            period_ns=round(1e9 / settings.alarm_rate_hz),
+    def __init__(
+        self,
+        envelope: Envelope,
+        limits: AlarmLimits,
+        settings: MonitorSettings,
+        held: npt.NDArray[np.bool_] | None = None,
+        interval_ratio: Array | None = None,
+    ) -> None:
+        misses = limits.miscoverage_s if held is None else np.where(held, limits.miscoverage_s, np.inf)
+        hover_square = limits.hover_rotor_speed**2
+        self._limits = np.concatenate(
+            (
+                envelope.lower,
+                envelope.upper,
+                envelope.scale,
+                envelope.margin,
+                envelope.leverage_limit,
+                envelope.width_limit,
+                misses,
+                np.ones(_AXES) if interval_ratio is None else interval_ratio,
+                np.zeros(2),
+                [limits.allowance, _LIFTED * hover_square, _STANDING * hover_square, 0.0],
+                [ACTIVE if limits.calibrated else UNCALIBRATED],
+            )
         )
+        self.change(settings)
         self.reset()
+
+    def change(self, settings: MonitorSettings) -> None:
+        """Go on with other times and rates."""
+        self._limits[_PERSISTENCE] = settings.persistence_s
+        self._limits[_RELEASE] = settings.release_s
+        self._limits[_PERIOD] = round(1e9 / settings.alarm_rate_hz)
 
     def reset(self) -> None:
         """Forget all evidence; the next sample gives a row."""
-        self._state = _State(
-            previous_ns=np.array([_NO_STAMP]),
-            charge=np.zeros(len(_CAUSE_BITS)),
-            level=np.zeros(len(_CAUSE_BITS), dtype=np.uint8),
-            published=np.zeros(2, dtype=np.uint8),
-            named=np.zeros(len(INPUT_NAMES), dtype=np.bool_),
-            peak_excess=np.zeros(len(INPUT_NAMES)),
-            peak_leverage=np.zeros(len(AXES)),
-            peak_width=np.zeros(len(AXES)),
-        )
+        self._state = np.zeros(_STATE_SIZE)
+        self._memory = np.zeros(_MEMORY_SIZE, dtype=np.int64)
+        self._memory[_PREVIOUS] = _NO_STAMP
 
     def step(
         self,
         time_ns: Stamps,
         usable: npt.NDArray[np.bool_],
-        inputs: Array,
-        leverage: Array,
-        relative_width: Array,
+        faults: npt.NDArray[np.int64],
+        judged: Judged,
     ) -> Alarms:
         """Take K samples.
 
         Args:
             time_ns: (K,) stamps of all samples.
             usable: (K,) False for a sample that cannot be judged (BAD_DATA).
-            inputs: (U, 19) input vectors of the U usable samples, in order.
-            leverage: (U, 6), zero columns for axes not held.
-            relative_width: (U, 6), likewise.
+            faults: (K,) what is wrong with a sample, usable or not, bits of `monitor.faults`.
+            judged: the usable samples.
         """
-        samples = len(time_ns)
-        rows = Alarms(
-            time_ns=np.empty(samples, dtype=np.int64),
-            level=np.empty(samples, dtype=np.uint8),
-            causes=np.empty(samples, dtype=np.uint8),
-            leverage=np.empty((samples, len(AXES))),
-            width=np.empty((samples, len(AXES))),
-            input_excess=np.empty((samples, len(INPUT_NAMES))),
-        )
+        integers = np.empty((len(time_ns), _ROW_INTEGERS), dtype=np.int64)
+        numbers = np.empty((len(time_ns), _ROW_SIZE))
         count = _alarm_kernel(
-            time_ns,
-            usable,
-            inputs,
-            leverage,
-            relative_width,
-            self._limits,
-            self._state,
-            rows.time_ns,
-            rows.level,
-            rows.causes,
-            rows.leverage,
-            rows.width,
-            rows.input_excess,
+            time_ns, usable, faults, *judged, self._limits, self._state, self._memory, integers, numbers
         )
-        if count == samples:
-            return rows
-        return Alarms(
-            rows.time_ns[:count],
-            rows.level[:count],
-            rows.causes[:count],
-            rows.leverage[:count],
-            rows.width[:count],
-            rows.input_excess[:count],
-        )
+        return _rows(integers[:count], numbers[:count])
+
+
+def _rows(integers: npt.NDArray[np.int64], numbers: Array) -> Alarms:
+    levels = integers[:, _LEVEL:_FAULTS].astype(np.uint8)
+    return Alarms(
+        time_ns=integers[:, _TIME],
+        level=levels[:, 0],
+        causes=levels[:, _CAUSES - _LEVEL],
+        cause_level=levels[:, _CAUSE_LEVEL - _LEVEL : _HEALTH - _LEVEL],
+        cause_health=levels[:, _HEALTH - _LEVEL :],
+        cause_evidence=numbers[:, _ROW_EVIDENCE:],
+        leverage=numbers[:, _ROW_LEVERAGE:_ROW_WIDTH],
+        width=numbers[:, _ROW_WIDTH:_ROW_MISSES],
+        miscoverage=numbers[:, _ROW_MISSES:_ROW_SHARE],
+        miss_share=numbers[:, _ROW_SHARE:_ROW_EVIDENCE],
+        input_score=numbers[:, _ROW_SCORE:_ROW_EXCESS],
+        input_excess=numbers[:, _ROW_EXCESS:_ROW_LEVERAGE],
+        faults=integers[:, _FAULTS],
+    )
 
 
 class AlarmTime(NamedTuple):
@@ -208,100 +248,174 @@ def alarm_time(time_ns: Stamps, level: npt.NDArray[np.uint8], end_ns: int) -> Al
 
 
 @njit(cache=True)
-def _raise_peaks(excess: Any, limits: Any, inputs: Any, leverage: Any, width: Any, state: Any) -> bool:
-    """Take one usable sample into the peaks and fill `excess` (19,); True if it is beyond a limit."""
-    beyond = False
-    for k in range(inputs.size):
-        outside = max(limits.lower[k] - inputs[k], inputs[k] - limits.upper[k], 0.0)
-        excess[k] = outside / limits.scale[k]
-        beyond |= excess[k] > limits.margin[k]
-        state.peak_excess[k] = max(state.peak_excess[k], excess[k])
-    for axis in range(leverage.size):
-        leverage_ratio = leverage[axis] / limits.leverage[axis]
-        width_ratio = width[axis] / limits.width[axis]
-        beyond |= leverage_ratio > 1.0 or width_ratio > 1.0
-        state.peak_leverage[axis] = max(state.peak_leverage[axis], leverage_ratio)
-        state.peak_width[axis] = max(state.peak_width[axis], width_ratio)
-    return beyond
+def _extrapolation(inputs: Any, leverage: Any, width: Any, limits: Any, state: Any) -> tuple[float, int]:
+    """Largest score of one sample, and which inputs are beyond their limit; raises the peaks."""
+    worst, beyond = 0.0, 0
+    for k in range(_INPUTS):
+        outside = max(limits[_LOWER + k] - inputs[k], inputs[k] - limits[_UPPER + k])
+        # Distance from the middle of the range over half of its width, and the same of the limit.
+        score = (1.0 + 2.0 * outside / limits[_SCALE + k]) / (1.0 + 2.0 * limits[_MARGIN + k])
+        if score > 1.0:
+            beyond |= 1 << k
+        worst = max(worst, score)
+        state[_ROW_SCORE + k] = max(state[_ROW_SCORE + k], score)
+        state[_ROW_EXCESS + k] = max(state[_ROW_EXCESS + k], outside / limits[_SCALE + k])
+    for axis in range(_AXES):
+        by_leverage = leverage[axis] / limits[_LEVERAGE + axis]
+        by_width = width[axis] / limits[_WIDTH + axis]
+        worst = max(worst, by_leverage, by_width)
+        state[_ROW_LEVERAGE + axis] = max(state[_ROW_LEVERAGE + axis], by_leverage)
+        state[_ROW_WIDTH + axis] = max(state[_ROW_WIDTH + axis], by_width)
+    return worst, beyond
 
 
 @njit(cache=True)
-def _follow(evidence: bool, step_s: float, limits: Any, state: Any, cause: int) -> None:
-    """Charge or drain one cause and set its level."""
-    charge = state.charge[cause]
-    charge += step_s / limits.persistence_s if evidence else -step_s / limits.release_s
-    charge = min(1.0, max(0.0, charge))
-    state.charge[cause] = charge
+def _miscoverage(measured: Any, lower: Any, upper: Any, limits: Any, state: Any, step_s: float) -> float:
+    """Advance the sequential test of each axis; return the largest score."""
+    worst = 0.0
+    keep = _SHARE_S / (_SHARE_S + step_s)
+    for axis in range(_AXES):
+        limit = limits[_MISSES + axis]
+        if limit == np.inf:
+            continue
+        half = 0.5 * (upper[axis] - lower[axis]) * limits[_RATIO + axis]
+        miss = 1.0 if abs(measured[axis] - 0.5 * (upper[axis] + lower[axis])) > half else 0.0
+        total = state[_SUM + axis] + step_s * (miss - limits[_ALLOWANCE])
+        state[_SUM + axis] = min(max(total, 0.0), _SUM_MOST * limit)
+        state[_SHARE + axis] = keep * state[_SHARE + axis] + (1.0 - keep) * miss
+        score = state[_SUM + axis] / limit
+        worst = max(worst, score)
+        state[_ROW_MISSES + axis] = max(state[_ROW_MISSES + axis], score)
+        state[_ROW_SHARE + axis] = max(state[_ROW_SHARE + axis], state[_SHARE + axis])
+    return worst
+
+
+@njit(cache=True)
+def _charge(evidence: bool, step_s: float, limits: Any, state: Any, cause: int) -> float:
+    """Charge or drain one cause."""
+    change = step_s / limits[_PERSISTENCE] if evidence else -step_s / limits[_RELEASE]
+    charge = min(1.0, max(0.0, state[_CHARGE + cause] + change))
+    state[_CHARGE + cause] = charge
+    return float(charge)
+
+
+@njit(cache=True)
+def _level(charge: float, empty: float, before: int) -> int:
+    """Level of a cause from how full it is."""
     if charge >= 1.0 - _ROUNDING:
-        state.level[cause] = LEVEL_ALARM
-    elif charge <= _ROUNDING:
-        state.level[cause] = LEVEL_OK
-    elif charge >= _WARNING_CHARGE and state.level[cause] == LEVEL_OK:
-        state.level[cause] = LEVEL_WARNING
+        return LEVEL_ALARM
+    if charge <= empty + _ROUNDING:
+        return LEVEL_OK
+    if charge >= _WARNING_CHARGE and before == LEVEL_OK:
+        return LEVEL_WARNING
+    return before
+
+
+@njit(cache=True)
+def _follow_ground(inputs: Any, velocity: Any, limits: Any, state: Any, memory: Any, step_s: float) -> None:
+    """Tell whether the vehicle flies; on the ground forget what was said of the model."""
+    square = inputs[_OMEGA_AVG] * inputs[_OMEGA_AVG]
+    if memory[_FLYING] == 0:
+        memory[_FLYING] = square >= limits[_LIFT_SQUARE]
+        state[_STANDING_FOR] = 0.0
+    speed_square = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
+    if square < limits[_STAND_SQUARE] and speed_square < _STANDING_M_S * _STANDING_M_S:
+        state[_STANDING_FOR] += step_s
+    else:
+        state[_STANDING_FOR] = 0.0
+    if state[_STANDING_FOR] >= _STANDING_S:
+        memory[_FLYING] = 0
+    if memory[_FLYING] == 0:
+        state[_SUM:_CHARGE] = 0.0
+        state[_CHARGE : _CHARGE + 2] = 0.0
+
+
+@njit(cache=True)
+def _judge_causes(limits: Any, state: Any, memory: Any) -> bool:
+    """Set level and health of each cause, and the level of all; True if any changed."""
+    health = ACTIVE if memory[_FLYING] != 0 else WAITING
+    if health == ACTIVE:
+        health = int(limits[_RATED])
+    if state[_SILENT] >= _SILENT_S:
+        health = UNAVAILABLE
+    changed = False
+    memory[_LEVEL], memory[_CAUSES] = LEVEL_OK, 0
+    for cause in range(len(CAUSES)):
+        empty = _SUM_OVER if CAUSES[cause] == MISCOVERAGE else 0.0
+        own_health = ACTIVE if CAUSES[cause] == BAD_DATA else health
+        before = memory[_CAUSE_LEVEL + cause]
+        level = _level(state[_CHARGE + cause], empty, before)
+        changed |= level != before or own_health != memory[_HEALTH + cause]
+        memory[_CAUSE_LEVEL + cause], memory[_HEALTH + cause] = level, own_health
+        memory[_LEVEL] = max(memory[_LEVEL], level)
+        if level != LEVEL_OK:
+            memory[_CAUSES] |= CAUSES[cause]
+    return changed
 
 
 @njit(cache=True)
 def _alarm_kernel(
     time_ns: Any,
     usable: Any,
+    faults: Any,
     inputs: Any,
+    velocity: Any,
     leverage: Any,
     width: Any,
+    measured: Any,
+    lower: Any,
+    upper: Any,
     limits: Any,
     state: Any,
-    row_time_ns: Any,
-    row_level: Any,
-    row_causes: Any,
-    row_leverage: Any,
-    row_width: Any,
-    row_excess: Any,
+    memory: Any,
+    integers: Any,
+    numbers: Any,
 ) -> int:
     """Advance the state over K samples and fill the rows to publish; return their number."""
-    excess = np.zeros(inputs.shape[1])
-    rows = 0
-    used = 0
+    rows, used = 0, 0
+    period_ns = np.int64(limits[_PERIOD])
     for i in range(time_ns.size):
-        now, before = time_ns[i], state.previous_ns[0]
+        now, before = time_ns[i], memory[_PREVIOUS]
         first = before == _NO_STAMP
         step_s = 0.0 if first else min(max((now - before) * 1e-9, 0.0), _STEP_MAX_S)
-        state.previous_ns[0] = now
-
-        excess[:] = 0.0
+        memory[_PREVIOUS] = now
+        beyond = 0
         if usable[i]:
-            beyond = _raise_peaks(excess, limits, inputs[used], leverage[used], width[used], state)
+            state[_SILENT] = 0.0
+            _follow_ground(inputs[used], velocity[used], limits, state, memory, step_s)
+            if memory[_FLYING] != 0:
+                worst, beyond = _extrapolation(inputs[used], leverage[used], width[used], limits, state)
+                state[_ROW_EVIDENCE] = max(state[_ROW_EVIDENCE], worst)
+                _charge(worst > 1.0, step_s, limits, state, 0)
+                state[_CHARGE + 1] = _miscoverage(
+                    measured[used], lower[used], upper[used], limits, state, step_s
+                )
+                state[_ROW_EVIDENCE + 1] = max(state[_ROW_EVIDENCE + 1], state[_CHARGE + 1])
             used += 1
-            _follow(beyond, step_s, limits, state, _EXTRAPOLATION_ROW)
         else:
-            state.charge[_BAD_DATA_ROW] = max(state.charge[_BAD_DATA_ROW], _WARNING_CHARGE)
-        _follow(not usable[i], step_s, limits, state, _BAD_DATA_ROW)
+            state[_SILENT] += step_s
+        found = faults[i] if memory[_FLYING] != 0 else faults[i] & ~IN_FLIGHT_ONLY
+        bad = found != 0 or not usable[i]
+        if bad:
+            state[_CHARGE + 2] = max(state[_CHARGE + 2], _WARNING_CHARGE)
+        state[_ROW_EVIDENCE + 2] = max(state[_ROW_EVIDENCE + 2], _charge(bad, step_s, limits, state, 2))
+        memory[_FAULTS] |= found
 
-        level = np.uint8(LEVEL_OK)
-        causes = np.uint8(0)
-        for cause in range(len(_CAUSE_BITS)):
-            level = max(level, state.level[cause])
-            if state.level[cause] != LEVEL_OK:
-                causes |= np.uint8(_CAUSE_BITS[cause])
-
-        publish = first or now // limits.period_ns != before // limits.period_ns
-        publish |= level != state.published[0] or causes != state.published[1]
-        if level == LEVEL_OK:
-            state.named[:] = False
+        publish = _judge_causes(limits, state, memory)
+        publish |= first or now // period_ns != before // period_ns
+        if memory[_LEVEL] == LEVEL_OK:
+            memory[_NAMED], memory[_TOLD] = 0, 0
         else:
-            for k in range(excess.size):
-                publish |= excess[k] > limits.margin[k] and not state.named[k]
+            publish |= beyond & ~memory[_NAMED] != 0 or found & ~memory[_TOLD] != 0
         if publish:
-            row_time_ns[rows] = now
-            row_level[rows] = level
-            row_causes[rows] = causes
-            row_leverage[rows] = state.peak_leverage
-            row_width[rows] = state.peak_width
-            row_excess[rows] = state.peak_excess
+            memory[_TIME] = now
+            integers[rows] = memory[:_ROW_INTEGERS]
+            numbers[rows] = state[:_ROW_SIZE]
             rows += 1
-            state.published[0] = level
-            state.published[1] = causes
-            for k in range(excess.size):
-                state.named[k] |= state.peak_excess[k] > limits.margin[k]
-            state.peak_excess[:] = 0.0
-            state.peak_leverage[:] = 0.0
-            state.peak_width[:] = 0.0
+            for k in range(_INPUTS):
+                if state[_ROW_SCORE + k] > 1.0:
+                    memory[_NAMED] |= 1 << k
+            memory[_TOLD] |= memory[_FAULTS]
+            memory[_FAULTS] = 0
+            state[:_ROW_SIZE] = 0.0
     return rows

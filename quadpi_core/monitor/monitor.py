@@ -8,13 +8,15 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.intervals.adaptive import AdaptiveFactor
-from quadpi_core.monitor.alarm import Alarm, MonitorSettings
+from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
+from quadpi_core.monitor.events import EventLog, Events
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.preparation import Preparation, Prepared
 from quadpi_core.vehicle import Vehicle
@@ -51,7 +53,14 @@ class Monitor:
         self.confidence = model.confidence if confidence is None else confidence
         settings = settings or MonitorSettings()
         self.preparation = Preparation(vehicle, rate_hz, model.cutoff_hz)
-        self._alarm = Alarm(model.envelope, settings)
+        self._alarm = Alarm(
+            model.envelope,
+            model.alarm_limits,
+            settings,
+            np.array([axis in model.axes for axis in AXES]),
+            model.interval_ratio(self.confidence),
+        )
+        self._events = EventLog()
         self._adaptive = AdaptiveFactor(self.confidence, rate_hz) if settings.adaptive else None
         model.evaluate(np.zeros((1, len(INPUT_NAMES))), self.confidence)
 
@@ -59,6 +68,7 @@ class Monitor:
         """Forget the past: as after construction."""
         self.preparation.reset()
         self._alarm.reset()
+        self._events.reset()
         if self._adaptive is not None:
             self._adaptive.reset()
 
@@ -71,7 +81,7 @@ class Monitor:
         specific_force: Array,
         rotor_speeds: Array,
         wind_world: Array,
-    ) -> tuple[Predictions, Alarms]:
+    ) -> tuple[Predictions, Alarms, Events]:
         """Take K samples; blocks of any length give the same rows, bit for bit.
 
         A sample that is not finite, not plausible or not later than the one before gives no prediction and
@@ -93,17 +103,37 @@ class Monitor:
             )
         )
 
-    def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms]:
+    def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
         """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`."""
-        time_ns, usable, inputs, measured = prepared
+        predictions, usable, judged = self._evaluate(prepared)
+        alarms = self._alarm.step(prepared.time_ns, usable, prepared.faults, judged)
+        return predictions, alarms, self._events.take(alarms)
+
+    def predict(self, prepared: Prepared) -> Predictions:
+        """Predictions alone, without an alarm; see :meth:`judge`."""
+        return self._evaluate(prepared)[0]
+
+    def change(self, settings: MonitorSettings) -> None:
+        """Go on with other times and rates of the alarm; which intervals go out stays as it is."""
+        self._alarm.change(settings)
+
+    @property
+    def events(self) -> Events:
+        """The last events of the alarm, the oldest first."""
+        return self._events.events
+
+    def _evaluate(self, prepared: Prepared) -> tuple[Predictions, npt.NDArray[np.bool_], Judged]:
+        """Predictions of the usable samples, which samples these are, and what the alarm goes by."""
+        time_ns, usable, inputs, measured, velocity, _ = prepared
         used_ns = time_ns if len(inputs) == len(time_ns) else time_ns[usable]
-        evaluation = self.model.evaluate(inputs, self.confidence)
-        lower, upper, leverage = evaluation.lower, evaluation.upper, evaluation.leverage
+        predicted, own_lower, own_upper, leverage, relative_width = self.model.evaluate(
+            inputs, self.confidence
+        )
+        lower, upper = own_lower, own_upper
         if self._adaptive is not None:
             lower, upper = self._adaptive.step(measured, lower, upper)
-        predictions = Predictions(
-            used_ns, evaluation.predicted, lower, upper, measured, evaluation.relative_width
-        )
+        predictions = Predictions(used_ns, predicted, lower, upper, measured, relative_width)
+        judged = Judged(inputs, velocity, leverage, relative_width, measured, own_lower, own_upper)
         finite = np.empty(len(inputs), dtype=np.bool_)
         if not _all_finite(lower, upper, measured, leverage, inputs, finite):
             usable = usable.copy()
@@ -111,9 +141,8 @@ class Monitor:
             predictions = Predictions(
                 *(getattr(predictions, column.name)[finite] for column in fields(predictions))
             )
-            inputs, leverage = inputs[finite], leverage[finite]
-        alarms = self._alarm.step(time_ns, usable, inputs, leverage, predictions.relative_width)
-        return predictions, alarms
+            judged = Judged(*(column[finite] for column in judged))
+        return predictions, usable, judged
 
 
 @njit(cache=True)

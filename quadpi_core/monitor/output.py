@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -33,17 +33,38 @@ class Predictions:
 class Alarms:
     """One row per published alarm state; its evidence is the largest since the row before it.
 
+    Columns of causes: EXTRAPOLATION, MISCOVERAGE, BAD_DATA. A score is a value over its limit.
+
     Attributes:
-        level: (M,) 0 ok, 1 warning, 2 alarm.
-        causes: (M,) bit flags, 1 extrapolation, 2 miscoverage, 4 bad data.
-        leverage, width: (M, 6) evidence per axis over its alarm threshold; above 1 is beyond training.
+        level: (M,) 0 ok, 1 warning, 2 alarm; the highest of the causes.
+        causes: (M,) bit flags of the causes that are not ok, 1 extrapolation, 2 miscoverage, 4 bad data.
+        cause_level, cause_health: (M, 3) level and health of each cause (see `monitor.alarm`).
+        cause_evidence: (M, 3) largest score of the signals of each cause.
+        leverage, width, miscoverage: (M, 6) scores per axis.
+        miss_share: (M, 6) share of recent samples outside the model's own interval.
+        input_score: (M, 19) scores of the inputs' distances from the middle of their training range.
         input_excess: (M, 19) how far each input lies outside its training range, in widths of that
             range, zero inside; columns as `quadpi_core.inputs.INPUT_NAMES`.
+        faults: (M,) what is wrong with the data, bits of `monitor.faults`.
     """
 
     time_ns: Stamps
     level: npt.NDArray[np.uint8]
     causes: npt.NDArray[np.uint8]
+    cause_level: npt.NDArray[np.uint8]
+    cause_health: npt.NDArray[np.uint8]
+    cause_evidence: Array
     leverage: Array
     width: Array
+    miscoverage: Array
+    miss_share: Array
+    input_score: Array
     input_excess: Array
+    faults: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def row(self, index: int) -> Alarms:
+        """One row, as arrays of length one."""
+        return Alarms(*(getattr(self, column.name)[index : index + 1] for column in fields(self)))

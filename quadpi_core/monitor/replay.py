@@ -20,6 +20,7 @@ from quadpi_core.logs import decode_recording, messages
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
+from quadpi_core.monitor.events import Events
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.output import Alarms
 from quadpi_core.monitor.pairing import TIMEOUT_S, PairedSamples
@@ -48,6 +49,7 @@ class ReplaySummary:
             given up by the pairing, or not plausible.
         alarm_fraction: share of the monitored time at alarm level.
         alarm_first_s: seconds from the first IMU sample to the first alarm; None without one.
+        events: how often a cause was raised.
     """
 
     samples_in: int
@@ -55,6 +57,7 @@ class ReplaySummary:
     dropped: int
     alarm_fraction: float
     alarm_first_s: float | None
+    events: int
 
 
 def replay(
@@ -103,7 +106,7 @@ def replay(
     if odometry is None:
         raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
     samples = _pair(recording, imu, odometry)
-    predictions, alarms = monitor.step(*samples)
+    predictions, alarms, events = monitor.step(*samples)
 
     topics.append(
         output_topic(
@@ -115,12 +118,15 @@ def replay(
         )
     )
     topics.append(output_topic("extrapolation_alarm", alarms.time_ns, messages.pack_alarms(alarms)))
+    if events:
+        stamps = np.array([event.time_ns for event in events])
+        topics.append(output_topic("alarm_log", stamps, messages.pack_events(events)))
     write_mcap(
         Path(output),
         topics,
         {"vehicle": vehicle.name, "model": model.identity, "source": recording.name, "version": __version__},
     )
-    return _summarise(recording, len(samples.time_ns), len(predictions.time_ns), alarms)
+    return _summarise(recording, len(samples.time_ns), len(predictions.time_ns), alarms, events)
 
 
 def replay_all(
@@ -292,7 +298,9 @@ def _hold(wind: WindStream | None, time_ns: Stamps) -> Array:
     return np.where(latest[:, None] >= 0, wind.velocity[latest], 0.0)
 
 
-def _summarise(recording: Recording, monitored: int, predictions: int, alarms: Alarms) -> ReplaySummary:
+def _summarise(
+    recording: Recording, monitored: int, predictions: int, alarms: Alarms, events: Events
+) -> ReplaySummary:
     stamps = recording.imu.time_ns
     alarm = alarm_time(alarms.time_ns, alarms.level, int(stamps[-1]))
     return ReplaySummary(
@@ -301,4 +309,5 @@ def _summarise(recording: Recording, monitored: int, predictions: int, alarms: A
         dropped=monitored - predictions,
         alarm_fraction=alarm.fraction,
         alarm_first_s=None if alarm.first_ns is None else 1e-9 * (alarm.first_ns - int(stamps[0])),
+        events=max((event.number for event in events), default=0),
     )

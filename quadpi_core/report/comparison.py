@@ -31,6 +31,7 @@ from quadpi_core.report.page import (
     write_page,
 )
 from quadpi_core.report.style import covers_too_little, hundredths, number, percent, unit
+from quadpi_core.report.tables import alarm_sentence
 
 PUBLISHED = "published"
 # All intervals together draw so many samples, at about 11 bytes each in the page.
@@ -119,12 +120,21 @@ def comparison_table(comparison: Mapping[str, Any]) -> Group:
     nominal = percent(confidence)
     kind = "adaptive prediction intervals" if comparison["adaptive"] else "prediction intervals"
     notes = [f"▼ the confidence interval of the coverage lies below {nominal}"] * _any_short(comparison)
+    notes += list(_alarm_notes(comparison))
     notes += [f"{PUBLISHED}: van Beers and de Visser, on the real vehicle"] * bool(comparison["published"])
     return Group(
         Text(f"{comparison['vehicle']}: {nominal} {kind}", style="bold"),
         shown,
         *(Text(note, style="dim") for note in notes),
     )
+
+
+def _alarm_notes(comparison: Mapping[str, Any]) -> Iterator[str]:
+    """What each model's alarm did on each group."""
+    for name, model in comparison["models"].items():
+        for group, part in model["groups"].items():
+            if part["alarm"] is not None:
+                yield f"alarm of {name} on {group}: {alarm_sentence(part['alarm'])}"
 
 
 def _any_short(comparison: Mapping[str, Any]) -> bool:

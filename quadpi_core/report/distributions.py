@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.intervals.evaluate import FlightResult
-from quadpi_core.monitor.envelope import Envelope
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.report.figures import series, styled
 from quadpi_core.report.style import INPUT_LABELS, MEASURED, TRAINING, group_colours, translucent, unit
 

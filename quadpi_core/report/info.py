@@ -121,7 +121,7 @@ def model_tables(model: AerodynamicModel) -> list[RenderableType]:
         f"settings · {percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
         style="bold",
     )
-    calibration = Text(model.calibration(), style="dim")
+    calibration = Text(f"{model.calibration()}; {model.alarm_limits.sentence()}", style="dim")
     flights = Table(title="identified on", box=box.SIMPLE_HEAD)
     flights.add_column("flight")
     flights.add_column("samples", justify="right")
@@ -154,6 +154,7 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
         "vehicle": model.vehicle,
         "settings": model.settings,
         "cutoff_hz": model.cutoff_hz,
+        "alarm": model.alarm_limits.to_json() | {"calibrated": model.alarm_limits.calibrated},
         "confidence": model.confidence,
         "axes": {axis: model.fitted[axis].terms for axis in model.axes},
         "flights": [asdict(flight) for flight in model.flights],

@@ -31,7 +31,7 @@ from quadpi_core.report.style import (
     percent_range,
     unit,
 )
-from quadpi_core.report.tables import final_terms, selection_cells
+from quadpi_core.report.tables import alarm_sentence, final_terms, selection_cells
 
 # The kind of figure that shows the time history of a flight.
 HISTORY = "history"
@@ -85,12 +85,17 @@ def coverage(evaluation: Mapping[str, Any]) -> str:
         for kind in ("group", "flight")
     )
     overview = _coverage_table(evaluation) + figure("coverage") if evaluation["groups"] else ""
+    alarms = "".join(
+        f"<p><b>Alarm on {escape(name)}</b>: {escape(alarm_sentence(part['alarm']))}.</p>"
+        for name, part in evaluation["groups"].items()
+        if part["alarm"] is not None
+    )
     return section(
         "Coverage and width",
         f"PICP: share of measurements inside the {nominal} prediction interval, with its 95 % confidence "
         "interval for autocorrelated samples. MPIW: mean width of the interval. Marked ▼ where the "
         f"confidence interval lies below {nominal}.",
-        f'<div class="pair">{overview}</div>{details}',
+        f'<div class="pair">{overview}</div>{alarms}{details}',
     )
 
 
@@ -154,7 +159,8 @@ def model(held: AerodynamicModel) -> str:
     flights = ", ".join(f"{flight.name} ({flight.samples} samples)" for flight in held.flights)
     return section(
         "Identified model",
-        f"Training flights: {escape(flights)}. {escape(held.calibration().capitalize())}.",
+        f"Training flights: {escape(flights)}. {escape(held.calibration().capitalize())}; "
+        f"{escape(held.alarm_limits.sentence())}.",
         _held_out_table(held) + tables,
     )
 

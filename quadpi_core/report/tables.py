@@ -30,7 +30,11 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
     """
     confidence = evaluation["confidence"]
     parts = evaluation["groups"]
-    tables = [_group_table(name, part["axes"], confidence) for name, part in parts.items()]
+    tables: list[Table | Text] = []
+    for name, part in parts.items():
+        tables.append(_group_table(name, part["axes"], confidence))
+        if part["alarm"] is not None:
+            tables.append(Text(f"alarm: {alarm_sentence(part['alarm'])}", style="dim"))
     intervals = "adaptive prediction intervals" if evaluation["adaptive"] else "prediction intervals"
     heading = Text(f"{evaluation['model']}: {percent(confidence)} {intervals}", style="bold")
     if any(covers_too_little(metrics, confidence) for p in parts.values() for metrics in p["axes"].values()):
@@ -60,6 +64,25 @@ def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table
             number(metrics["n_eff"]),
         )
     return table
+
+
+def alarm_sentence(alarm: Mapping[str, Any]) -> str:
+    """False alarms, detection and what each signal tells, as `evaluate_flights` found them for one group."""
+    parts = []
+    if alarm["false_alarms_per_hour"] is not None:
+        minutes = 60.0 * alarm["hours_inside"]
+        parts.append(
+            f"{alarm['false_alarms']} false in {number(minutes)} min inside coverage "
+            f"({number(alarm['false_alarms_per_hour'])} per hour)"
+        )
+    if alarm["flights_off"]:
+        found = alarm["flights_off"] - alarm["flights_undetected"]
+        late = "" if alarm["detection_delay_s"] is None else f", {alarm['detection_delay_s']:.2f} s late"
+        parts.append(f"{found} of {alarm['flights_off']} flights with the model off detected{late}")
+    known = [f"{name} {area:.2f}" for name, area in alarm["auroc"].items() if area is not None]
+    if known:
+        parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
+    return "; ".join(parts)
 
 
 def held_out_table(model: AerodynamicModel) -> Table | None:

@@ -17,10 +17,10 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.ensembles.fitted import NOISE_FLOOR, AnyFitted
 from quadpi_core.models.ensembles.network import Networks
-from quadpi_core.models.ensembles.plan import Plan, Split
+from quadpi_core.models.ensembles.plan import Indices, Plan, Split
 from quadpi_core.models.ensembles.table import Table
 from quadpi_core.models.regressors import Regressor
-from quadpi_core.models.rules import AnyRule, FlightErrors, HeldOutRule, calibrate
+from quadpi_core.models.rules import AnyRule, FlightErrors, HeldOutRule, calibrate, flights_peak
 
 if TYPE_CHECKING:
     from quadpi_core.models.ensembles.batches import Samples
@@ -273,17 +273,22 @@ def _fit_axis(
     """Calibrate the intervals of one axis and put what it holds together."""
     scaling = table.scalings[axis]
 
-    def errors(ensemble: int, flight: int, inside: npt.NDArray[np.bool_]) -> FlightErrors:
+    def errors(
+        ensemble: int, flight: int, inside: npt.NDArray[np.bool_], others: Indices | None = None
+    ) -> FlightErrors:
         rows = table.rows[flight]
         error = (table.targets[axis, rows] - trained.centre[ensemble, axis, rows]).astype(float)
         spread = trained.spread[ensemble, axis, rows].astype(float)
-        return FlightErrors(scaling.target_scale * error, scaling.target_scale * spread, inside)
+        width = None
+        if others is not None and len(others):
+            width = spread / flights_peak(trained.spread[ensemble, axis, table.rows[k]] for k in others)
+        return FlightErrors(scaling.target_scale * error, scaling.target_scale * spread, inside, width)
 
     rule = estimator._uncalibrated()
     estimator.held_out_ = None
     if estimator.calibration == "held-out":
         estimator.held_out_ = [
-            errors(k, flight, table.inside(flight, plan.seen[k]))
+            errors(k, flight, table.inside(flight, plan.seen[k]), np.setdiff1d(plan.seen[k], flight))
             for k, flights in enumerate(plan.left_out)
             for flight in flights
         ]

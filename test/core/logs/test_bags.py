@@ -156,9 +156,12 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         time_ns,
         np.full(N, 2, np.uint8),
         np.full(N, 1, np.uint8),
-        np.zeros((N, 6)),
-        np.zeros((N, 6)),
+        *np.zeros((2, N, 3), np.uint8),
+        np.zeros((N, 3)),
+        *np.zeros((4, N, 6)),
         excess,
+        excess,
+        np.zeros(N, np.int64),
     )
     packed = messages.pack_predictions(predictions, model="m", confidence=0.95, axes=AXES)
     write_bag(

@@ -12,7 +12,10 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import messages
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.payloads import Payloads
+from quadpi_core.monitor.events import AlarmEvent
+from quadpi_core.monitor.faults import GYRO_FROZEN
 from quadpi_core.monitor.output import Alarms, Predictions
+from quadpi_core.monitor.reasons import reasons
 from quadpi_core.vehicle import Vehicle
 
 N = 7
@@ -204,9 +207,16 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         time_ns=TIME_NS,
         level=rng.integers(0, 3, N).astype(np.uint8),
         causes=rng.integers(0, 8, N).astype(np.uint8),
+        cause_level=rng.integers(0, 3, (N, 3)).astype(np.uint8),
+        cause_health=rng.integers(0, 4, (N, 3)).astype(np.uint8),
+        cause_evidence=rng.random((N, 3)),
         leverage=rng.normal(size=(N, 6)),
         width=rng.normal(size=(N, 6)),
+        miscoverage=rng.random((N, 6)),
+        miss_share=rng.random((N, 6)),
+        input_score=(1.0 + 2.0 * excess) / 1.2,
         input_excess=excess,
+        faults=np.full(N, GYRO_FROZEN),
     )
     payloads = messages.pack_alarms(alarms)
     outside = [(), ("u",), ("mu_x", "u"), (), (), ("u",), ()]
@@ -215,11 +225,29 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         assert (one.level, one.causes) == (alarms.level[sample], alarms.causes[sample])
         assert one.envelope_distance == excess[sample].max()
         np.testing.assert_array_equal(one.leverage, alarms.leverage[sample])
-        np.testing.assert_array_equal(one.width, alarms.width[sample])
+        for name in ("width", "cause_level", "cause_health", "cause_evidence", "miscoverage", "miss_share"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(alarms, name)[sample])
+        assert tuple(one.reasons) == reasons(alarms, sample)
     unpacked = messages.unpack_alarms(payloads)
+    assert unpacked.reasons == [reasons(alarms, sample) for sample in range(N)]
+    assert any(unpacked.reasons)
     assert unpacked.inputs_outside == outside
     np.testing.assert_array_equal(unpacked.level, alarms.level)
     np.testing.assert_array_equal(unpacked.time_ns, TIME_NS)
+
+
+def test_events_survive_their_message():
+    events = [
+        AlarmEvent(1, 1, 5_000_000_001, 5_000_000_001, 0, 1.5, ("u 1.4 x the training range", "gap")),
+        AlarmEvent(1, 1, 7_000_000_001, 5_000_000_001, 7_000_000_001, 2.5, ()),
+    ]
+    payloads = messages.pack_events(events)
+    for event, payload in zip(events, payloads, strict=True):
+        one = typestore().deserialize_cdr(payload, messages.EVENT)
+        assert (one.number, one.cause, one.peak_evidence) == (1, 1, event.peak_evidence)
+        assert one.end.sec * 10**9 + one.end.nanosec == event.end_ns
+        assert tuple(one.reasons) == event.reasons
+    assert messages.unpack_events(payloads) == events
 
 
 def test_stamp_with_more_than_a_second_of_nanoseconds_is_refused(rng):

@@ -23,8 +23,8 @@ from quadpi_core.models import (
     TrainingFlight,
     load_pools,
 )
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
-from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.vehicle import Vehicle
 
 POOLS = {

@@ -97,7 +97,7 @@ def test_replay_gives_what_the_monitor_gives(model, vehicle, samples, with_odome
         axis=1,
     )
     paired = samples._replace(rotor_speeds=speeds)
-    expected, _ = Monitor(model, vehicle, RATE_HZ).step(*(column[:-1] for column in paired))
+    expected, _, _ = Monitor(model, vehicle, RATE_HZ).step(*(column[:-1] for column in paired))
     for field in fields(expected):
         np.testing.assert_allclose(
             getattr(predictions, field.name), getattr(expected, field.name), rtol=1e-9, atol=1e-9

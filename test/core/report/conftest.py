@@ -13,11 +13,11 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.intervals.evaluate import FlightResult, evaluate_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.rules import LEVELS, HeldOutRule
 from quadpi_core.models.spread import SpreadShape
-from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.report.live import LiveReplay
 
 VOID = {"meta", "br", "link", "img", "input"}

@@ -12,8 +12,8 @@ from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.frames import Array
 from quadpi_core.models import AerodynamicModel, TrainingFlight
 from quadpi_core.models.ensembles.fitted import AnyFitted
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.methods import METHODS
-from quadpi_core.monitor.envelope import Envelope
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "neurobem"

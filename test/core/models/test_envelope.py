@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.monitor.envelope import LEVERAGE_HEADROOM, Envelope
+from quadpi_core.models.envelope import LEVERAGE_HEADROOM, Envelope
 
 SAMPLES = 3000
 U = INPUT_INDEX["u"]

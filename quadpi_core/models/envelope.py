@@ -82,6 +82,7 @@ class Envelope:
                 raise ModelError(f"envelope: {name} of sample {sample} is not finite")
 
         flights = [labels == label for label in np.unique(labels)]
+        ranges = np.array([cls.flight_range(inputs[flight]) for flight in flights])
         high = 1.0 - RANGE_QUANTILE
 
         def peak(values: Array) -> Array:
@@ -90,19 +91,30 @@ class Envelope:
 
         leverage_peak, width_peak = peak(leverage), peak(relative_width)
         return cls(
-            lower=-peak(-inputs),
-            upper=peak(inputs),
+            lower=ranges[:, 0].min(axis=0),
+            upper=ranges[:, 1].max(axis=0),
             margin=np.full(len(INPUT_NAMES), MARGIN),
             leverage_limit=np.where(leverage_peak > 0.0, LEVERAGE_HEADROOM * leverage_peak, 1.0),
             width_limit=np.where(width_peak > 0.0, WIDTH_HEADROOM * width_peak, 1.0),
         )
 
+    @staticmethod
+    def flight_range(inputs: Array) -> tuple[Array, Array]:
+        """Range (19,), (19,) of each input over one flight (N, 19)."""
+        lower, upper = np.quantile(inputs, (RANGE_QUANTILE, 1.0 - RANGE_QUANTILE), axis=0)
+        return lower, upper
+
+    @staticmethod
+    def extent(lower: Array, upper: Array) -> Array:
+        """(19,) width of each range; 1 (in the unit of the input) for one that training kept constant."""
+        width = upper - lower
+        constant = width <= _CONSTANT * np.maximum(np.abs(upper), 1.0)
+        return np.where(constant, 1.0, width)
+
     @cached_property
     def scale(self) -> Array:
-        """(19,) width of each range; 1 (in the unit of the input) for one that training kept constant."""
-        width = self.upper - self.lower
-        constant = width <= _CONSTANT * np.maximum(np.abs(self.upper), 1.0)
-        return np.where(constant, 1.0, width)
+        """(19,) :meth:`extent` of the training range."""
+        return self.extent(self.lower, self.upper)
 
     def input_excess(self, inputs: Array) -> Array:
         """Distance (N, 19) of inputs (N, 19) outside their training range in :attr:`scale`; 0 inside."""

@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the alarm needs beside the envelope: limits of the test and the gate, and their origin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+
+RATE_PER_HOUR = 1.0
+# Of misses, in time: the sequential test tells the allowed share from this many times as much.
+ALTERNATIVE = 5.0
+# Limit of the sequential test where no flights could calibrate it.
+UNCALIBRATED_S = 2.0
+
+
+def allowance(confidence: float) -> float:
+    """Share k of misses at which the sequential test neither rises nor falls.
+
+    It is the reference value of a cumulative sum of Bernoulli trials (Page 1954; Reynolds and Stoumbos 1999)
+    between p₀ = 1 − confidence and an alternative p₁ of :data:`ALTERNATIVE` times as much, at most half of
+    what is left: k = ln((1−p₀)/(1−p₁)) / ln(p₁(1−p₀)/(p₀(1−p₁))).
+    """
+    low = 1.0 - confidence
+    high = min(ALTERNATIVE * low, 0.5 * (1.0 + low))
+    fall = np.log((1.0 - low) / (1.0 - high))
+    return float(fall / (fall + np.log(high / low)))
+
+
+@dataclass(frozen=True)
+class AlarmLimits:
+    """Limits of an alarm, and how they came about.
+
+    Attributes:
+        allowance: share of misses that the sequential test subtracts, see :func:`allowance`.
+        miscoverage_s: (6,) limits of the cumulative sum in seconds of misses beyond it, order as `AXES`.
+        hover_rotor_speed: mean speed of the rotors, rad/s, whose thrust carries the vehicle; 0 where
+            unknown, and then the vehicle always counts as flying.
+        rate_per_hour: of false alarms, both causes together, that the limits were calibrated to.
+        flights: held out that they were calibrated on; 0 says that the limits are plain fractions.
+        hours: that these flights lasted.
+    """
+
+    allowance: float = field(default_factory=lambda: allowance(0.95))
+    miscoverage_s: Array = field(default_factory=lambda: np.full(len(AXES), UNCALIBRATED_S))
+    hover_rotor_speed: float = 0.0
+    rate_per_hour: float = RATE_PER_HOUR
+    flights: int = 0
+    hours: float = 0.0
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether a rate of false alarms can be stated."""
+        return self.flights > 0
+
+    def sentence(self) -> str:
+        """What the limits of the alarm rest on."""
+        if not self.calibrated:
+            return "alarm uncalibrated: its limits are plain fractions beyond training, no rate is claimed"
+        return (
+            f"alarm calibrated to {self.rate_per_hour:g} false alarms per flight hour on {self.flights} "
+            f"flights, each left out in turn ({60.0 * self.hours:.3g} min)"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers for the model file; :meth:`from_json` reads them."""
+        return {
+            "allowance": self.allowance,
+            "miscoverage_s": dict(zip(AXES, self.miscoverage_s.tolist(), strict=True)),
+            "hover_rotor_speed": self.hover_rotor_speed,
+            "rate_per_hour": self.rate_per_hour,
+            "flights": self.flights,
+            "hours": self.hours,
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> AlarmLimits:
+        """Limits from what :meth:`to_json` gave.
+
+        Raises:
+            ModelError: for numbers that no calibration gives.
+            KeyError, TypeError, ValueError: for missing or malformed ones.
+        """
+        limits = cls(
+            allowance=float(data["allowance"]),
+            miscoverage_s=np.array([float(data["miscoverage_s"][axis]) for axis in AXES]),
+            hover_rotor_speed=float(data["hover_rotor_speed"]),
+            rate_per_hour=float(data["rate_per_hour"]),
+            flights=int(data["flights"]),
+            hours=float(data["hours"]),
+        )
+        positive = np.array([limits.allowance, limits.rate_per_hour, *limits.miscoverage_s])
+        if not (np.all(positive > 0.0) and np.all(np.isfinite(positive)) and limits.allowance < 1.0):
+            raise ModelError("alarm: allowance, rate and limits must be positive, the allowance below 1")
+        if not (limits.hover_rotor_speed >= 0.0 and limits.flights >= 0 and limits.hours >= 0.0):
+            raise ModelError("alarm: hover speed, flights and hours must not be negative")
+        return limits

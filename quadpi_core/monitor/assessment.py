@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How good the alarm is on flights: false alarms, delay of detection, and what each signal tells of misses.
+
+A model is off at an instant if of the three seconds that follow, more than half of the samples of an axis
+lie outside their interval. Detection is late by the time from the first such instant to the alarm; an alarm
+that stands there already is not late. An alarm is false if no such span that holds its begin is that bad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import rankdata
+
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.evaluation import Evaluation
+from quadpi_core.monitor.alarm import LEVEL_ALARM, Alarm, Judged, MonitorSettings
+
+SIGNALS = ("inputs", "leverage", "width", "miscoverage")
+_OFF_SHARE, _OFF_S = 0.5, 3.0
+# A row of the alarm for every sample.
+_EVERY_SAMPLE_HZ = 1e9
+
+
+@dataclass(frozen=True)
+class FlightAlarm:
+    """What the alarm says of one flight, sample by sample.
+
+    Attributes:
+        scores: by name of :data:`SIGNALS` (N,), the worst input's or axis' value over its limit.
+        raised: (N,) whether EXTRAPOLATION or MISCOVERAGE stands at alarm level.
+    """
+
+    scores: Mapping[str, Array]
+    raised: npt.NDArray[np.bool_]
+
+
+def alarm_of_flight(
+    model: AerodynamicModel,
+    time: Array,
+    inputs: Array,
+    wrench: Array,
+    evaluation: Evaluation,
+    confidence: float,
+) -> FlightAlarm:
+    """Run the alarm over a flight in the air.
+
+    Args:
+        model: that was evaluated.
+        time: (N,) s.
+        inputs: (N, 19) input vectors.
+        wrench: (N, 6) measured.
+        evaluation: of the inputs, with intervals of the confidence.
+        confidence: of these intervals.
+    """
+    alarm = Alarm(
+        model.envelope,
+        model.alarm_limits,
+        MonitorSettings(alarm_rate_hz=_EVERY_SAMPLE_HZ),
+        np.array([axis in model.axes for axis in AXES]),
+        model.interval_ratio(confidence),
+    )
+    samples = len(time)
+    # A flight in the air never stands: a speed beyond all measure tells the gate so.
+    rows = alarm.step(
+        np.round(1e9 * time).astype(np.int64),
+        np.ones(samples, dtype=np.bool_),
+        np.zeros(samples, dtype=np.int64),
+        Judged(
+            inputs,
+            np.full((samples, 3), np.inf),
+            evaluation.leverage,
+            evaluation.relative_width,
+            wrench,
+            evaluation.lower,
+            evaluation.upper,
+        ),
+    )
+    scores = (rows.input_score, rows.leverage, rows.width, rows.miscoverage)
+    return FlightAlarm(
+        {name: score.max(axis=1) for name, score in zip(SIGNALS, scores, strict=True)},
+        (rows.cause_level[:, :2] == LEVEL_ALARM).any(axis=1),
+    )
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """One flight: its alarm beside what it should have said.
+
+    Attributes:
+        time: (N,) s.
+        missed: (N, A) whether the measured wrench lies outside the interval, per axis held.
+        alarm: what the alarm says.
+    """
+
+    time: Array
+    missed: npt.NDArray[np.bool_]
+    alarm: FlightAlarm
+
+    def off(self) -> npt.NDArray[np.bool_]:
+        """Instants (N,) at which the model is off."""
+        return self._shares_above(np.searchsorted(self.time, self.time + _OFF_S))
+
+    def _shares_above(self, stops: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        starts = np.arange(len(self.time))
+        counts: Array = np.zeros((len(self.time) + 1, self.missed.shape[1]))
+        np.cumsum(self.missed, axis=0, out=counts[1:])
+        shares = (counts[stops] - counts[starts]) / np.maximum(stops - starts, 1)[:, None]
+        whole = self.time + _OFF_S <= self.time[-1]
+        above: npt.NDArray[np.bool_] = (shares > _OFF_SHARE).any(axis=1) & whole
+        return above
+
+    def delay_s(self) -> float | None:
+        """Seconds from where the model is off to the alarm; infinite without one, None if it is never off."""
+        off = self.off()
+        if not off.any():
+            return None
+        start = int(np.argmax(off))
+        raised = np.flatnonzero(self.alarm.raised[start:])
+        return float(self.time[start + raised[0]] - self.time[start]) if len(raised) else float("inf")
+
+    def false_alarms(self) -> tuple[int, float]:
+        """How many, and the hours in which they could have come."""
+        off = np.flatnonzero(self.off())
+        bad = np.zeros(len(self.time) + 1)
+        np.add.at(bad, off, 1.0)
+        np.add.at(bad, np.searchsorted(self.time, self.time[off] + _OFF_S), -1.0)
+        inside = np.cumsum(bad)[:-1] <= 0.0
+        begins = self.alarm.raised & ~np.concatenate(([False], self.alarm.raised[:-1]))
+        steps = np.diff(self.time, append=self.time[-1])
+        return int(np.sum(begins & inside)), float(steps[inside].sum()) / 3600.0
+
+
+def assess(flights: Sequence[Assessed]) -> dict[str, Any]:
+    """The alarm on flights as plain JSON; keys as of `quadpi_core.intervals.evaluate.evaluate_flights`."""
+    counts, hours = zip(*(flight.false_alarms() for flight in flights), strict=True)
+    delays = [delay for flight in flights if (delay := flight.delay_s()) is not None]
+    detected = [delay for delay in delays if np.isfinite(delay)]
+    missed = np.concatenate([flight.missed.any(axis=1) for flight in flights])
+    return {
+        "false_alarms": sum(counts),
+        "hours_inside": sum(hours),
+        "false_alarms_per_hour": sum(counts) / sum(hours) if sum(hours) > 0.0 else None,
+        "flights_off": len(delays),
+        "flights_undetected": len(delays) - len(detected),
+        "detection_delay_s": float(np.median(detected)) if detected else None,
+        "auroc": {
+            name: auroc(np.concatenate([flight.alarm.scores[name] for flight in flights]), missed)
+            for name in SIGNALS
+        },
+    }
+
+
+def auroc(scores: Array, positive: npt.NDArray[np.bool_]) -> float | None:
+    """Chance that the score (N,) of a positive is above that of another, ties half; None without both."""
+    count = int(positive.sum())
+    others = len(positive) - count
+    if count == 0 or others == 0:
+        return None
+    ranks = rankdata(scores)
+    return float((ranks[positive].sum() - 0.5 * count * (count + 1)) / (count * others))

@@ -1,0 +1,314 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of the alarm from flights left out in turn, to a stated rate of false alarms.
+
+A flight that the model and the envelope of the others have not seen, but that lies mostly within their
+ranges, is what the alarm must keep quiet on. For each signal (distance of the worst input, leverage and
+width of the worst axis, the sequential test of each axis) the flights are cut into blocks of a few
+seconds, and of each block only the largest value that lasts long enough to raise the alarm counts.
+Beyond the highest tenth of these maxima the excess is taken to be exponential. For the sequential test
+that is what theory says of a walk that drifts downward, with dependent steps too (Cramér and Lundberg;
+Glynn and Whitt 1994); for the rest it is the generalised Pareto law with the shape that so few maxima
+cannot tell set to zero.
+
+The mean excess is taken at the upper end of its confidence interval, with as many degrees of freedom as
+there are flights, not blocks: of four flights little can be said of once in an hour, and limits are
+wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from quadpi_core.compiled import njit
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models.alarm_limits import AlarmLimits, allowance
+from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
+from quadpi_core.models.rules import FEWEST_INSIDE, FlightErrors, HeldOutRule
+from quadpi_core.monitor.alarm import MonitorSettings
+
+# Long against the persistence and against what correlates the samples, short against a flight.
+BLOCK_S = 5.0
+# Confidence of the upper bound of the tail's mean.
+_SURE = 0.8
+_FEWEST_FLIGHTS = 2
+# Thresholds that the lasting maximum of a block is looked for among.
+_LEVELS = 200
+# Share of the blocks that tells the tail, and least number of them, if need be up to half.
+_TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
+# Least mean excess, in training ranges, peaks or seconds: what never moved is no reason for a tight limit.
+_LEAST_EXCESS = 0.02
+
+
+class Timed(Protocol):
+    """What is needed of a flight: time (N,) s and input vectors (N, 19)."""
+
+    @property
+    def time(self) -> Array:
+        """Seconds."""
+
+    @property
+    def inputs(self) -> Array:
+        """Columns as `quadpi_core.inputs.INPUT_NAMES`."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Signals of one flight under what the other flights support; columns zero for axes not held.
+
+    Attributes:
+        time: (N,) s.
+        inputs: (N, 19).
+        leverage, width: (N, 6) over their peaks in the other flights.
+        miss: (N, 6) whether the measured wrench left the interval, 0 or 1; NaN where not known.
+    """
+
+    time: Array
+    inputs: Array
+    leverage: Array
+    width: Array
+    miss: Array
+
+
+def calibrate_alarm(
+    envelope: Envelope,
+    flights: Sequence[LeftOut],
+    *,
+    confidence: float,
+    rate_per_hour: float,
+    hover_rotor_speed: float,
+) -> tuple[Envelope, AlarmLimits]:
+    """Envelope and limits for a rate of false alarms, shared evenly by EXTRAPOLATION and MISCOVERAGE.
+
+    Args:
+        envelope: of all flights, with its plain limits; what it gives back has calibrated ones.
+        flights: each under the model of the others, at least one.
+        confidence: of the intervals that `miss` was told by.
+        rate_per_hour: false alarms per flight hour.
+        hover_rotor_speed: see :class:`~quadpi_core.models.alarm_limits.AlarmLimits`.
+    """
+    limits = AlarmLimits(
+        allowance=allowance(confidence), hover_rotor_speed=hover_rotor_speed, rate_per_hour=rate_per_hour
+    )
+    if len(flights) < _FEWEST_FLIGHTS:
+        return envelope, limits
+    usual = [
+        (flight, others)
+        for flight, others in zip(flights, _ranges_of_others(flights), strict=True)
+        if _share_inside(flight, others) >= FEWEST_INSIDE
+    ]
+    if len(usual) < _FEWEST_FLIGHTS:
+        return envelope, limits
+    times = [flight.time for flight, _ in usual]
+    usual_axes = ~np.isnan(usual[0][0].miss[0])
+    settings = MonitorSettings()
+    lasting = (settings.persistence_s, settings.release_s)
+    of_each = [
+        [_input_distance(flight.inputs, others).max(axis=1) for flight, others in usual],
+        [flight.leverage.max(axis=1) for flight, _ in usual],
+        [flight.width.max(axis=1) for flight, _ in usual],
+    ]
+    known = [series for series in of_each if any(np.any(values) for values in series)]
+    rate = 0.5 * rate_per_hour / len(known)
+    # What the training flights reached is never beyond.
+    ratio, leverage, width = (
+        max(_Tail.of(series, times, lasting).limit(rate), 1.0)
+        if any(np.any(values) for values in series)
+        else None
+        for series in of_each
+    )
+    calibrated = replace(
+        envelope,
+        margin=np.full(len(INPUT_NAMES), 0.5 * ((ratio or 1.0) - 1.0)),
+        leverage_limit=_of_peak(envelope.leverage_limit, LEVERAGE_HEADROOM, leverage, usual_axes),
+        width_limit=_of_peak(envelope.width_limit, WIDTH_HEADROOM, width, usual_axes),
+    )
+    sums = [_sums(flight.time, flight.miss, limits.allowance) for flight, _ in usual]
+    misses = limits.miscoverage_s.copy()
+    tails = {k: _Tail.of([s[:, k] for s in sums], times, None) for k in np.flatnonzero(usual_axes)}
+    pooled = float(np.mean([tail.mean for tail in tails.values()]))
+    for axis, tail in tails.items():
+        # Which axes fail in which manoeuvre takes more flights to tell than how they do.
+        misses[axis] = replace(tail, mean=max(tail.mean, pooled)).limit(0.5 * rate_per_hour / len(tails))
+    return calibrated, replace(
+        limits,
+        miscoverage_s=misses,
+        flights=len(usual),
+        hours=sum(float(time[-1] - time[0]) for time in times) / 3600.0,
+    )
+
+
+def _of_peak(plain: Array, headroom: float, bound: float | None, held: npt.NDArray[np.bool_]) -> Array:
+    """Limits (6,) of `bound` times the training peaks of the axes held; the plain ones without a bound."""
+    return plain if bound is None else np.where(held, bound / headroom * plain, plain)
+
+
+def left_out(
+    flights: Sequence[Timed], axes: Mapping[str, tuple[Any, Sequence[FlightErrors] | None]], confidence: float
+) -> list[LeftOut]:
+    """Signals of the flights of an identification; none where its intervals rest on no flights left out.
+
+    Args:
+        flights: that were identified on.
+        axes: per axis held its rule and the errors on each flight, left out; every so manieth sample of it.
+        confidence: of the intervals.
+    """
+    if any(errors is None or not isinstance(rule, HeldOutRule) for rule, errors in axes.values()):
+        return []
+    columns = {axis: AXES.index(axis) for axis in axes}
+    first = next(iter(axes.values()))[1] or []
+    signals = []
+    for flight, errors in zip(flights, first, strict=True):
+        count = len(errors.error)
+        step = -(-len(flight.time) // count)
+        leverage, width = np.zeros((2, count, len(AXES)))
+        signals.append(
+            LeftOut(
+                flight.time[::step],
+                flight.inputs[::step],
+                leverage,
+                width,
+                np.full((count, len(AXES)), np.nan),
+            )
+        )
+    for axis, (rule, held_out) in axes.items():
+        column = columns[axis]
+        misses = rule.held_out_misses(held_out, confidence)
+        for signal, errors, missed in zip(signals, held_out or [], misses, strict=True):
+            signal.miss[:, column] = missed
+            if errors.width is not None:
+                signal.width[:, column] = errors.width
+            if errors.leverage is not None:
+                signal.leverage[:, column] = errors.leverage
+    return signals
+
+
+def _ranges_of_others(flights: Sequence[LeftOut]) -> list[tuple[Array, Array]]:
+    """Range of the inputs (19,), (19,) over all flights but one, for each."""
+    lower, upper = np.array([Envelope.flight_range(flight.inputs) for flight in flights]).swapaxes(0, 1)
+    ranges = []
+    for k in range(len(flights)):
+        others = np.arange(len(flights)) != k
+        ranges.append((lower[others].min(axis=0), upper[others].max(axis=0)))
+    return ranges
+
+
+def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
+    lower, upper = others
+    return float(np.mean(np.all((flight.inputs >= lower) & (flight.inputs <= upper), axis=1)))
+
+
+def _input_distance(inputs: Array, others: tuple[Array, Array]) -> Array:
+    """Distance (N, 19) of inputs from the middle of a range over half of it."""
+    lower, upper = others
+    half = 0.5 * Envelope.extent(lower, upper)
+    distance: Array = np.abs(inputs - 0.5 * (lower + upper)) / half
+    return distance
+
+
+@dataclass(frozen=True)
+class _Tail:
+    """Block maxima of a signal beyond `start`: `per_hour` of them, with an exponential excess."""
+
+    start: float
+    mean: float
+    per_hour: float
+
+    @classmethod
+    def of(
+        cls, series: Sequence[Array], times: Sequence[Array], lasting: tuple[float, float] | None
+    ) -> _Tail:
+        """Tail of a signal.
+
+        Args:
+            series: (N,) per flight.
+            times: (N,) s per flight.
+            lasting: persistence and release in seconds; None for a signal that raises at once.
+        """
+        maxima = []
+        for values, time in zip(series, times, strict=True):
+            starts = _block_starts(time)
+            if lasting is None:
+                maxima.append(np.maximum.reduceat(values, starts))
+            else:
+                levels = np.linspace(np.quantile(values, 0.5), values.max(), _LEVELS)
+                maxima.append(_lasting_maxima(values, time, starts, levels, *lasting))
+        ordered = np.sort(np.concatenate(maxima))[::-1]
+        blocks = len(ordered)
+        count = min(max(int(_TAIL_SHARE * blocks), _TAIL_BLOCKS), blocks // 2)
+        hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
+        freedom = 2.0 * len(series)
+        unsure = freedom / float(chi2.ppf(1.0 - _SURE, freedom))
+        excess = float(np.mean(ordered[:count] - ordered[count])) if count else 0.0
+        return cls(float(ordered[count]), max(excess * unsure, _LEAST_EXCESS), count / hours)
+
+    def limit(self, rate_per_hour: float) -> float:
+        """Level that is passed so often."""
+        folds = float(np.log(max(self.per_hour / rate_per_hour, 1.0)))
+        return self.start + self.mean * folds
+
+
+def _block_starts(time: Array) -> Any:
+    """First samples of blocks of about :data:`BLOCK_S`."""
+    count = max(round(float(time[-1] - time[0]) / BLOCK_S), 1)
+    return np.linspace(0, len(time), count, endpoint=False).astype(np.int64)
+
+
+def _sums(time: Array, miss: Array, allowed: float) -> Array:
+    """The sequential test (N, 6) of a flight, without its end at the limit."""
+    sums = np.empty(miss.shape)
+    _sums_kernel(np.diff(time, prepend=time[0]), miss, allowed, sums)
+    return sums
+
+
+@njit(cache=True)
+def _sums_kernel(steps: Any, miss: Any, allowed: float, sums: Any) -> None:
+    for axis in range(miss.shape[1]):
+        total = 0.0
+        for i in range(steps.size):
+            if not np.isnan(miss[i, axis]):
+                total = max(0.0, total + steps[i] * (miss[i, axis] - allowed))
+            sums[i, axis] = total
+
+
+@njit(cache=True)
+def _lasting_maxima(
+    worst: Any, time: Any, starts: Any, levels: Any, persistence_s: float, release_s: float
+) -> Any:
+    """Per block the highest of the levels (L,), ascending, that a signal passes for long enough."""
+    maxima = np.full(starts.size, levels[0])
+    charge = np.zeros(levels.size)
+    for block in range(starts.size):
+        stop = starts[block + 1] if block + 1 < starts.size else worst.size
+        for i in range(max(starts[block], 1), stop):
+            step = time[i] - time[i - 1]
+            for k in range(levels.size):
+                change = step / persistence_s if worst[i] > levels[k] else -step / release_s
+                charge[k] = min(1.0, max(0.0, charge[k] + change))
+                if charge[k] >= 1.0 - 1e-9:
+                    maxima[block] = max(maxima[block], levels[k])
+                elif charge[k] == 0.0 and worst[i] <= levels[k]:
+                    # Nor can any higher level be charged.
+                    break
+    return maxima
+
+
+def hover_rotor_speed(inputs: Array, wrench: Array, weight: float) -> float:
+    """Mean rotor speed, rad/s, at which thrust, taken as a multiple of its square, carries the weight.
+
+    Args:
+        inputs: (N, 19) of flights.
+        wrench: (N, 6) measured there.
+        weight: N.
+    """
+    squares = np.square(inputs[:, INPUT_INDEX["omega_avg"]])
+    thrust = -float(squares @ wrench[:, 2])
+    return float(np.sqrt(weight * float(squares @ squares) / thrust)) if thrust > 0.0 else 0.0

@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The log of events: when each cause was raised and cleared, its peak and why; the last ones are kept."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from quadpi_core.monitor.alarm import CAUSES, LEVEL_ALARM, LEVEL_OK
+from quadpi_core.monitor.output import Alarms
+from quadpi_core.monitor.reasons import reasons
+
+# Events that a log keeps, and that a late subscriber is given.
+KEPT = 64
+
+
+@dataclass(frozen=True)
+class AlarmEvent:
+    """One cause at alarm level.
+
+    Attributes:
+        number: counts the events of a log from 1.
+        cause: one of the bits of `monitor.alarm`.
+        time_ns: stamp of the sample that this state of the event follows from.
+        start_ns: stamp at which the cause was raised.
+        end_ns: stamp at which it was cleared; 0 while it stands.
+        peak_evidence: largest score so far.
+        reasons: at the peak, in plain words.
+    """
+
+    number: int
+    cause: int
+    time_ns: int
+    start_ns: int
+    end_ns: int
+    peak_evidence: float
+    reasons: tuple[str, ...]
+
+
+Events: TypeAlias = list[AlarmEvent]
+
+
+class EventLog:
+    """Follows the rows of an alarm; memory is bounded."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all events."""
+        self._open: dict[int, AlarmEvent] = {}
+        self._closed: deque[AlarmEvent] = deque(maxlen=KEPT)
+        self._count = 0
+
+    @property
+    def events(self) -> Events:
+        """The last events, the oldest first; those that stand come last."""
+        return [*self._closed, *self._open.values()][-KEPT:]
+
+    def take(self, alarms: Alarms) -> Events:
+        """Take the rows of a block; returns every event that opened or closed, in order."""
+        changed: Events = []
+        if not self._open and not (alarms.level == LEVEL_ALARM).any():
+            return changed
+        for row in range(len(alarms)):
+            now = int(alarms.time_ns[row])
+            for column, cause in enumerate(CAUSES):
+                level = alarms.cause_level[row, column]
+                evidence = float(alarms.cause_evidence[row, column])
+                event = self._open.get(cause)
+                if event is None and level == LEVEL_ALARM:
+                    self._count += 1
+                    told = reasons(alarms, row, cause)
+                    self._open[cause] = AlarmEvent(self._count, cause, now, now, 0, evidence, told)
+                    changed.append(self._open[cause])
+                elif event is not None and level == LEVEL_OK:
+                    self._closed.append(replace(self._open.pop(cause), time_ns=now, end_ns=now))
+                    changed.append(self._closed[-1])
+                elif event is not None and evidence > event.peak_evidence:
+                    told = reasons(alarms, row, cause) or event.reasons
+                    self._open[cause] = replace(event, peak_evidence=evidence, reasons=told)
+        return changed

@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is behind an alarm, in plain words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quadpi_core.flight import AXES
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
+from quadpi_core.monitor.faults import fault_words
+from quadpi_core.monitor.output import Alarms
+
+# Of each kind of evidence, the strongest.
+_MOST = 3
+# Of the sequential test's limit, from which on an axis is named: where its warning begins.
+_MISCOVERAGE_NAMED = 0.5
+
+
+def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, ...]:
+    """Why the causes are not ok in one row, the strongest evidence first; empty where all is well.
+
+    An input is told as its distance from the middle of its training range over half of that range, leverage
+    and width over their limits, miscoverage as the share of recent samples outside the interval.
+
+    Args:
+        alarms: as the monitor gives them.
+        row: which one.
+        causes: bits of those to tell; the row's own unless given.
+    """
+    wanted = int(alarms.causes[row]) if causes is None else causes
+    told: list[str] = []
+    if alarms.level[row] == LEVEL_OK and causes is None:
+        return ()
+    if wanted & EXTRAPOLATION:
+        ratio = 1.0 + 2.0 * alarms.input_excess[row]
+        told += [
+            f"{INPUT_NAMES[k]} {ratio[k]:.1f} x the training range" for k in _beyond(alarms.input_score[row])
+        ]
+        for name, scores in (("leverage", alarms.leverage[row]), ("width", alarms.width[row])):
+            told += [f"{AXES[k]} {name} {scores[k]:.1f} x its limit" for k in _beyond(scores)]
+    if wanted & MISCOVERAGE:
+        told += [
+            f"{AXES[k]} outside its interval {100.0 * alarms.miss_share[row, k]:.0f} % of the time"
+            for k in _beyond(alarms.miscoverage[row], _MISCOVERAGE_NAMED)
+        ]
+    if wanted & BAD_DATA:
+        told += fault_words(int(alarms.faults[row]))
+    return tuple(told)
+
+
+def _beyond(scores: np.ndarray, limit: float = 1.0) -> list[int]:
+    """Places of the largest scores beyond the limit, the largest first."""
+    order = np.argsort(-scores, kind="stable")[:_MOST]
+    return [int(k) for k in order if scores[k] > limit]
