@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test lint format bench tables environment clean
+.PHONY: help demo test lint format bench tables golden environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -36,6 +36,9 @@ bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=
 tables: ## renew docs/paper-tables.md (TABLES_ARGS="--only tunnel --data FOLDER")
 	@sh tools/bootstrap.sh --train
 	@$(BIN)/python tools/paper_tables.py $(TABLES_ARGS)
+
+golden: environment ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
+	@$(BIN)/python tools/golden_trace.py $(GOLDEN_ARGS)
 
 environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)
 	@sh tools/bootstrap.sh

@@ -27,6 +27,7 @@ CORE = {
     messages.IMU: messages.unpack_imu,
     messages.POSE: messages.unpack_pose,
     messages.ODOMETRY: messages.unpack_odometry,
+    messages.TWIST: messages.unpack_twist,
     messages.WIND: messages.unpack_wind,
     messages.ROTOR_SPEEDS: messages.unpack_rotor_speeds,
     messages.ERPM: partial(messages.unpack_erpm, vehicle=Vehicle.load("hdbeetle")),

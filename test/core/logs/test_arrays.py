@@ -86,6 +86,8 @@ def test_definitions_that_are_none_or_of_another_version_are_refused():
         "Nothing[] x",
         "Self[] x\n" + "=" * 80 + "\nMSG: a/Self\nSelf[] y",
         "wstring x",
+        "uint8 x\nint8 x",
+        "Part[] x\n" + "=" * 80 + "\nMSG: a/Part\nuint8 y\nuint8 y",
     ):
         with pytest.raises(LogError) as caught:
             array_codec("a/msg/B", broken, (("x.y", 1),))
