@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import PoseStream, Stamps
@@ -59,25 +60,30 @@ class BodyReader:
         names = bodies.columns[name]
         rows = np.flatnonzero(names == self._body)
         sample = bodies.message[rows]
-        if np.any(np.diff(sample) == 0):
+        if len(rows) > 1 and np.any(np.diff(sample) == 0):
             index = int(sample[np.argmin(np.diff(sample))])
             raise LogError(f"sample {index}: two bodies are named {self._settings.body}")
-        if len(rows) == 0 and len(self._seen) < _SEEN_MAX:
-            self._seen.update(other.decode(errors="replace") for other in np.unique(names)[:_SEEN_MAX])
+        if absent := len(time_ns) - len(rows):
+            self._note(names)
+            self.dropped[f"{self._settings.body} is not in it (others: {self.seen})"] += absent
         position = bodies.columns["pose.position"][rows]
         orientation = bodies.columns["pose.orientation"][rows][:, _WXYZ]
-        with np.errstate(over="ignore"):
-            norm = np.linalg.norm(orientation, axis=1)
+        norm = np.sqrt(np.einsum("ni,ni->n", orientation, orientation))
         tracked = (np.abs(norm - 1.0) <= NORM_TOLERANCE) & np.isfinite(position).all(axis=1)
-        self.dropped.update(
-            {
-                f"{self._settings.body} is not in it (others: {self.seen})": len(time_ns) - len(rows),
-                f"{self._settings.body} has no pose in it": int(np.sum(~tracked)),
-            }
+        if not tracked.all():
+            self.dropped[f"{self._settings.body} has no pose in it"] += int(np.sum(~tracked))
+            sample, position, orientation, norm = (
+                values[tracked] for values in (sample, position, orientation, norm)
+            )
+        return PoseStream(
+            time_ns[sample], *_to_ned(self._settings, position, orientation / norm[:, np.newaxis])
         )
-        self.dropped = +self.dropped
-        attitude = orientation[tracked] / norm[tracked, np.newaxis]
-        return PoseStream(time_ns[sample[tracked]], *_to_ned(self._settings, position[tracked], attitude))
+
+    def _note(self, names: npt.NDArray[np.bytes_]) -> None:
+        """Remember names of other bodies, for whoever has to find out what the own one is called."""
+        if len(self._seen) < _SEEN_MAX:
+            others = {other.decode(errors="replace") for other in np.unique(names)[: _SEEN_MAX + 1]}
+            self._seen |= others - {self._settings.body}
 
 
 def _to_ned(settings: BodySettings, position: Array, attitude: Array) -> tuple[Array, Array]:
