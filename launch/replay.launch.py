@@ -25,9 +25,17 @@ def generate_launch_description() -> LaunchDescription:
             LaunchConfiguration("bag"),
             "--rate",
             LaunchConfiguration("rate"),
+            "--nodes",
+            "estimator",
+            "monitor",
             # The first start on a machine compiles the kernels.
             "--wait",
             "300",
+        ],
+        # Declared by monitor.launch.py, which is included before this runs.
+        remappings=[
+            (topic, LaunchConfiguration(f"{topic.replace('/', '_')}_topic"))
+            for topic in ("imu", "rotor_speeds", "erpm", "mocap/pose", "wind")
         ],
         output="screen",
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimator node: imu and mocap/pose in, odometry out."""
+"""Estimator node: imu and motion capture in, odometry out."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
@@ -18,8 +19,9 @@ from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.ekf_kernels import Outcome
 from quadpi_core.signals.odometry import fused_sample
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros.parameters import parameter, read_parameters
-from quadpi_ros.runtime import run, spin
+from quadpi_ros import diagnostics
+from quadpi_ros.parameters import parameter
+from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import SensorNode
 
 _WARM_UP_S = 1.1
@@ -34,6 +36,7 @@ class EstimatorParameters:
     imu_rate_hz: float = parameter(500.0, "nominal rate of the topic imu", limits=(50.0, 5000.0))
     world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
     body_frame: str = parameter(messages.BODY_FRAME, "child_frame_id of odometry: forward-left-up")
+    autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
 
 
 class StateListener(Protocol):
@@ -46,26 +49,37 @@ class StateListener(Protocol):
         """Take the state at the stamp of that sample."""
 
 
-class EstimatorNode(SensorNode):
+class EstimatorNode(SensorNode[EstimatorParameters]):
     """The EKF of `quadpi_core.signals.ekf` between its topics.
 
     Args:
-        listener: takes each estimate directly, before it is published.
         shared_with: parameter classes of other nodes in this process.
+
+    Attributes:
+        listener: takes each estimate directly, before it is published.
     """
 
-    def __init__(self, listener: StateListener | None = None, shared_with: tuple[type, ...] = ()) -> None:
-        super().__init__("estimator")
-        parameters = read_parameters(self, EstimatorParameters, shared_with=shared_with)
+    def __init__(self, shared_with: tuple[type, ...] = ()) -> None:
+        super().__init__("estimator", EstimatorParameters, shared_with)
+        self.listener: StateListener | None = None
+
+    def configure(self) -> None:
+        """Load the vehicle and every compiled kernel."""
+        parameters = self.parameters
         vehicle = Vehicle.load(parameters.vehicle)
         self._frames = (parameters.world_frame, parameters.body_frame)
         self._gyro_noise = vehicle.noise.gyro_noise_rad_s
-        self._listener = listener
         _warm_up(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz)
         self._publish = self.announce(Odometry, "odometry")
-        self.listen(Imu, "imu", messages.unpack_imu, self._take_imu)
-        self.listen(PoseStamped, "mocap/pose", messages.unpack_pose, self._take_pose)
+
+    def activate(self) -> None:
+        """Start anew from what comes now."""
+        self._ekf.reset()
+        self._imu_health = self.listen(
+            Imu, "imu", messages.unpack_imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz
+        )
+        self._pose_health = self.listen(PoseStamped, "mocap/pose", messages.unpack_pose, self._take_pose)
 
     def problem(self) -> str | None:
         """Also that no state comes out of what arrives."""
@@ -74,18 +88,26 @@ class EstimatorNode(SensorNode):
             return silent
         return "imu and mocap/pose arrive but give no state: are they stamped by the same clock?"
 
+    def statuses(self) -> list[DiagnosticStatus]:
+        """The state of the filter."""
+        if not self._ekf.initialised:
+            return [self.status("filter", diagnostics.WARN, "initialising", {})]
+        return [self.status("filter", diagnostics.OK, "ok", {})]
+
     def _take_imu(self, imu: ImuStream) -> None:
         outcome = self._ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
-            self.warn("topic imu", f"sample not used: {outcome.name.lower().replace('_', ' ')}")
-        if outcome == Outcome.UNUSABLE and self._listener:
-            self._listener.take_imu(imu)
+            reason = _reason(outcome)
+            self._imu_health.refuse(reason)
+            self.warn("topic imu", f"sample not used: {reason}")
+        if outcome == Outcome.UNUSABLE and self.listener:
+            self.listener.take_imu(imu)
         if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self._ekf.initialised:
             return
         sample = fused_sample(self._ekf.state, self._gyro_noise)
-        if self._listener:
-            self._listener.take_imu(sample.imu)
-            self._listener.take_odometry(sample.odometry)
+        if self.listener:
+            self.listener.take_imu(sample.imu)
+            self.listener.take_odometry(sample.odometry)
         world_frame, body_frame = self._frames
         odometry = messages.pack_odometry(
             sample.odometry, sample.pose_covariance, sample.twist_covariance, world_frame, body_frame
@@ -95,23 +117,34 @@ class EstimatorNode(SensorNode):
     def _take_pose(self, pose: PoseStream) -> None:
         outcome = self._ekf.update_pose(int(pose.time_ns[0]), pose.position[0], pose.attitude[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
-            self.warn("topic mocap/pose", f"pose not used: {outcome.name.lower().replace('_', ' ')}")
+            reason = _reason(outcome)
+            self._pose_health.refuse(reason)
+            self.warn("topic mocap/pose", f"pose not used: {reason}")
+
+
+def _reason(outcome: Outcome) -> str:
+    return outcome.name.lower().replace("_", " ")
 
 
 def _warm_up(vehicle: Vehicle) -> None:
     """Load every compiled kernel now: the first sample in flight must not wait for it."""
     ekf = Ekf(vehicle, _WARM_UP_RATE_HZ)
-    hover = np.array([0.0, 0.0, -vehicle.gravity_m_s2])
-    level = np.array([1.0, 0.0, 0.0, 0.0])
-    for time_ns in np.arange(0.0, _WARM_UP_S * 1e9, 1e9 / _WARM_UP_RATE_HZ).astype(int).tolist():
-        ekf.update_pose(time_ns, np.zeros(3), level)
-        ekf.predict(time_ns, np.zeros(3), hover)
-    fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+    hover = np.array([[0.0, 0.0, -vehicle.gravity_m_s2]])
+    level = np.array([[1.0, 0.0, 0.0, 0.0]])
+    still = np.zeros((1, 3))
+    for time_ns in np.arange(0.0, _WARM_UP_S * 1e9, 1e9 / _WARM_UP_RATE_HZ).astype(np.int64):
+        stamp = np.array([time_ns])
+        pose = messages.unpack_pose(messages.pack_pose(PoseStream(stamp, still, level))[0])
+        imu = messages.unpack_imu(messages.pack_imu(ImuStream(stamp, still, hover))[0])
+        ekf.update_pose(int(stamp[0]), pose.position[0], pose.attitude[0])
+        ekf.predict(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0])
+    sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+    messages.pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
 
 
 def main() -> int:
     """Run the node in its own process."""
-    return run(lambda: spin([EstimatorNode()]))
+    return run(lambda: serve([EstimatorNode()]))
 
 
 if __name__ == "__main__":

@@ -7,23 +7,24 @@ The estimator hands each state to the monitor directly instead of over DDS, and 
 
 from __future__ import annotations
 
-from rclpy.node import Node
+from typing import Any
 
 from quadpi_ros.estimator_node import EstimatorNode, EstimatorParameters
+from quadpi_ros.lifecycle import ManagedNode
 from quadpi_ros.monitor_node import MonitorNode, MonitorParameters
-from quadpi_ros.runtime import run, spin
+from quadpi_ros.runtime import run, serve
 
 
-def create_nodes() -> list[Node]:
+def create_nodes() -> list[ManagedNode[Any]]:
     """Both nodes, connected; parameters given for all nodes of the process may belong to either."""
     shared = (EstimatorParameters, MonitorParameters)
-    monitor = MonitorNode(estimator_in_process=True, shared_with=shared)
-    return [monitor, EstimatorNode(listener=monitor, shared_with=shared)]
+    estimator = EstimatorNode(shared)
+    return [estimator, MonitorNode(estimator, shared)]
 
 
 def main() -> int:
     """Run the process."""
-    return run(lambda: spin(create_nodes()))
+    return run(lambda: serve(create_nodes()))
 
 
 if __name__ == "__main__":

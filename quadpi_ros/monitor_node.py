@@ -4,27 +4,37 @@
 
 from __future__ import annotations
 
+import time
+import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
-from quadpi.msg import Erpm, ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
+from quadpi.msg import Erpm, RotorSpeeds
+from quadpi.srv import LoadModel
 from sensor_msgs.msg import Imu
 
+from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, WindStream
 from quadpi_core.logs import messages
-from quadpi_core.logs.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
-from quadpi_core.monitor import Monitor, MonitorSettings, Predictions
-from quadpi_core.monitor.pairing import TIMEOUT_S, PairedSamples, Pairing
+from quadpi_core.monitor import Monitor, MonitorSettings
+from quadpi_core.monitor.health import Latency
+from quadpi_core.monitor.pairing import JUMP_BACK_NS, TIMEOUT_S, Pairing
 from quadpi_core.vehicle import ROTORS, Vehicle
-from quadpi_ros.parameters import parameter, read_parameters
-from quadpi_ros.runtime import run, spin
+from quadpi_ros import diagnostics
+from quadpi_ros.estimator_node import EstimatorNode
+from quadpi_ros.parameters import parameter
+from quadpi_ros.results import Results, named, warm_up
+from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import SensorNode
+from quadpi_ros.slow_service import SlowService
 
 _SETTINGS = MonitorSettings()
+_LONG_AGO_NS = -(2**63)
 
 
 @dataclass(frozen=True)
@@ -32,7 +42,9 @@ class MonitorParameters:
     """Parameters of the node `monitor`."""
 
     vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
-    model: str = parameter("", "model folder, as `quadpi identify` writes it")
+    model: tuple[str, ...] = parameter(
+        (), "model folder, as `quadpi identify` writes it; of several, the first gives the alarm"
+    )
     rotor_topic: str = parameter(
         "rotor_speeds", "topic and type of the rotor speeds to use", choices=("rotor_speeds", "erpm")
     )
@@ -41,13 +53,22 @@ class MonitorParameters:
         0.0, "nominal coverage of the intervals; 0 takes the model's own", limits=(0.0, 0.9999)
     )
     persistence_s: float = parameter(
-        _SETTINGS.persistence_s, "evidence that raises an alarm, in seconds", limits=(0.001, 60.0)
+        _SETTINGS.persistence_s,
+        "evidence that raises an alarm, in seconds",
+        limits=(0.001, 60.0),
+        in_flight=True,
     )
     release_s: float = parameter(
-        _SETTINGS.release_s, "absence of evidence that clears an alarm, in seconds", limits=(0.001, 60.0)
+        _SETTINGS.release_s,
+        "absence of evidence that clears an alarm, in seconds",
+        limits=(0.001, 60.0),
+        in_flight=True,
     )
     alarm_rate_hz: float = parameter(
-        _SETTINGS.alarm_rate_hz, "rate of extrapolation_alarm between changes", limits=(0.1, 1000.0)
+        _SETTINGS.alarm_rate_hz,
+        "rate of extrapolation_alarm between changes",
+        limits=(0.1, 1000.0),
+        in_flight=True,
     )
     adaptive: bool = parameter(
         _SETTINGS.adaptive, "intervals that adapt to the measured wrench, instead of the model's own"
@@ -56,69 +77,91 @@ class MonitorParameters:
         TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
     )
     body_frame: str = parameter(messages.BODY_FRAME, "frame_id of what is published: forward-left-up")
+    autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
 
 
-class MonitorNode(SensorNode):
+class MonitorNode(SensorNode[MonitorParameters]):
     """`quadpi_core.monitor` between its topics.
 
     In a process of its own it listens to imu and odometry; the accelerometer bias is then part of the
-    measured wrench, as odometry does not carry it. With the estimator in the same process, the estimator
-    calls :meth:`take_imu` (bias removed) and :meth:`take_odometry`.
+    measured wrench, as odometry does not carry it. An estimator in the same process hands over
+    :meth:`take_imu` (bias removed) and :meth:`take_odometry` directly.
 
     Args:
-        estimator_in_process: do not subscribe to what the estimator hands over.
+        estimator: in the same process.
         shared_with: parameter classes of other nodes in this process.
     """
 
-    def __init__(self, *, estimator_in_process: bool = False, shared_with: tuple[type, ...] = ()) -> None:
-        super().__init__("monitor")
-        parameters = read_parameters(self, MonitorParameters, shared_with=shared_with)
-        vehicle = Vehicle.load(parameters.vehicle)
-        if parameters.rotor_topic == "erpm":
-            vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
-        model = AerodynamicModel.load(parameters.model)
-        settings = MonitorSettings(
-            parameters.persistence_s, parameters.release_s, parameters.alarm_rate_hz, parameters.adaptive
-        )
-        self._monitor = Monitor(
-            model, vehicle, parameters.imu_rate_hz, parameters.confidence or None, settings
-        )
-        self._pairing = Pairing(parameters.pairing_timeout_s)
-        self._body_frame = parameters.body_frame
-        self._warm_up(vehicle.gravity_m_s2)
+    def __init__(self, estimator: EstimatorNode | None = None, shared_with: tuple[type, ...] = ()) -> None:
+        super().__init__("monitor", MonitorParameters, shared_with)
+        self._estimator = estimator
+        self._load_model: SlowService | None = None
 
-        self._publish_prediction = self.announce(WrenchPrediction, "prediction")
-        self._publish_alarm = self.announce(ExtrapolationAlarm, "extrapolation_alarm")
-        if not estimator_in_process:
-            self.listen(Imu, "imu", messages.unpack_imu, self.take_imu)
-            self.listen(Odometry, "odometry", messages.unpack_odometry, self.take_odometry)
-        self.listen(Vector3Stamped, "wind", messages.unpack_wind, self._take_wind, required=False)
+    def configure(self) -> None:
+        """Load the vehicle, the models and every compiled kernel."""
+        parameters = self.parameters
+        self._vehicle = Vehicle.load(parameters.vehicle)
         if parameters.rotor_topic == "erpm":
+            self._vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
+        monitors = named(self._load(path) for path in parameters.model)
+        self._results = Results(self, monitors, parameters.body_frame)
+
+    def activate(self) -> None:
+        """Start anew from what comes now."""
+        self._restart()
+        vehicle, rate_hz = self._vehicle, self.parameters.imu_rate_hz
+        if self._estimator is None:
+            self.listen(Imu, "imu", messages.unpack_imu, self.take_imu, rate_hz=rate_hz)
+            self.listen(Odometry, "odometry", messages.unpack_odometry, self.take_odometry)
+        else:
+            self._estimator.listener = self
+        self.listen(Vector3Stamped, "wind", messages.unpack_wind, self._take_wind, required=False)
+        if self.parameters.rotor_topic == "erpm":
             self.listen(
                 Erpm, "erpm", lambda payload: messages.unpack_erpm(payload, vehicle), self._take_rotor_speeds
             )
         else:
             self.listen(RotorSpeeds, "rotor_speeds", messages.unpack_rotor_speeds, self._take_rotor_speeds)
+        self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
 
-    def _warm_up(self, gravity_m_s2: float) -> None:
-        """Load every compiled kernel now: the first sample in flight must not wait for it."""
-        hover = PairedSamples(
-            time_ns=np.zeros(1, dtype=np.int64),
-            velocity=np.zeros((1, 3)),
-            attitude=np.array([[1.0, 0.0, 0.0, 0.0]]),
-            rates=np.zeros((1, 3)),
-            specific_force=np.array([[0.0, 0.0, -gravity_m_s2]]),
-            rotor_speeds=np.full((1, ROTORS), 1.0),
-            wind=np.zeros((1, 3)),
-        )
-        predictions, alarms = self._monitor.step(*hover)
-        self._pack(predictions)
-        messages.pack_alarms(alarms)
-        self._monitor.reset()
+    def deactivate(self) -> None:
+        """Stop listening."""
+        super().deactivate()
+        if self._estimator is not None:
+            self._estimator.listener = None
+        if self._load_model is not None:
+            self._load_model.destroy()
+            self._load_model = None
+
+    def parameters_changed(self) -> None:
+        """Change the times and rates of the alarm in flight."""
+        self._results.monitors.change(self._settings())
+
+    def statuses(self) -> list[DiagnosticStatus]:
+        """The models and their alarm, how samples meet, and how long results take."""
+        latency = self._latency.report()
+        values = asdict(self._pairing.counts) | {
+            "latency_p50_ms": None if latency is None else 1e3 * latency[0],
+            "latency_p99_ms": None if latency is None else 1e3 * latency[1],
+        }
+        dropped, self._dropped = self._pairing.counts.dropped - self._dropped, self._pairing.counts.dropped
+        level, message = diagnostics.OK, "samples are complete"
+        if dropped:
+            level, message = diagnostics.WARN, f"{dropped} IMU samples without state or rotor speeds in time"
+        return [
+            self.status("alarm", *self._results.alarm_status()),
+            self.status("pairing", level, message, values),
+        ]
 
     def take_imu(self, imu: ImuStream) -> None:
         """Take one IMU sample."""
-        self._pairing.add_imu(int(imu.time_ns[0]), imu.specific_force[0])
+        time_ns = int(imu.time_ns[0])
+        if time_ns < self._newest_ns - JUMP_BACK_NS:
+            self._results.monitors.reset()
+            self._latency.reset()
+        self._newest_ns = time_ns
+        self._latency.arrived(time_ns, time.monotonic_ns())
+        self._pairing.add_imu(time_ns, imu.specific_force[0])
         self._advance()
 
     def take_odometry(self, odometry: OdometryStream) -> None:
@@ -139,32 +182,60 @@ class MonitorNode(SensorNode):
         samples = self._pairing.take()
         if samples is None:
             return
-        predictions, alarms = self._monitor.step(*samples)
-        if len(predictions.time_ns):
-            self._publish_all(self._publish_prediction, self._pack(predictions))
-        if len(alarms.time_ns):
-            self._publish_all(self._publish_alarm, messages.pack_alarms(alarms, self._body_frame))
-        if len(predictions.time_ns) < len(samples.time_ns):
+        predicted_ns = self._results.take(samples)
+        now_ns = time.monotonic_ns()
+        for time_ns in predicted_ns.tolist():
+            self._latency.published(time_ns, now_ns)
+        if len(predicted_ns) < len(samples.time_ns):
             self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
 
-    def _pack(self, predictions: Predictions) -> Payloads:
-        return messages.pack_predictions(
-            predictions,
-            model=self._monitor.model.identity,
-            confidence=self._monitor.confidence,
-            axes=self._monitor.model.axes,
-            frame_id=self._body_frame,
+    def _restart(self) -> None:
+        self._pairing = Pairing(self.parameters.pairing_timeout_s)
+        self._dropped = 0
+        self._newest_ns = _LONG_AGO_NS
+        self._latency = Latency()
+        self._results.monitors.reset()
+
+    def _load(self, path: str) -> Monitor:
+        parameters = self.parameters
+        monitor = Monitor(
+            AerodynamicModel.load(path),
+            self._vehicle,
+            parameters.imu_rate_hz,
+            parameters.confidence or None,
+            self._settings(),
+        )
+        warm_up(monitor, self._vehicle)
+        return monitor
+
+    def _settings(self) -> MonitorSettings:
+        parameters = self.parameters
+        return MonitorSettings(
+            parameters.persistence_s, parameters.release_s, parameters.alarm_rate_hz, parameters.adaptive
         )
 
-    @staticmethod
-    def _publish_all(publish: Callable[[bytes], None], payloads: Payloads) -> None:
-        for payload in payloads:
-            publish(payload)
+    def _prepare_model(self, request: LoadModel.Request) -> Callable[[LoadModel.Response], None]:
+        """Load and warm up in the service's thread; gives what is to be done between two samples."""
+        monitors = self._results.monitors
+        name = request.replaces or monitors.names[0]
+        try:
+            monitor, error = self._load(request.path), None
+        except QuadpiError as caught:
+            monitor, error = None, str(caught)
+        except Exception:
+            self.get_logger().error(traceback.format_exc())
+            monitor, error = None, f"{request.path}: cannot be loaded, see the log of the node"
+
+        def swap(response: LoadModel.Response) -> None:
+            self._results.swap(name, monitor, error, response)
+            self.get_logger().info(response.message)
+
+        return swap
 
 
 def main() -> int:
     """Run the node in its own process."""
-    return run(lambda: spin([MonitorNode()]))
+    return run(lambda: serve([MonitorNode()]))
 
 
 if __name__ == "__main__":

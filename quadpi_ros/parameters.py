@@ -4,17 +4,19 @@
 
 from __future__ import annotations
 
-from dataclasses import Field, dataclass, field, fields
-from typing import Any, TypeVar
+from collections.abc import Callable
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any, Generic, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from quadpi_core.errors import QuadpiError
 
 # Declared by rclpy itself.
 _RCLPY_PARAMETERS = {"use_sim_time", "start_type_description_service"}
-_ROS_NAMES = {str: "string", float: "double", bool: "bool"}
+_ROS_NAMES = {str: "string", float: "double", bool: "bool", tuple: "string or an array of strings"}
 
 Parameters = TypeVar("Parameters")
 
@@ -28,82 +30,147 @@ class _Declaration:
     description: str
     limits: tuple[float, float] | None
     choices: tuple[str, ...]
+    in_flight: bool
 
 
 def parameter(
-    default: str | float | bool,
+    default: str | float | bool | tuple[str, ...],
     description: str,
     *,
     limits: tuple[float, float] | None = None,
     choices: tuple[str, ...] = (),
+    in_flight: bool = False,
 ) -> Any:
     """A field of a parameter dataclass.
 
     Args:
-        default: also fixes the type; the empty string makes the parameter required.
+        default: also fixes the type; the empty string or tuple makes the parameter required. A tuple takes
+            one string, or an array of them.
         description: shown by `ros2 param describe`.
         limits: smallest and largest value of a double.
         choices: the strings allowed.
+        in_flight: whether it can be set while the node runs; else it is read-only.
     """
-    declaration = _Declaration(description, limits, choices)
+    declaration = _Declaration(description, limits, choices, in_flight)
     return field(default=default, metadata={"declaration": declaration})
 
 
-def read_parameters(
-    node: Node, parameters: type[Parameters], *, shared_with: tuple[type, ...] = ()
-) -> Parameters:
-    """Declare every field on the node, read-only, and return the values.
+class ParameterServer(Generic[Parameters]):
+    """Declares every field of a dataclass on a node, and keeps the values.
 
-    An integer given for a double is taken as one.
+    An integer given for a double is taken as one, at the start and in flight.
 
     Args:
         node: created with `automatically_declare_parameters_from_overrides`.
         parameters: dataclass made of :func:`parameter` fields.
         shared_with: parameter dataclasses of other nodes in this process, whose names an override for all
             nodes may hold.
+        changed: called after a change in flight.
 
     Raises:
         ParameterError: for an unknown name, a missing, mistyped or out-of-range value.
     """
-    own = {item.name: item for item in fields(parameters)}  # type: ignore[arg-type]
-    others = {item.name for other in shared_with for item in fields(other)}
-    given = {name: value.value for name, value in node.get_parameters_by_prefix("").items()}
-    for name in given.keys() - own.keys() - others - _RCLPY_PARAMETERS:
-        raise ParameterError(
-            f"node {node.get_name()}: unknown parameter `{name}`; known: {', '.join(sorted(own))}"
-        )
-    return parameters(**{name: _declare(node, item, given) for name, item in own.items()})
+
+    def __init__(
+        self,
+        node: Node,
+        parameters: type[Parameters],
+        shared_with: tuple[type, ...] = (),
+        changed: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._fields: dict[str, Field[Any]] = {item.name: item for item in fields(parameters)}  # type: ignore[arg-type]
+        self._where = f"node {node.get_name()}"
+        self._changed = changed
+        others = {item.name for other in shared_with for item in fields(other)}
+        given = {name: value.value for name, value in node.get_parameters_by_prefix("").items()}
+        for name in given.keys() - self._fields.keys() - others - _RCLPY_PARAMETERS:
+            raise ParameterError(
+                f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"
+            )
+        self.values = parameters(**{name: self._declare(node, name, given) for name in self._fields})
+        node.add_pre_set_parameters_callback(self._coerce)
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._take)
+
+    def _declare(self, node: Node, name: str, given: dict[str, Any]) -> Any:
+        declaration: _Declaration = self._fields[name].metadata["declaration"]
+        value = self._fields[name].default
+        if name in given:
+            value = self._checked(name, given[name])
+            node.undeclare_parameter(name)
+        if value in ("", ()):
+            raise ParameterError(f"{self._where}: parameter `{name}` is required: {declaration.description}")
+        ros_value = list(value) if isinstance(value, tuple) else value
+        node.declare_parameter(name, ros_value, _descriptor(declaration), ignore_override=True)
+        return value
+
+    def _checked(self, name: str, value: Any) -> Any:
+        """The value as the dataclass takes it.
+
+        Raises:
+            ParameterError: if it is of the wrong type or out of range.
+        """
+        declaration: _Declaration = self._fields[name].metadata["declaration"]
+        where = f"{self._where}: parameter `{name}`"
+        value = _coerced(where, type(self._fields[name].default), value)
+        if declaration.choices and value not in declaration.choices:
+            raise ParameterError(f"{where} must be one of {', '.join(declaration.choices)}, found `{value}`")
+        if declaration.limits is not None:
+            low, high = declaration.limits
+            if not low <= value <= high:
+                raise ParameterError(f"{where} must lie between {low:g} and {high:g}, found {value:g}")
+        return value
+
+    def _coerce(self, given: list[Parameter]) -> list[Parameter]:
+        return [
+            Parameter(item.name, value=float(item.value))
+            if item.name in self._fields
+            and isinstance(self._fields[item.name].default, float)
+            and type(item.value) is int
+            else item
+            for item in given
+        ]
+
+    def _judge(self, given: list[Parameter]) -> SetParametersResult:
+        try:
+            for item in given:
+                if item.name in self._fields:
+                    self._checked(item.name, item.value)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take(self, given: list[Parameter]) -> None:
+        changes = {item.name: item.value for item in given if item.name in self._fields}
+        if changes:
+            self.values = replace(self.values, **changes)  # type: ignore[type-var]
+            self._changed()
 
 
-def _declare(node: Node, item: Field[Any], given: dict[str, Any]) -> Any:
-    declaration: _Declaration = item.metadata["declaration"]
-    where = f"node {node.get_name()}: parameter `{item.name}`"
-    value = item.default
-    if item.name in given:
-        value = _coerced(where, type(item.default), given[item.name])
-        node.undeclare_parameter(item.name)
-    if value == "":
-        raise ParameterError(f"{where} is required: {declaration.description}")
-    if declaration.choices and value not in declaration.choices:
-        raise ParameterError(f"{where} must be one of {', '.join(declaration.choices)}, found `{value}`")
-    if declaration.limits is not None:
-        low, high = declaration.limits
-        if not low <= value <= high:
-            raise ParameterError(f"{where} must lie between {low:g} and {high:g}, found {value:g}")
-    node.declare_parameter(item.name, value, _descriptor(declaration), ignore_override=True)
-    return value
+def read_parameters(
+    node: Node, parameters: type[Parameters], *, shared_with: tuple[type, ...] = ()
+) -> Parameters:
+    """Declare every field on a node that keeps to the values it starts with, and return them.
+
+    See :class:`ParameterServer`.
+    """
+    return ParameterServer(node, parameters, shared_with).values
 
 
 def _coerced(where: str, kind: type, value: Any) -> Any:
     if kind is float and type(value) is int:
         return float(value)
-    if type(value) is not kind:
+    if kind is tuple and isinstance(value, str):
+        return (value,) if value else ()
+    if kind is tuple and isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
+        return tuple(value)
+    if kind is tuple or type(value) is not kind:
         raise ParameterError(f"{where} must be a {_ROS_NAMES[kind]}, found {value!r}")
     return value
 
 
 def _descriptor(declaration: _Declaration) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=declaration.description, read_only=True)
+    descriptor = ParameterDescriptor(description=declaration.description, read_only=not declaration.in_flight)
     if declaration.choices:
         descriptor.additional_constraints = f"one of {', '.join(declaration.choices)}"
     if declaration.limits is not None:

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
+from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, RotorSpeeds
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import Imu
 
@@ -26,6 +26,7 @@ from quadpi_core.logs.bags import find_topic
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.messages import unpack_stamps
 from quadpi_core.paths import whole_output
+from quadpi_ros.discovery import await_listeners
 from quadpi_ros.runtime import SENSOR_QOS, run
 
 SENSOR_TYPES: dict[str, type] = {
@@ -33,10 +34,11 @@ SENSOR_TYPES: dict[str, type] = {
     "rotor_speeds": RotorSpeeds,
     "erpm": Erpm,
     "mocap/pose": PoseStamped,
+    "mocap/odometry": Odometry,
+    "mocap/twist": TwistStamped,
     "wind": Vector3Stamped,
 }
 
-_POLL_S = 0.01
 # Time for the last messages to leave before the participant closes.
 _FLUSH_S = 0.2
 
@@ -146,6 +148,13 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--wait", type=float, default=10.0, metavar="S", help="seconds to wait for subscribers; 0: do not"
     )
+    parser.add_argument(
+        "--nodes",
+        nargs="+",
+        metavar="NAME",
+        default=[],
+        help="managed nodes to wait for until they are active",
+    )
     parser.add_argument("--sent", type=Path, metavar="FILE", help="write when each message was published")
     options = parser.parse_args(arguments)
     if not 0.0 < options.rate < np.inf:
@@ -158,7 +167,7 @@ def _play(options: argparse.Namespace) -> None:
     node = Node("player", start_parameter_services=False)
     publishers = [node.create_publisher(SENSOR_TYPES[name], name, SENSOR_QOS) for name in playlist.names]
     if options.wait > 0.0:
-        _await_subscribers(publishers, options.wait)
+        await_listeners(node, publishers, options.nodes, options.wait)
     sent_ns = playlist.play([publisher.publish for publisher in publishers], options.rate)
     time.sleep(_FLUSH_S)
     if options.sent:
@@ -166,24 +175,6 @@ def _play(options: argparse.Namespace) -> None:
     played = playlist.topic[: len(sent_ns)]
     counts = ", ".join(f"{name} {np.sum(played == index)}" for index, name in enumerate(playlist.names))
     print(f"{options.bag}: played {counts} messages at {options.rate:g} x real time")
-
-
-def _await_subscribers(publishers: Sequence[Publisher], wait_s: float) -> None:
-    """Wait until every publisher has a subscriber.
-
-    Raises:
-        PlayerError: naming the topics without one when the time is over.
-    """
-    deadline = time.monotonic() + wait_s
-    while lonely := [p.topic_name for p in publishers if not p.get_subscription_count()]:
-        if not rclpy.ok():
-            return
-        if time.monotonic() > deadline:
-            raise PlayerError(
-                f"nobody subscribed to {', '.join(sorted(lonely))} within {wait_s:g} s; "
-                "choose topics with --topics, or start at once with --wait 0"
-            )
-        time.sleep(_POLL_S)
 
 
 if __name__ == "__main__":

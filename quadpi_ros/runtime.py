@@ -7,20 +7,28 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from quadpi_core.errors import QuadpiError
+from quadpi_core.monitor.events import KEPT
+from quadpi_ros.lifecycle import ManagedNode, start
 
 # Sensors publish best effort, which a reliable subscription would not match: silently nothing would arrive.
-SENSOR_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+# The depth is what a busy machine may keep the process from taking: two seconds of an IMU.
+SENSOR_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 OUTPUT_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+# Whoever subscribes late gets the events that the log keeps.
+LOG_QOS = QoSProfile(
+    depth=KEPT, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
 
 # EventsExecutor does not wake on a signal; this is how long a shutdown may go unnoticed.
 _SHUTDOWN_POLL_S = 0.2
@@ -43,6 +51,16 @@ def initialise() -> None:
     except RCLError as error:
         reason = str(error).partition(", at ")[0].removeprefix("failed to initialize rcl: ")
         raise ArgumentError(reason) from None
+
+
+def serve(nodes: Sequence[ManagedNode[Any]]) -> None:
+    """Bring up those nodes that start by themselves, and spin.
+
+    Raises:
+        QuadpiError: if one of them cannot start.
+    """
+    start(nodes)
+    spin(nodes)
 
 
 def spin(nodes: Sequence[Node]) -> None:

@@ -1,40 +1,82 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of the nodes: serialized messages from a topic into the core, and back out."""
+"""Base of the nodes: serialized messages into the core and back out, diagnostics once a second."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, qos_policy_name_from_kind
+from rclpy.subscription import Subscription
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stream
+from quadpi_core.monitor.health import TopicHealth
+from quadpi_ros import diagnostics
+from quadpi_ros.lifecycle import ManagedNode
+from quadpi_ros.parameters import Parameters
 from quadpi_ros.runtime import OUTPUT_QOS, SENSOR_QOS
 
 Sample = TypeVar("Sample", bound=Stream)
 
 _WARNING_PERIOD_S = 5.0
-_WATCH_PERIOD_S = 2.0
+_DIAGNOSTICS_PERIOD_S = 1.0
+# How often in a row a problem is seen before it is logged.
+_LOGGED_AT = 2
 
 
-class SensorNode(Node):
+@dataclass
+class _Input:
+    """A topic that the node listens to; `mismatch` says why a publisher cannot be heard."""
+
+    subscription: Subscription
+    health: TopicHealth
+    required: bool
+    lost: int = 0
+    mismatch: str | None = None
+
+
+@dataclass
+class _Output:
+    """A topic that the node publishes; `mismatch` says why a subscriber cannot hear it."""
+
+    publisher: Publisher | None = None
+    mismatch: str | None = None
+
+
+@dataclass
+class _Problem:
+    """What keeps a node from working, and how often in a row it was seen."""
+
+    text: str | None = None
+    seen: int = 0
+
+
+class SensorNode(ManagedNode[Parameters]):
     """A node whose messages stay serialized in rclpy: `quadpi_core.logs.messages` knows their bytes.
 
-    That is the code that bags go through, and it costs less than rclpy's own conversion.
+    That is the code that bags go through, and it costs less than rclpy's own conversion. Subscriptions
+    exist while the node is active, publishers while it is configured.
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+    def __init__(self, name: str, parameters: type[Parameters], shared_with: tuple[type, ...] = ()) -> None:
+        super().__init__(name, parameters, shared_with)
         self._next_warning_s: dict[str, float] = {}
-        self._required: set[str] = set()
-        self._heard: set[str] = set()
-        self._problem: str | None = None
-        self._told = False
-        self.create_timer(_WATCH_PERIOD_S, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._inputs: dict[str, _Input] = {}
+        self._outputs: dict[str, _Output] = {}
+        self._problem = _Problem()
+        self._diagnosed_s = time.monotonic()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(
+            _DIAGNOSTICS_PERIOD_S, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def listen(
         self,
@@ -44,29 +86,65 @@ class SensorNode(Node):
         handle: Callable[[Sample], None],
         *,
         required: bool = True,
-    ) -> None:
+        rate_hz: float | None = None,
+    ) -> TopicHealth:
         """Subscribe best effort; every message becomes a stream of one sample for `handle`.
 
-        A required topic that stays silent is reported in the log.
+        A required topic that stays silent is an error in the diagnostics and in the log, and so is one whose
+        stamps are not `rate_hz` apart. Gives the health of the topic, to count what `handle` refuses.
         """
+        health = TopicHealth(rate_hz)
 
         def receive(payload: bytes) -> None:
-            self._heard.add(topic)
             try:
                 sample = unpack(payload)
             except LogError as error:
+                health.refuse(str(error))
                 self.warn(f"topic {topic}", f"message refused: {error}")
                 return
+            health.take(int(sample.time_ns[0]))
             handle(sample)
 
-        if required:
-            self._required.add(topic)
-        self.create_subscription(message_type, topic, receive, SENSOR_QOS, raw=True)
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda event: self._note_policy(self._inputs[topic], event),
+            incompatible_type=lambda _: self._note(self._inputs[topic], "another message type"),
+            message_lost=lambda event: self._note_lost(self._inputs[topic], event.total_count),
+        )
+        subscription = self.create_subscription(
+            message_type, topic, receive, SENSOR_QOS, raw=True, event_callbacks=events
+        )
+        self._inputs[topic] = _Input(subscription, health, required)
+        return health
 
-    def announce(self, message_type: type, topic: str) -> Callable[[bytes], None]:
-        """Create a reliable publisher and return its function for serialized messages."""
-        publish: Callable[[Any], None] = self.create_publisher(message_type, topic, OUTPUT_QOS).publish
+    def announce(
+        self, message_type: type, topic: str, qos: QoSProfile = OUTPUT_QOS
+    ) -> Callable[[bytes], None]:
+        """Create a publisher and return its function for serialized messages.
+
+        Lifecycle publishers would ask at every message whether the node is active; this node hears nothing
+        that it could answer while it is not.
+        """
+        output = self._outputs[topic] = _Output()
+        events = PublisherEventCallbacks(
+            incompatible_qos=lambda event: self._note_policy(output, event),
+            incompatible_type=lambda _: self._note(output, "another message type"),
+        )
+        output.publisher = self.create_publisher(message_type, topic, qos, event_callbacks=events)
+        publish: Callable[[Any], None] = output.publisher.publish
         return publish
+
+    def deactivate(self) -> None:
+        """Stop listening."""
+        for topic in self._inputs.values():
+            self.destroy_subscription(topic.subscription)
+        self._inputs.clear()
+
+    def cleanup(self) -> None:
+        """Stop publishing."""
+        for output in self._outputs.values():
+            if output.publisher is not None:
+                self.destroy_publisher(output.publisher)
+        self._outputs.clear()
 
     def warn(self, about: str, text: str) -> None:
         """Log a warning, at most one about the same thing every few seconds.
@@ -78,17 +156,92 @@ class SensorNode(Node):
             self._next_warning_s[about] = now_s + _WARNING_PERIOD_S
             self.get_logger().warning(f"{about}: {text}")
 
-    def problem(self) -> str | None:
-        """What keeps the node from working although it runs; None if nothing does."""
-        silent = self._required - self._heard
-        return f"nothing arrives on {', '.join(sorted(silent))}" if silent else None
+    def silent_topics(self) -> list[str]:
+        """Required topics on which nothing came in the last period."""
+        return sorted(name for name, topic in self._inputs.items() if topic.required and topic.health.silent)
 
-    def _watch(self) -> None:
-        """Log a problem once it has stood for a whole period; once, until it changes."""
-        problem = self.problem()
-        self._heard.clear()
-        if problem != self._problem:
-            self._problem, self._told = problem, False
-        elif problem and not self._told:
-            self._told = True
+    def problem(self) -> str | None:
+        """What keeps the node from working although it is active; None if nothing does."""
+        silent = self.silent_topics()
+        return f"nothing arrives on {', '.join(silent)}" if silent else None
+
+    def statuses(self) -> list[DiagnosticStatus]:
+        """What `/diagnostics` says of the core, beside the topics."""
+        return []
+
+    def _diagnose(self) -> None:
+        """Publish the health of every topic, and log a problem that stays; once, until it changes."""
+        now_s = time.monotonic()
+        period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
+        problem = self.problem() if self.state == "active" else None
+        self._follow(problem)
+        array = DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        level = diagnostics.ERROR if problem else diagnostics.OK
+        array.status.append(self.status("state", level, problem or self.state, {"state": self.state}))
+        array.status += [self._input_status(name, topic, period_s) for name, topic in self._inputs.items()]
+        array.status += [
+            self.status(name, diagnostics.ERROR, output.mismatch, {})
+            for name, output in self._outputs.items()
+            if self._still_mismatched(output)
+        ]
+        if self.state == "active":
+            array.status += self.statuses()
+        self._diagnostics.publish(array)
+
+    def _follow(self, problem: str | None) -> None:
+        same = problem == self._problem.text
+        self._problem = _Problem(problem, self._problem.seen + 1 if same else 1)
+        if problem and self._problem.seen == _LOGGED_AT:
             self.get_logger().warning(problem)
+
+    def status(self, name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+        """A status under the node's name."""
+        return diagnostics.status(self._full_name(name), level, message, values)
+
+    def _full_name(self, name: str) -> str:
+        return f"{self.get_fully_qualified_name().lstrip('/')}: {name}"
+
+    def _input_status(self, name: str, topic: _Input, period_s: float) -> DiagnosticStatus:
+        report = topic.health.report(period_s)
+        age_s = None
+        if report.newest_ns is not None:
+            age_s = 1e-9 * (self.get_clock().now().nanoseconds - report.newest_ns)
+        return diagnostics.topic_status(
+            self._full_name(name),
+            report,
+            required=topic.required,
+            rate_hz=topic.health.rate_hz,
+            mismatch=topic.mismatch,
+            values={
+                "stamp_age_s": age_s,
+                "lost_in_transport": topic.lost,
+                "publishers": topic.subscription.get_publisher_count(),
+            },
+        )
+
+    def _note_policy(self, endpoint: _Input | _Output, event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        self._note(endpoint, f"an incompatible quality of service, policy {policy}")
+
+    def _note(self, endpoint: _Input | _Output, what: str) -> None:
+        if isinstance(endpoint, _Input):
+            name, role = endpoint.subscription.topic_name, "a publisher offers"
+        else:
+            name = endpoint.publisher.topic_name if endpoint.publisher else ""
+            role = "a subscriber asks for"
+        endpoint.mismatch = f"topic {name}: {role} {what}"
+        self.warn(f"topic {name}", f"{role} {what}")
+
+    @staticmethod
+    def _note_lost(topic: _Input, total: int) -> None:
+        topic.lost = total
+
+    def _still_mismatched(self, output: _Output) -> bool:
+        """Whether a subscriber stands that cannot hear this output; forgets a mismatch that is gone."""
+        if output.mismatch is None or output.publisher is None:
+            return False
+        standing = self.count_subscribers(output.publisher.topic_name)
+        if standing == output.publisher.get_subscription_count():
+            output.mismatch = None
+        return output.mismatch is not None

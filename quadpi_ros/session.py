@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,6 +79,7 @@ def run_session(
     *,
     vehicle: str,
     rate: float = 1.0,
+    parameters: Mapping[str, object] | None = None,
     on_alarm: Callable[[AlarmChange], None] | None = None,
 ) -> SessionResult:
     """Start the live nodes, play the bag through them and collect until they fall silent.
@@ -91,6 +92,7 @@ def run_session(
         model: folder of a model of the vehicle.
         vehicle: name of its vehicle file, or a path.
         rate: speed of the replay; 1 is real time.
+        parameters: of the nodes, beside those that follow from bag and model.
         on_alarm: called at every change of the alarm as it comes.
 
     Raises:
@@ -104,16 +106,17 @@ def run_session(
     for topic in ("imu", rotor_topic, "mocap/pose"):
         if len(stamps.get(topic, ())) < 2:
             raise SessionError(f"{bag}: topic {topic}: the live nodes need it, the bag does not hold it")
-    parameters = {
+    all_parameters = {
         "vehicle": vehicle,
         "model": str(model),
         "imu_rate_hz": nominal_rate(stamps["imu"]),
         "rotor_topic": rotor_topic,
+        **(parameters or {}),
     }
     played = [name for name in playlist.names if name in ("imu", rotor_topic, "mocap/pose", "wind")]
     with isolated_domain() as folder, Collector(int(stamps["imu"][0]), on_alarm) as collector:
         parameter_file = folder / "parameters.yaml"
-        parameter_file.write_text(yaml.safe_dump({"/**": {"ros__parameters": parameters}}))
+        parameter_file.write_text(yaml.safe_dump({"/**": {"ros__parameters": all_parameters}}))
         with Child("quadpi_ros.live", ("--ros-args", "--params-file", str(parameter_file)), folder) as live:
             await_start(live, collector)
             sent = play(bag, played, rate, folder, live, collector)
@@ -133,9 +136,17 @@ def await_start(nodes: Child, collector: Collector) -> None:
 
 
 def play(
-    bag: Path, topics: Sequence[str], rate: float, folder: Path, nodes: Child, collector: Collector
+    bag: Path,
+    topics: Sequence[str],
+    rate: float,
+    folder: Path,
+    nodes: Child,
+    collector: Collector,
+    managed: Sequence[str] = ("estimator", "monitor"),
 ) -> Stamps:
     """Play topics of a bag through running nodes and collect until they fall silent.
+
+    The player waits until the `managed` nodes are active.
 
     Returns:
         (N, 2) nanoseconds: stamp of each IMU sample, and when it was published by the monotonic clock.
@@ -146,6 +157,7 @@ def play(
     """
     sent_file = folder / "sent.npz"
     arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
+    arguments += ("--nodes", *managed) if managed else ()
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())
     collector.spin_until(lambda: nodes.finished() or collector.silent_for(_SILENCE_S))

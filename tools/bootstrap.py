@@ -183,8 +183,13 @@ STEPS = (
     ),
     Step(
         "messages",
-        "quadpi messages",
-        (ROOT / "CMakeLists.txt", ROOT / "package.xml", *sorted((ROOT / "msg").glob("*.msg"))),
+        "quadpi messages and services",
+        (
+            ROOT / "CMakeLists.txt",
+            ROOT / "package.xml",
+            *sorted(ROOT.glob("msg/*.msg")),
+            *sorted(ROOT.glob("srv/*.srv")),
+        ),
         build_messages,
     ),
 )

@@ -5,11 +5,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
+
+from quadpi_core.flight import AXES, ImuStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.inputs import aerodynamic_inputs
+from quadpi_core.logs.bags import write_bag
+from quadpi_core.models import AerodynamicModel, FittedPolynomial
+from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.models.rules import ResidualRule
+from quadpi_core.models.spread import SpreadShape
+from quadpi_core.vehicle import Vehicle
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 domain_coordinator = pytest.importorskip("domain_coordinator", reason="ROS 2 is not installed")
+
+VEHICLE = "neurobem"
+START_NS = 1_700_000_000_000_000_000
+DURATION_S = 4.0
+OUTSIDE_FROM_S = 3.0
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="session")
@@ -27,3 +46,90 @@ def ros(ros_domain: int) -> Iterator[None]:
     rclpy.init(domain_id=ros_domain)
     yield
     rclpy.try_shutdown()
+
+
+def stamps(rate_hz: float) -> np.ndarray:
+    return START_NS + np.round(np.arange(DURATION_S * rate_hz) * 1e9 / rate_hz).astype(np.int64)
+
+
+def hovering(vehicle: Vehicle, seed: int) -> Recording:
+    """Hover, rotors swinging a little; from OUTSIDE_FROM_S on they turn far faster than ever trained."""
+    rng = np.random.default_rng(seed)
+    imu_ns, rotor_ns, pose_ns = stamps(500.0), stamps(500.0) + 700_000, stamps(120.0)
+    time_s = 1e-9 * (rotor_ns - START_NS)
+    swing = np.stack([np.sin(7.0 * time_s + phase) for phase in range(4)], axis=1)
+    speeds = 1100.0 + 60.0 * swing + 5.0 * rng.standard_normal(swing.shape)
+    speeds[time_s >= OUTSIDE_FROM_S] += 600.0
+    gravity = np.array([0.0, 0.0, -vehicle.gravity_m_s2])
+    return Recording(
+        name="hover",
+        vehicle=vehicle.name,
+        source="hover",
+        imu=ImuStream(
+            imu_ns,
+            0.02 * rng.standard_normal((len(imu_ns), 3)),
+            gravity + 0.3 * rng.standard_normal((len(imu_ns), 3)),
+        ),
+        rotor_speeds=RotorSpeedStream(rotor_ns, speeds),
+        pose=PoseStream(
+            pose_ns, 0.002 * rng.standard_normal((len(pose_ns), 3)), np.tile(LEVEL, (len(pose_ns), 1))
+        ),
+    )
+
+
+def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
+    """Fx and Mz of a few terms, whose envelope is the undisturbed hover."""
+    rng = np.random.default_rng(2)
+    count = 2000
+    inputs = aerodynamic_inputs(
+        0.1 * rng.standard_normal((count, 3)),
+        np.tile(LEVEL, (count, 1)) + 0.01 * rng.standard_normal((count, 4)),
+        0.05 * rng.standard_normal((count, 3)),
+        1100.0 + 60.0 * rng.uniform(-1.2, 1.2, (count, 4)),
+        vehicle,
+    )
+    polynomials = {}
+    for axis, terms in {"Fx": ("1", "u"), "Mz": ("1", "U_r")}.items():
+        regressors = tuple(Regressor.parse(term) for term in terms)
+        z = RegressorProgram.compile(regressors).evaluate(inputs)
+        whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
+        rule = ResidualRule(0.2, 500.0)
+        polynomials[axis] = FittedPolynomial(
+            regressors, np.array([0.1, 0.01]), whitening, SpreadShape(1.0, 0.0), rule, 1.0
+        )
+    leverage, width = np.zeros((count, len(AXES))), np.zeros((count, len(AXES)))
+    for axis, polynomial in polynomials.items():
+        leverage[:, AXES.index(axis)] = polynomial.leverage(inputs)
+        width[:, AXES.index(axis)] = polynomial.spread(inputs)
+    return AerodynamicModel(
+        name="hover",
+        vehicle=vehicle.name,
+        vehicle_fingerprint=vehicle.fingerprint,
+        settings="default",
+        cutoff_hz=30.0,
+        confidence=0.95,
+        fitted=polynomials,
+        envelope=Envelope.fit(inputs, np.zeros(count), leverage, width),
+        training_range=dict.fromkeys(polynomials, 1.0),
+        flights=(),
+        selection={axis: [] for axis in polynomials},
+        held_out_coverage={axis: [] for axis in polynomials},
+    )
+
+
+@pytest.fixture(scope="session")
+def hover() -> Recording:
+    """The flight of hover.mcap."""
+    return hovering(Vehicle.load(VEHICLE), seed=1)
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory, hover: Recording) -> Path:
+    """hover.mcap, blind.mcap without mocap, model/, and other/ of another name."""
+    folder = tmp_path_factory.mktemp("live")
+    write_bag(folder / "hover.mcap", hover)
+    write_bag(folder / "blind.mcap", replace(hover, pose=None))
+    model = trained_on_hover(Vehicle.load(VEHICLE))
+    model.save(folder / "model")
+    replace(model, name="other").save(folder / "other")
+    return folder

@@ -7,7 +7,7 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -17,11 +17,16 @@ import pytest
 import yaml
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
+from rclpy.lifecycle import TransitionCallbackReturn
+
+from quadpi_core.errors import ModelError
 from quadpi_core.logs.messages import ReportedAlarms
 from quadpi_core.monitor import MonitorSettings
 from quadpi_ros.collector import AlarmFollower
 from quadpi_ros.estimator_node import EstimatorParameters
+from quadpi_ros.lifecycle import start
 from quadpi_ros.monitor_node import MonitorParameters
+from quadpi_ros.parameters import parameter
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -29,6 +34,7 @@ ROOT = Path(__file__).parents[2]
 NODES = {"estimator": EstimatorParameters, "monitor": MonitorParameters}
 # Set by the launch file from its arguments.
 FROM_LAUNCH = {"vehicle", "model"}
+IN_FLIGHT = {"persistence_s", "release_s", "alarm_rate_hz"}
 
 
 def run_module(module: str, *arguments: str) -> tuple[int, str]:
@@ -47,7 +53,7 @@ def run_module(module: str, *arguments: str) -> tuple[int, str]:
     [
         (
             ["vehicle:=neurobem", "vehikel:=x"],
-            "node estimator: unknown parameter `vehikel`; known: body_frame",
+            "node estimator: unknown parameter `vehikel`; known: autostart, body_frame",
         ),
         ([], "node estimator: parameter `vehicle` is required"),
         (
@@ -124,10 +130,11 @@ def test_an_integer_is_taken_for_a_double_and_all_is_described() -> None:
     parameters = read_parameters(node, MonitorParameters)
     assert isinstance(parameters.imu_rate_hz, float)
     assert parameters.imu_rate_hz == 400.0
+    assert parameters.model == ("m",)
     for item in fields(MonitorParameters):
         descriptor = node.describe_parameter(item.name)
         assert descriptor.description
-        assert descriptor.read_only
+        assert descriptor.read_only == (item.name not in IN_FLIGHT)
     (limits,) = node.describe_parameter("imu_rate_hz").floating_point_range
     assert (limits.from_value, limits.to_value) == (50.0, 5000.0)
     node.destroy_node()
@@ -135,10 +142,10 @@ def test_an_integer_is_taken_for_a_double_and_all_is_described() -> None:
 
 def test_parameter_file_and_nodes_agree() -> None:
     file = yaml.safe_load((ROOT / "config" / "nodes" / "monitor.yaml").read_text())
-    assert file.keys() == NODES.keys()
+    assert file.keys() == {f"/**/{name}" for name in NODES}
     for name, parameters in NODES.items():
         defaults = {item.name: item.default for item in fields(parameters) if item.name not in FROM_LAUNCH}
-        assert file[name]["ros__parameters"] == defaults
+        assert file[f"/**/{name}"]["ros__parameters"] == defaults
 
 
 def test_alarm_defaults_are_those_of_the_core() -> None:
@@ -190,6 +197,7 @@ class RecordingModules:
         "launch.substitutions",
         "launch_ros",
         "launch_ros.actions",
+        "launch_ros.parameter_descriptions",
     )
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,7 +233,9 @@ def programs() -> set[str]:
 def test_monitor_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
     fakes = RecordingModules(monkeypatch)
     load("monitor").generate_launch_description()
-    assert fakes.arguments() == {"vehicle", "model", "parameters", "namespace", "separate"}
+    names = {"vehicle", "model", "parameters", "namespace", "separate", "autostart", "use_sim_time"}
+    topics = {argument for argument in fakes.arguments() if argument.endswith("_topic")}
+    assert fakes.arguments() == names | topics
     known = {
         "live": NODES["estimator"].__annotations__ | NODES["monitor"].__annotations__,
         "estimator_node": NODES["estimator"].__annotations__,
@@ -236,7 +246,8 @@ def test_monitor_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
     for executable, settings in started.items():
         file, given = settings["parameters"]
         assert file == "$parameters"
-        assert given.keys() == FROM_LAUNCH & known[executable].keys()
+        assert given.keys() == (FROM_LAUNCH | {"autostart"}) & known[executable].keys() | {"use_sim_time"}
+        assert {f"{topic.replace('/', '_')}_topic" for topic, _ in settings["remappings"]} == topics
         assert settings["namespace"] == "$namespace"
     (default,) = [
         c.kwargs["default_value"] for c in fakes.declare.call_args_list if c.args[0] == "parameters"
@@ -258,29 +269,50 @@ def test_replay_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parse_arguments(given).rate == 2.0
 
 
+@dataclass(frozen=True)
+class NoParameters:
+    autostart: bool = parameter(False, "as the nodes have it")
+
+
 @pytest.mark.usefixtures("ros")
 def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.MonkeyPatch) -> None:
     from geometry_msgs.msg import PoseStamped
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Imu
 
+    from quadpi_core.logs import messages
     from quadpi_ros.sensor_node import SensorNode
 
-    node, receivers = SensorNode("watched"), {}
+    class Watched(SensorNode[NoParameters]):
+        def activate(self) -> None:
+            self.listen(Imu, "imu", messages.unpack_imu, lambda _: None)
+            self.listen(PoseStamped, "mocap/pose", messages.unpack_pose, lambda _: None)
+            self.listen(PoseStamped, "wind", messages.unpack_pose, lambda _: None, required=False)
+
+    node, receivers = Watched("watched", NoParameters), {}
+    create = node.create_subscription
+
+    def create_and_keep(kind: type, topic: str, receive: Any, *rest: Any, **options: Any) -> Any:
+        receivers[topic] = receive
+        return create(kind, topic, receive, *rest, **options)
+
+    monkeypatch.setattr(node, "create_subscription", create_and_keep)
+    start([node])
+    assert node.state == "unconfigured"
+    node.must(node.trigger_configure)
+    node.must(node.trigger_activate)
     logged: list[str] = []
     monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(warning=logged.append))
-    monkeypatch.setattr(
-        node, "create_subscription", lambda _, topic, receive, *__, **___: receivers.update({topic: receive})
-    )
-    for topic, kind in (("imu", Imu), ("mocap/pose", PoseStamped)):
-        node.listen(kind, topic, lambda _: None, lambda _: None)
-    node.listen(PoseStamped, "wind", lambda _: None, lambda _: None, required=False)
+
+    pose = PoseStamped()
+    pose.pose.orientation.w = 1.0
+    sent = {"imu": serialize_message(Imu()), "mocap/pose": serialize_message(pose)}
 
     def watch(*topics: str) -> list[str]:
         logged.clear()
         for topic in topics:
-            receivers[topic](serialize_message(Imu()))
-        node._watch()
+            receivers[topic](sent[topic])
+        node._diagnose()
         return list(logged)
 
     assert watch() == []
@@ -294,4 +326,39 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
     node.warn("topic imu", "two")
     node.warn("topic mocap/pose", "three")
     assert logged == ["topic imu: one", "topic mocap/pose: three"]
+    node.must(node.trigger_deactivate)
+    assert watch() == []
+    assert watch() == []
+    node.destroy_node()
+
+
+@pytest.mark.usefixtures("ros")
+def test_a_failed_configuration_is_one_line_and_can_be_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    from quadpi_ros.sensor_node import SensorNode
+
+    errors: list[Exception] = [ModelError("m: no such model"), ValueError("a bug")]
+    undone: list[str] = []
+
+    class Failing(SensorNode[NoParameters]):
+        def configure(self) -> None:
+            if errors:
+                raise errors.pop(0)
+
+        def cleanup(self) -> None:
+            undone.append("cleanup")
+            super().cleanup()
+
+    node = Failing("failing", NoParameters)
+    logged: list[str] = []
+    monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(error=logged.append))
+    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert logged == ["m: no such model"]
+    assert undone == ["cleanup"]
+    assert node.trigger_configure() == TransitionCallbackReturn.ERROR
+    assert "ValueError: a bug" in logged[-1]
+    assert node.state == "unconfigured"
+    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    assert node.state == "inactive"
+    assert node.trigger_shutdown() == TransitionCallbackReturn.SUCCESS
+    assert node.state == "finalized"
     node.destroy_node()

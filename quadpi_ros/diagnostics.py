@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `/diagnostics` says of a topic."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from quadpi_core.monitor.health import TopicReport
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+
+# A low-pass designed for another rate has another cut-off, by as much.
+_RATE_TOLERANCE = 0.1
+# Fewer samples say little about a rate.
+_RATE_SAMPLES_MIN = 20
+
+
+def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+    """A status; floats are rounded to four digits."""
+    return DiagnosticStatus(
+        name=name,
+        level=level,
+        message=message,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+
+
+def topic_status(
+    name: str,
+    report: TopicReport,
+    *,
+    required: bool,
+    rate_hz: float | None,
+    mismatch: str | None,
+    values: Mapping[str, Any],
+) -> DiagnosticStatus:
+    """How a topic that the node listens to fares.
+
+    Args:
+        name: of the status.
+        report: of the topic since the last status.
+        required: whether silence is an error.
+        rate_hz: parameter `imu_rate_hz` for the topic imu.
+        mismatch: why a publisher cannot be heard.
+        values: what else to say.
+    """
+    level, message = OK, f"{report.rate_hz:.0f} Hz"
+    if report.samples == 0 and mismatch:
+        level, message = ERROR, mismatch
+    elif report.samples == 0 and report.refused_now == 0:
+        level, message = (ERROR if required else OK), "nothing arrives"
+    elif _other_rate(report, rate_hz):
+        level = ERROR
+        message = f"stamps say {report.stamp_rate_hz:.0f} Hz, imu_rate_hz is {rate_hz:g}: set it to the rate"
+    elif report.refused_now:
+        level, message = WARN, f"{report.refused_now} samples refused in the last second"
+    elif report.gaps:
+        level, message = WARN, f"{report.gaps} gaps, the longest {report.longest_gap_s:.3f} s"
+    topic: dict[str, Any] = {
+        "samples": report.total,
+        "rate_hz": report.rate_hz,
+        "stamp_rate_hz": report.stamp_rate_hz,
+        "gaps": report.gaps,
+        "longest_gap_s": report.longest_gap_s,
+        "refused": sum(report.refused.values()),
+    }
+    topic |= {f"refused: {reason}": count for reason, count in report.refused.items()}
+    return status(name, level, message, topic | dict(values))
+
+
+def _other_rate(report: TopicReport, rate_hz: float | None) -> bool:
+    if rate_hz is None or report.stamp_rate_hz is None or report.samples < _RATE_SAMPLES_MIN:
+        return False
+    return abs(report.stamp_rate_hz / rate_hz - 1.0) > _RATE_TOLERANCE
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "unknown"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
