@@ -20,11 +20,12 @@ DRIFT = 100e-6
 _EXCHANGES = 64
 _WINDOW_NS = 10_000_000_000
 _BUCKET_NS = 1_000_000_000
-# An offset that is this wrong is replaced at once; a smaller error is worked off at this share of the elapsed
-# time, so that stamps keep rising.
-_STEP_NS = 50_000_000
-_LARGE_NS = 500_000
-_SLEW, _FAST_SLEW = 1e-3, 0.05
+# How often the offset is estimated anew.
+_ESTIMATE_NS = 10_000_000
+# Stamps that are too early by so much, or too late by a second, are moved at once. Smaller errors are worked
+# off at a share of the sender's time, the larger the error the faster, so that stamps keep rising.
+_EARLY_NS, _LATE_NS = 50_000_000, 1_000_000_000
+_SLEWS = ((5_000_000, 0.5), (500_000, 0.05), (0, 1e-3))
 # Answers that took longer say nothing.
 _ROUND_TRIP_MAX_NS = 1_000_000_000
 
@@ -62,8 +63,10 @@ class ClockOffset:
     def __init__(self) -> None:
         self._exchanges: deque[_Candidate] = deque(maxlen=_EXCHANGES)
         self._arrivals: deque[_Candidate] = deque(maxlen=_WINDOW_NS // _BUCKET_NS)
+        self._goal = 0
+        self._estimated_ns = 0
         self._applied: int | None = None
-        self._applied_at_ns = 0
+        self._slewed_ns = 0
         self._last_remote_ns: int | None = None
         self.restarts = 0
 
@@ -92,6 +95,7 @@ class ClockOffset:
         self._exchanges.clear()
         self._arrivals.clear()
         self._applied = None
+        self._slewed_ns = 0
         self.restarts += 1
 
     def estimate(self, now_ns: int) -> Offset | None:
@@ -108,22 +112,19 @@ class ClockOffset:
 
     def to_local(self, remote_ns: int, now_ns: int) -> int:
         """A stamp of the sender by this computer's clock; `arrival` or `exchange` must have been called."""
-        if self._applied is None or now_ns - self._applied_at_ns > _BUCKET_NS // 100:
-            self._follow(now_ns)
-        return remote_ns + (self._applied or 0)
-
-    def _follow(self, now_ns: int) -> None:
-        estimate = self.estimate(now_ns)
-        if estimate is None:
-            return
-        error = 0 if self._applied is None else estimate.offset_ns - self._applied
-        if self._applied is None or abs(error) > _STEP_NS:
-            self._applied = estimate.offset_ns
-        else:
-            slew = _FAST_SLEW if abs(error) > _LARGE_NS else _SLEW
-            most = round(slew * (now_ns - self._applied_at_ns))
+        if now_ns - self._estimated_ns > _ESTIMATE_NS or self._applied is None:
+            estimate = self.estimate(now_ns)
+            self._goal = self._goal if estimate is None else estimate.offset_ns
+            self._estimated_ns = now_ns
+        error = 0 if self._applied is None else self._goal - self._applied
+        if self._applied is None or not -_LATE_NS < error < _EARLY_NS:
+            self._applied = self._goal
+        elif error:
+            slew = next(share for size, share in _SLEWS if abs(error) > size)
+            most = round(slew * max(0, remote_ns - self._slewed_ns))
             self._applied += min(max(error, -most), most)
-        self._applied_at_ns = now_ns
+        self._slewed_ns = max(self._slewed_ns, remote_ns)
+        return remote_ns + self._applied
 
 
 class Line(NamedTuple):

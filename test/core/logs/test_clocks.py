@@ -86,6 +86,20 @@ def test_the_first_answer_corrects_what_arrivals_said_without_a_stamp_going_back
     assert np.all(np.diff(local) > -2 * MS)
 
 
+@pytest.mark.parametrize("late_ms", [30, 300])
+def test_a_first_message_that_was_held_up_costs_no_later_stamp(late_ms: int) -> None:
+    """Also where messages then come in a burst."""
+    clock = ClockOffset()
+    local = []
+    for index in range(3000):
+        remote = index * 2 * MS
+        arrival = TRUE + max(remote + MS, late_ms * MS + index * 1000)
+        clock.arrival(remote, arrival)
+        local.append(clock.to_local(remote, arrival))
+    assert np.all(np.diff(local) > 0)
+    assert local[-1] == pytest.approx(TRUE + remote + MS, abs=MS)
+
+
 def test_a_sender_that_begins_again_is_followed_at_once() -> None:
     clock = ClockOffset()
     for index in range(1000):

@@ -1,0 +1,286 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bridge node: an autopilot's MAVLink in, the standard sensor topics out.
+
+A thread reads the link and publishes, so that a sample waits for nothing; the executor only serves parameters
+and diagnostics.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from quadpi.msg import RotorSpeeds
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+
+from quadpi_core.errors import QuadpiError, one_line
+from quadpi_core.logs import messages
+from quadpi_core.logs.mavlink_frames import signing_key
+from quadpi_core.logs.mavlink_samples import SOURCES, stream_of
+from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, SessionSettings
+from quadpi_core.logs.rotor_order import RPM, RotorOrder
+from quadpi_core.vehicle import Vehicle
+from quadpi_ros import diagnostics
+from quadpi_ros.mavlink_link import Link, check_connection, is_replay, open_link
+from quadpi_ros.parameters import ParameterError, parameter, read_parameters
+from quadpi_ros.runtime import SENSOR_QOS, run, spin
+
+_STANDARD, _NONE = "standard", "none"
+_AUTO = "auto"
+_READ_TIMEOUT_S = 0.02
+_BACK_OFF_S = (0.5, 8.0)
+_SILENT_S = 2.0
+_STOP_TIMEOUT_S = 5.0
+_WIDTHS = {"imu": 6, "rotor_speeds": 4, "mocap/pose": 7, "odometry": 13}
+_LEVEL_ROW = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class BridgeParameters:
+    """Parameters of the node `mavlink_bridge`."""
+
+    connection: str = parameter(
+        "", "udp:HOST:PORT (listens), udpout:…, tcp:…, serial:DEVICE:BAUD, or a .tlog file"
+    )
+    vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
+    rotor_order: str = parameter(
+        _STANDARD, "speed controllers, from 1 on, in the vehicle's rotor order, such as `4 1 2 3`"
+    )
+    rotor_unit: str = parameter(RPM, "what the rpm of the messages is", choices=("rpm", "erpm"))
+    imu_source: str = parameter(_AUTO, "IMU message to use", choices=(_AUTO, *SOURCES["imu"]))
+    system: float = parameter(0.0, "system id of the autopilot; 0: the first that is heard", limits=(0, 255))
+    imu_rate_hz: float = parameter(250.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 4000.0))
+    rotor_rate_hz: float = parameter(250.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 4000.0))
+    state_rate_hz: float = parameter(100.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 1000.0))
+    passive: bool = parameter(False, "send nothing: no heartbeat, no requests, no clock exchange")
+    key_file: str = parameter(
+        _NONE, "file with the passphrase of signed packets; with one, others are refused"
+    )
+    body_frame: str = parameter(messages.BODY_FRAME, "frame_id of the body, forward-left-up")
+    world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of the world, east-north-up")
+
+
+class MavlinkBridge(Node):
+    """Publishes `imu`, `rotor_speeds`, `mocap/pose` and `mocap/odometry` as far as the autopilot sends them.
+
+    Args:
+        node: further arguments of rclpy's Node.
+
+    Raises:
+        ParameterError: for wrong parameters.
+        LogError: if pymavlink is not installed, or a telemetry log holds no packets.
+        LinkError: for a wrong connection string.
+    """
+
+    def __init__(self, **node: Any) -> None:
+        super().__init__("mavlink_bridge", automatically_declare_parameters_from_overrides=True, **node)
+        self._parameters = read_parameters(self, BridgeParameters)
+        check_connection(self._parameters.connection)
+        vehicle = Vehicle.load(self._parameters.vehicle)
+        self._session = MavlinkSession(
+            vehicle, _order(self._parameters, vehicle), _settings(self._parameters)
+        )
+        # Of a log that cannot be read nothing better comes by waiting.
+        self._link: Link | None = open_link(self._parameters.connection) if self._is_replay else None
+        self._publish = {
+            "imu": self._publisher(Imu, "imu"),
+            "rotor_speeds": self._publisher(RotorSpeeds, "rotor_speeds"),
+            "mocap/pose": self._publisher(PoseStamped, "mocap/pose"),
+            "odometry": self._publisher(Odometry, "mocap/odometry"),
+        }
+        for topic, width in _WIDTHS.items():
+            self._packed(topic, 0, _LEVEL_ROW[:width])  # the first sample must not wait for compiled kernels
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._problem: str | None = "not connected yet"
+        self._connections = 0
+        self._reported: tuple[float, dict[str, int]] = (time.monotonic(), {})
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._thread = threading.Thread(target=self._serve, name="mavlink", daemon=True)
+        self._thread.start()
+
+    @property
+    def _is_replay(self) -> bool:
+        return is_replay(self._parameters.connection)
+
+    def destroy_node(self) -> None:
+        """Also end the thread."""
+        self._stop.set()
+        self._thread.join(_STOP_TIMEOUT_S)
+        super().destroy_node()
+
+    def _publisher(self, message_type: type, topic: str) -> Callable[[Any], None]:
+        publish: Callable[[Any], None] = self.create_publisher(message_type, topic, SENSOR_QOS).publish
+        return publish
+
+    def _packed(self, topic: str, time_ns: int, values: Any) -> bytes:
+        stream: Any = stream_of(topic, np.array([time_ns], dtype=np.int64), values[np.newaxis])
+        world, body = self._parameters.world_frame, self._parameters.body_frame
+        if topic == "imu":
+            return messages.pack_imu(stream, body)[0]
+        if topic == "rotor_speeds":
+            return messages.pack_rotor_speeds(stream, body)[0]
+        if topic == "mocap/pose":
+            return messages.pack_pose(stream, world)[0]
+        return messages.pack_odometry(stream, frame_id=world, child_frame_id=body)[0]
+
+    def _serve(self) -> None:
+        """Keep a link open until the node ends; wait longer after each failure."""
+        wait_s, longest_s = _BACK_OFF_S
+        while not self._stop.is_set():
+            heard = False
+            try:
+                link = self._link or open_link(self._parameters.connection)
+                self._link = None
+                self._connections += 1
+                self._problem = None
+                try:
+                    while not self._stop.is_set():
+                        heard = self._exchange(link) or heard
+                finally:
+                    link.close()
+            except EOFError:
+                self.get_logger().info(f"{self._parameters.connection}: played to its end")
+                self._problem = "the log is played"
+                rclpy.try_shutdown(context=self.context)
+                return
+            except (QuadpiError, OSError) as error:
+                self._problem = str(error)
+                self.get_logger().warning(f"{self._problem}; next attempt in {wait_s:g} s")
+            except Exception as error:  # a thread that ends without a word would look like a silent autopilot
+                self._problem = f"error in the program: {one_line(error)}"
+                self.get_logger().error(traceback.format_exc())
+            if heard:
+                wait_s = _BACK_OFF_S[0]
+            self._stop.wait(wait_s)
+            wait_s = min(2.0 * wait_s, longest_s)
+
+    def _exchange(self, link: Link) -> bool:
+        """Read once, publish what came, send what is due; whether anything came."""
+        chunk = link.read(_READ_TIMEOUT_S)
+        with self._lock:
+            received = []
+            if chunk is not None:
+                received = self._session.take(chunk.data, chunk.arrival_ns, complete=chunk.complete)
+            packets = self._session.due(time.time_ns())
+        for sample in received:
+            self._publish[sample.topic](self._packed(sample.topic, sample.time_ns, sample.values))
+        for packet in packets:
+            link.write(packet)
+        return chunk is not None
+
+    def _diagnose(self) -> None:
+        now_s = time.monotonic()
+        with self._lock:
+            report = self._session.report(time.time_ns())
+        then_s, before = self._reported
+        self._reported = (now_s, report.samples)
+        rates = {
+            f"{topic}_hz": (count - before.get(topic, 0)) / (now_s - then_s)
+            for topic, count in report.samples.items()
+        }
+        level, text = self._judged(report, rates)
+        values: dict[str, Any] = {
+            "connection": self._parameters.connection,
+            "connections": self._connections,
+            "system": report.system,
+            **rates,
+            **{f"{topic}_from": source for topic, source in report.sources.items()},
+            **asdict(report.frames),
+            **_clock_values(report),
+            **{f"refused: {reason}": count for reason, count in report.refused.items()},
+        }
+        array = DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: link"
+        array.status = [diagnostics.status(name, level, text, values)]
+        self._diagnostics.publish(array)
+
+    def _judged(self, report: SessionReport, rates: dict[str, float]) -> tuple[bytes, str]:
+        if self._problem is not None:
+            return diagnostics.ERROR, self._problem
+        if report.system is None:
+            return diagnostics.ERROR, "connected, but no autopilot is heard"
+        if report.silent_s > _SILENT_S and not self._is_replay:
+            return diagnostics.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
+        lacking = [topic for topic in ("imu", "rotor_speeds") if rates[f"{topic}_hz"] == 0.0]
+        if rates["mocap/pose_hz"] + rates["odometry_hz"] == 0.0:
+            lacking.append("pose or velocity")
+        if lacking:
+            return diagnostics.ERROR, f"the autopilot sends no {', no '.join(lacking)}"
+        if report.clock is None or not report.clock.exchanged:
+            return diagnostics.WARN, "the autopilot answers no TIMESYNC: stamps are late by the link's delay"
+        return diagnostics.OK, f"system {report.system}: imu at {rates['imu_hz']:.0f} Hz"
+
+
+def _clock_values(report: SessionReport) -> dict[str, Any]:
+    if report.clock is None:
+        return {"clock_offset_ms": None, "clock_restarts": report.clock_restarts}
+    bound = report.clock.uncertainty_ns
+    return {
+        "clock_offset_ms": f"{report.clock.offset_ns * 1e-6:.3f}",
+        "clock_offset_from": "TIMESYNC" if report.clock.exchanged else "earliest arrivals",
+        "clock_uncertainty_ms": None if bound is None else bound * 1e-6,
+        "clock_restarts": report.clock_restarts,
+    }
+
+
+def _order(parameters: BridgeParameters, vehicle: Vehicle) -> RotorOrder:
+    if parameters.rotor_order == _STANDARD:
+        return RotorOrder.by_layout(vehicle, "quad-x", parameters.rotor_unit)
+    return RotorOrder.parse(parameters.rotor_order, parameters.rotor_unit)
+
+
+def _settings(parameters: BridgeParameters) -> SessionSettings:
+    return SessionSettings(
+        system=int(parameters.system),
+        rates_hz={
+            "imu": parameters.imu_rate_hz,
+            "rotor_speeds": parameters.rotor_rate_hz,
+            "odometry": parameters.state_rate_hz,
+        },
+        imu_source=parameters.imu_source,
+        key=None if parameters.key_file == _NONE else _key(Path(parameters.key_file)),
+        passive=parameters.passive or is_replay(parameters.connection),
+    )
+
+
+def _key(path: Path) -> bytes:
+    try:
+        passphrase = path.read_text().strip()
+    except (OSError, ValueError) as error:
+        raise ParameterError(f"{path}: the passphrase cannot be read: {error}") from error
+    if not passphrase:
+        raise ParameterError(f"{path}: the passphrase is empty")
+    return signing_key(passphrase)
+
+
+def main() -> int:
+    """Run the node in its own process."""
+    return run(_work)
+
+
+def _work() -> None:
+    node = MavlinkBridge()
+    try:
+        spin([node])
+    finally:
+        node.destroy_node()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,340 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge over real MAVLink on loopback and real DDS: values, clock, reconnection, noise, signatures."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
+pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from quadpi.msg import RotorSpeeds
+from rclpy.experimental import EventsExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from sensor_msgs.msg import Imu
+
+from quadpi_core.logs import messages
+from quadpi_ros.mavlink_bridge import BridgeParameters, MavlinkBridge
+from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
+from quadpi_ros.parameters import ParameterError
+from quadpi_ros.runtime import SENSOR_QOS
+
+ROOT = Path(__file__).parents[2]
+# Rear right, front right, rear left, front left of neurobem are motors 4, 1, 2, 3 of PX4.
+SPEEDS = np.array([4000, 1000, 2000, 3000]) * 2 * np.pi / 60
+TOPICS = {"imu": Imu, "rotor_speeds": RotorSpeeds, "mocap/odometry": Odometry, "mocap/pose": PoseStamped}
+PATIENCE_S = 30.0
+# On a busy machine the test itself may be late, and best effort then loses what the bridge has not.
+LONG_QUEUE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _domain(ros_domain: int) -> Iterator[None]:
+    rclpy.init(domain_id=ros_domain)
+    yield
+    rclpy.try_shutdown()
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+class Listener:
+    """Everything that a bridge publishes, while the test spins."""
+
+    def __init__(self, bridge: MavlinkBridge) -> None:
+        self.bridge = bridge
+        self.node = rclpy.create_node("listener")
+        self.payloads: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
+        self.statuses: list[dict[str, str]] = []
+        subscriptions = [
+            self.node.create_subscription(kind, topic, self.payloads[topic].append, LONG_QUEUE, raw=True)
+            for topic, kind in TOPICS.items()
+        ]
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
+        self.executor = EventsExecutor()
+        self.executor.add_node(bridge)
+        self.executor.add_node(self.node)
+        self.until(lambda: all(one.get_publisher_count() for one in subscriptions))
+
+    def _diagnose(self, array: Any) -> None:
+        (status,) = array.status
+        values = {item.key: item.value for item in status.values}
+        self.statuses.append(values | {"message": status.message, "level": str(status.level[0])})
+
+    def until(self, happened: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not happened():
+            counts = {topic: self.count(topic) for topic in TOPICS}
+            assert time.monotonic() < deadline, f"{counts} {self.statuses[-1:]}"
+            self.executor.spin_until_future_complete(Future(), timeout_sec=0.05)
+
+    def count(self, topic: str = "imu") -> int:
+        return len(self.payloads[topic])
+
+    def samples(self) -> np.ndarray:
+        """Numbers of the IMU samples that came, which the vehicle sends as rates."""
+        numbers = [messages.unpack_imu(p).angular_velocity[0, 0] * 1024 for p in self.payloads["imu"]]
+        return np.rint(numbers).astype(int)
+
+
+@contextmanager
+def listening(**parameters: Any) -> Iterator[Listener]:
+    given = [
+        rclpy.parameter.Parameter(name, value=value)
+        for name, value in ({"vehicle": "neurobem"} | parameters).items()
+    ]
+    bridge = MavlinkBridge(parameter_overrides=given)
+    listener = Listener(bridge)
+    try:
+        yield listener
+    finally:
+        listener.executor.shutdown()
+        bridge.destroy_node()
+        listener.node.destroy_node()
+
+
+@contextmanager
+def flying(port: int, *options: str, ago_s: float = 1234.5) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A vehicle in a process of its own, and when its clock was zero."""
+    epoch_ns = time.time_ns() - int(ago_s * 1e9)
+    command = [sys.executable, str(Path(__file__).parent / "mavlink_vehicle.py"), str(port)]
+    process = subprocess.Popen(
+        [*command, "--epoch-ns", str(epoch_ns), *options],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process, epoch_ns
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def test_nothing_is_lost_at_500_hz_and_values_and_clock_are_right() -> None:
+    port = free_port()
+    with (
+        listening(connection=f"udp:127.0.0.1:{port}") as heard,
+        flying(port, "--seconds", "4") as (vehicle, epoch_ns),
+    ):
+        heard.until(lambda: vehicle.poll() is not None)
+        expected = {"imu": 2000, "rotor_speeds": 2000, "mocap/odometry": 400, "mocap/pose": 0}
+        heard.until(lambda: {topic: heard.count(topic) for topic in TOPICS} == expected)
+        told = vehicle.stdout.read() if vehicle.stdout else ""
+        heard.until(lambda: int(heard.statuses[-1]["frames"]) > 4000)
+        assert (heard.samples() == np.arange(2000)).all()
+        imu = [messages.unpack_imu(payload) for payload in heard.payloads["imu"]]
+        rotors = messages.unpack_rotor_speeds(heard.payloads["rotor_speeds"][-1])
+        state = messages.unpack_odometry(heard.payloads["mocap/odometry"][-1])
+        status = heard.statuses[-1]
+    assert imu[-1].specific_force[0] == pytest.approx([0.25, -0.5, -9.75])
+    assert imu[-1].angular_velocity[0, 1:] == pytest.approx([0.0, -0.5])
+    assert rotors.speeds[0] == pytest.approx(SPEEDS)
+    assert state.position[0] == pytest.approx([1.0, 2.0, -3.0])
+    assert state.attitude[0] == pytest.approx([0.5, 0.5, -0.5, 0.5])
+    assert state.velocity[0] == pytest.approx([4.0, 5.0, 6.0])
+    assert status["lost"] == status["checksum_errors"] == status["noise_bytes"] == "0"
+    assert status["clock_offset_from"] == "TIMESYNC"
+    assert float(status["clock_offset_ms"]) == pytest.approx(epoch_ns * 1e-6, abs=2.0)
+    # Stamps are the vehicle's, moved: steady where arrivals are not.
+    steps_ms = np.diff([one.time_ns[0] for one in imu[1000:]]) * 1e-6
+    assert np.all(steps_ms > 0)
+    # The vehicle was asked for what it can send: HIGHRES_IMU 105, ODOMETRY 331, ESC_STATUS 291.
+    assert "asked for 105 every 4000 us" in told
+    assert "asked for 331 every 10000 us" in told
+    assert "asked for 291 every 4000 us" in told
+
+
+def test_without_timesync_the_diagnostics_say_what_the_stamps_are() -> None:
+    port = free_port()
+    with (
+        listening(connection=f"udp:127.0.0.1:{port}") as heard,
+        flying(port, "--seconds", "20", "--deaf") as (_, epoch_ns),
+    ):
+        heard.until(lambda: any("imu_from" in status for status in heard.statuses[-1:]))
+        heard.until(lambda: "answers no TIMESYNC" in heard.statuses[-1]["message"])
+        status = heard.statuses[-1]
+        assert status["clock_offset_from"] == "earliest arrivals"
+        assert status["clock_uncertainty_ms"] == "unknown"
+        assert float(status["clock_offset_ms"]) == pytest.approx(epoch_ns * 1e-6, abs=2.0)
+
+
+def test_noise_and_cut_packets_cost_nothing_but_are_counted() -> None:
+    port = free_port()
+    with (
+        listening(connection=f"udp:127.0.0.1:{port}") as heard,
+        flying(port, "--seconds", "4", "--rate", "100", "--noise") as (vehicle, _),
+    ):
+        heard.until(lambda: vehicle.poll() is not None)
+        heard.until(lambda: heard.count() == 400)
+        heard.until(lambda: int(heard.statuses[-1]["noise_bytes"]) > 10_000)
+        assert (heard.samples() == np.arange(400)).all()
+        assert heard.statuses[-1]["lost"] == "0"
+
+
+def test_a_vehicle_that_starts_again_is_followed() -> None:
+    port = free_port()
+    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
+        with flying(port, "--seconds", "20", "--rate", "100"):
+            heard.until(lambda: heard.count() > 50)
+        heard.until(lambda: "nothing heard of system 1" in heard.statuses[-1]["message"])
+        before = heard.count()
+        # Its clock begins anew with it.
+        with flying(port, "--seconds", "20", "--rate", "100", ago_s=1.0):
+            heard.until(lambda: heard.count() > before + 50)
+        stamps = [messages.unpack_imu(payload).time_ns[0] for payload in heard.payloads["imu"]]
+    assert np.all(np.diff(stamps) > 0)
+    assert abs(time.time_ns() - stamps[-1]) < 30e9
+
+
+def test_a_broken_tcp_connection_is_made_again() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    with listening(connection=f"tcp:127.0.0.1:{port}") as heard:
+        heard.until(lambda: any("refused" in status["message"] for status in heard.statuses))
+        for attempt in range(1, 3):
+            before = heard.count()
+            with flying(port, "--tcp", "--seconds", "20", "--rate", "100"):
+                heard.until(lambda before=before: heard.count() > before + 50)  # type: ignore[misc]
+            heard.until(lambda: heard.statuses[-1]["level"] == "2")
+            assert int(heard.statuses[-1]["connections"]) == attempt
+
+
+def test_signatures(tmp_path: Path) -> None:
+    (tmp_path / "key.txt").write_text("open sesame\n")
+    port = free_port()
+    with listening(connection=f"udp:127.0.0.1:{port}", key_file=str(tmp_path / "key.txt")) as heard:
+        with flying(port, "--seconds", "20", "--rate", "100", "--passphrase", "wrong"):
+            heard.until(lambda: bool(heard.statuses) and int(heard.statuses[-1]["refused_signatures"]) > 50)
+        with flying(port, "--seconds", "20", "--rate", "100"):
+            before = int(heard.statuses[-1]["refused_signatures"])
+            heard.until(lambda: int(heard.statuses[-1]["refused_signatures"]) > before + 50)
+        assert heard.count() == 0
+        with flying(port, "--seconds", "20", "--rate", "100", "--passphrase", "open sesame"):
+            heard.until(lambda: heard.count() > 50)
+
+
+def test_signed_packets_are_read_without_a_key() -> None:
+    port = free_port()
+    with (
+        listening(connection=f"udp:127.0.0.1:{port}") as heard,
+        flying(port, "--seconds", "20", "--rate", "100", "--passphrase", "anything"),
+    ):
+        heard.until(lambda: heard.count() > 50)
+
+
+def test_serial_port() -> None:
+    """A pseudo-terminal stands for the port."""
+    from quadpi_core.logs.mavlink_dialect import load_dialect
+
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    here, there = os.openpty()
+    dialect = load_dialect()
+    mav = dialect.MAVLink(None, 1, 1)
+    with listening(connection=f"serial:{os.ttyname(there)}:921600", passive=True) as heard:
+        heard.until(lambda: bool(heard.statuses))
+        for number in range(20):
+            imu = dialect.MAVLink_highres_imu_message(1000 * number, *[0.0] * 13, 0x3F, 0)
+            packet = bytes(imu.pack(mav))
+            for start in range(0, len(packet), 7):
+                os.write(here, packet[start : start + 7])
+        heard.until(lambda: heard.count() == 20)
+    os.close(here)
+    os.close(there)
+
+
+def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Path, tmp_path: Path) -> None:
+    """In a process of its own: it ends with the log."""
+    from quadpi_core.logs.mavlink_tlog import TlogCounts, read_records
+
+    data = (shared_data / "logs" / "ardupilot_vtol.tlog").read_bytes()
+    records = list(read_records(data, TlogCounts()))
+    part = [r for r in records if r.arrival_ns - records[0].arrival_ns < 5e9]
+    content = b"".join((r.arrival_ns // 1000).to_bytes(8, "big") + r.frame.data for r in part)
+    (tmp_path / "part.tlog").write_bytes(content)
+    node = rclpy.create_node("listener")
+    stamps: list[int] = []
+    node.create_subscription(
+        Imu, "imu", lambda p: stamps.append(int(messages.unpack_imu(p).time_ns[0])), SENSOR_QOS, raw=True
+    )
+    executor = EventsExecutor()
+    executor.add_node(node)
+    given = [f"connection:={tmp_path / 'part.tlog'}", "vehicle:=neurobem"]
+    arguments = [word for one in given for word in ("-p", one)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "quadpi_ros.mavlink_bridge", "--ros-args", *arguments], stderr=subprocess.PIPE
+    )
+    deadline = time.monotonic() + PATIENCE_S
+    while process.poll() is None:
+        assert time.monotonic() < deadline
+        executor.spin_until_future_complete(Future(), timeout_sec=0.1)
+    executor.shutdown()
+    node.destroy_node()
+    assert process.returncode == 0
+    assert len(stamps) >= 10
+    assert all(records[0].arrival_ns - 1e9 < stamp <= part[-1].arrival_ns for stamp in stamps)
+
+
+def test_parameter_file_and_node_agree() -> None:
+    file = yaml.safe_load((ROOT / "config" / "nodes" / "mavlink.yaml").read_text())
+    defaults = {item.name: item.default for item in fields(BridgeParameters)}
+    assert file["mavlink_bridge"]["ros__parameters"] == {
+        name: value for name, value in defaults.items() if name not in {"connection", "vehicle"}
+    }
+
+
+@pytest.mark.parametrize(
+    ("connection", "message"),
+    [
+        ("", "is none of udp:HOST:PORT"),
+        ("udp:14550", "is none of"),
+        ("udp:127.0.0.1:x", "is none of"),
+        ("ftp:127.0.0.1:1", "is none of"),
+        ("tcp:127.0.0.1:70000", "70000 is no port"),
+    ],
+)
+def test_wrong_connections_are_refused(connection: str, message: str) -> None:
+    with pytest.raises(LinkError, match=message):
+        check_connection(connection)
+
+
+def test_what_cannot_be_opened_is_named() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    with pytest.raises(LinkError, match=rf"tcp:127.0.0.1:{port}: .*refused"):
+        open_link(f"tcp:127.0.0.1:{port}")
+    with pytest.raises(LinkError, match="serial:/dev/no-such-port:57600: "):
+        open_link("serial:/dev/no-such-port:57600")
+    with pytest.raises(LinkError, match=r"no-such\.tlog: "):
+        open_link("no-such.tlog")
+
+
+@pytest.mark.parametrize("content", [None, "  \n"])
+def test_a_key_that_cannot_be_read_is_refused(content: str | None, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "key.txt").write_text(content)
+    with (
+        pytest.raises(ParameterError, match=r"key\.txt: the passphrase"),
+        listening(connection="udp:127.0.0.1:14550", key_file=str(tmp_path / "key.txt")),
+    ):
+        pass
