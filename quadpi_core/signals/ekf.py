@@ -36,8 +36,8 @@ from quadpi_core.signals.ekf_kernels import ERROR_STATES, EstimatorStatus, Noise
 from quadpi_core.vehicle import Vehicle
 
 _COLLECTED_MAX = 8192
-# How far the delay of motion capture wanders: the drift of unrelated clocks, 1 ms in half a minute.
-_DELAY_WALK_S = 2e-4
+# How far the delay of motion capture wanders: the drift of unrelated clocks, 0.5 ms in half a minute.
+_DELAY_WALK_S = 1e-4
 _OUTCOMES = tuple(Outcome)
 _STATUSES = tuple(EstimatorStatus)
 _IMU, _POSE, _VELOCITY = range(3)
@@ -146,7 +146,7 @@ class Segment(NamedTuple):
         samples: indices of the IMU samples that it used, from the one at or before the beginning on.
         first: place in `samples` of the first one that live has an estimate at.
         journal_ns: (J,) instants of its corrections.
-        journal: (J, 13) those, see :mod:`.ekf_corrections`.
+        journal: (J, 14) those, see :mod:`.ekf_corrections`.
     """
 
     initial: Initial

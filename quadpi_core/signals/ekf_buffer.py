@@ -21,6 +21,7 @@ from quadpi_core.signals import ekf_corrections as corrections
 from quadpi_core.signals.ekf_corrections import (
     KIND,
     LAG,
+    NIS,
     POSE,
     POSE_GATE,
     SCALAR,
@@ -271,7 +272,7 @@ def release(memory: Memory, journal_ns: Stamps, journal: Array) -> None:
     Args:
         memory: after :func:`predict`.
         journal_ns: (J,) and
-        journal: (J, 13) filled with the corrections as they are applied, while there is room.
+        journal: (J, 14) filled with the corrections as they are applied, while there is room.
     """
     clock, stamps, rows = memory.clock, memory.stamps, memory.rows
     noise = noise_of(memory.noise)
@@ -318,7 +319,7 @@ def release(memory: Memory, journal_ns: Stamps, journal: Array) -> None:
         clock[_ACCEPTED_NS] = now_ns
         if clock[_JOURNALLED] < len(journal_ns):
             journal_ns[clock[_JOURNALLED]] = instant_ns
-            _write(journal[clock[_JOURNALLED]], kind, lag, value, widened)
+            _write(journal[clock[_JOURNALLED]], kind, lag, value, widened, nis)
             clock[_JOURNALLED] += 1
         copy(trial, rows[length], 0, _WIDTH)
         clock[_CORRECTED_NS] = instant_ns
@@ -340,9 +341,9 @@ def _reach(memory: Memory, instant_ns: int, row: Array, transition: Array) -> in
 
 
 @njit(cache=True)
-def _write(entry: Array, kind: int, lag: float, value: Array, widened: Array) -> None:
+def _write(entry: Array, kind: int, lag: float, value: Array, widened: Array, nis: float) -> None:
     """Note a correction as it was applied."""
-    entry[KIND], entry[LAG] = kind, lag
+    entry[KIND], entry[LAG], entry[NIS] = kind, lag, nis
     for index in range(VALUES):
         entry[VALUE + index] = value[index]
     for index in range(4):

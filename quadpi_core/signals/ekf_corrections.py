@@ -42,8 +42,9 @@ VELOCITY_GATE = 21.108
 # One scalar measurement as the smoother needs it: h and gain, innovation and its variance.
 SCALAR = 2 * ERROR_STATES + 2
 
-# A correction as it was applied: kind, lag [s], value (7,), and the variances by which it was widened first.
-KIND, LAG, VALUE, WIDENED, JOURNAL = 0, 1, 2, 2 + VALUES, 2 + VALUES + 4
+# A correction as it was applied: kind, lag [s], value (7,), the variances by which the state was widened
+# first, and the squared innovation in units of its covariance.
+KIND, LAG, VALUE, WIDENED, NIS, JOURNAL = 0, 1, 2, 2 + VALUES, 2 + VALUES + 4, 2 + VALUES + 5
 
 Scalars: TypeAlias = Array
 Count: TypeAlias = npt.NDArray[np.int64]
