@@ -20,9 +20,10 @@ def missing(recording: Recording) -> Iterator[str]:
     """One sentence for each thing that is absent and rules something out."""
     if recording.rotor_speeds is None:
         yield "no rotor speeds: rules out identification, prediction and replay"
-    if recording.pose is None and recording.odometry is None:
+    mocap = recording.pose or recording.twist
+    if mocap is None and recording.odometry is None:
         yield "neither pose nor odometry: rules out everything that needs velocity or attitude"
-    elif recording.pose is None:
+    elif mocap is None:
         yield "no motion-capture pose: the state is the logged odometry; rules out the live estimator"
     if len(recording.imu) > 1:
         with np.errstate(divide="ignore"):  # stamps that all repeat are reported elsewhere
