@@ -37,9 +37,9 @@ from quadpi_core.frames import (
     world_ned_to_enu,
 )
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs.cdr import Columns
 from quadpi_core.logs.definitions import codec
 from quadpi_core.logs.payloads import Payloads
+from quadpi_core.logs.stamps import header_stamps
 from quadpi_core.logs.values import (
     ODOMETRY_VALUES,
     PREDICTION_VALUES,
@@ -86,7 +86,7 @@ def unpack_stamps(payloads: Payloads) -> Stamps:
 
     Only the first :data:`STAMP_END` bytes of each message are looked at.
     """
-    return _stamps(codec(TIME).decode(payloads.compact(STAMP_END)), "")
+    return header_stamps(codec(TIME).decode(payloads.compact(STAMP_END)), "")
 
 
 def unpack_imu(payloads: Payloads | bytes) -> ImuStream:
@@ -196,7 +196,7 @@ def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> Tw
     frames = columns["header.frame_id"]
     in_body = np.array([frame.decode(errors="replace") == body_frame for frame in frames], dtype=bool)
     velocity = np.where(in_body[:, np.newaxis], body_flu_to_frd(linear), world_enu_to_ned(linear))
-    return TwistStream(_stamps(columns), velocity, in_body)
+    return TwistStream(header_stamps(columns), velocity, in_body)
 
 
 def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: str = WORLD_FRAME) -> Payloads:
@@ -264,7 +264,7 @@ def unpack_body_vectors(payloads: Payloads | bytes, type_name: str) -> tuple[Sta
     """Decode :data:`WRENCH` or :data:`ACCELERATION` in body axes: stamps and (N, 6), linear then angular."""
     columns = codec(type_name).decode(payloads)
     linear, angular = (columns[field] for field in _BODY_VECTORS[type_name])
-    return _stamps(columns), _mirrored(np.concatenate((linear, angular), axis=1))
+    return header_stamps(columns), _mirrored(np.concatenate((linear, angular), axis=1))
 
 
 def pack_body_vectors(
@@ -376,7 +376,7 @@ def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
     """Decode quadpi/ExtrapolationAlarm."""
     columns = codec(ALARM).decode(payloads)
     return ReportedAlarms(
-        time_ns=_stamps(columns),
+        time_ns=header_stamps(columns),
         **{name: columns[name].copy() for name in _ALARM_NUMBERS},
         envelope_distance=columns["envelope_distance"].copy(),
         inputs_outside=_texts(columns["inputs_outside"]),
@@ -425,7 +425,7 @@ def unpack_events(payloads: Payloads | bytes) -> list[AlarmEvent]:
     """Decode quadpi/AlarmEvent."""
     columns = codec(EVENT).decode(payloads)
     told = _texts(columns["reasons"])
-    times, starts, ends = (_stamps(columns, prefix) for prefix in ("header.stamp.", "start.", "end."))
+    times, starts, ends = (header_stamps(columns, prefix) for prefix in ("header.stamp.", "start.", "end."))
     return [
         AlarmEvent(
             number=int(columns["number"][k]),
@@ -453,16 +453,6 @@ def _texts(column: npt.NDArray[Any]) -> list[tuple[str, ...]]:
 def _time(name: str, time_ns: int) -> dict[str, int]:
     seconds, nanoseconds = divmod(time_ns, _NANOSECONDS)
     return {f"{name}.sec": seconds, f"{name}.nanosec": nanoseconds}
-
-
-def _stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:
-    seconds, nanoseconds = columns[f"{prefix}sec"], columns[f"{prefix}nanosec"]
-    beyond = nanoseconds >= _NANOSECONDS
-    if beyond.any():
-        sample = int(np.argmax(beyond))
-        raise LogError(f"sample {sample}: the stamp has {nanoseconds[sample]} ns beyond its second")
-    stamps: Stamps = seconds.astype(np.int64) * _NANOSECONDS + nanoseconds
-    return stamps
 
 
 def _header(time_ns: Stamps, frame_id: str) -> dict[str, Any]:

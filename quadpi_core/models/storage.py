@@ -100,7 +100,11 @@ def load_model(folder: Path) -> AerodynamicModel:
             )
         if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
             raise ModelError(f"{ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered")
-        return _parse(folder.name, content, load_arrays(array_bytes), _identity(folder.name, text))
+        model = _parse(folder.name, content, load_arrays(array_bytes), _identity(folder.name, text))
+        # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
+        for fitted in model.fitted.values():
+            fitted.rule.factor(model.confidence)
+        return model
     except ModelError as error:
         raise ModelError(f"{folder}: {error}") from error
     except (ValueError, KeyError, TypeError, AttributeError, SafetensorError) as error:

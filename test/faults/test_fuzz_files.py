@@ -4,6 +4,8 @@
 
 import hashlib
 import json
+import re
+import shutil
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from quadpi_core.errors import ModelError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.adapters import AdapterSettings
 from quadpi_core.logs.mapping import Mapping
@@ -53,6 +56,16 @@ def test_altered_model(each_model, load_model):
         load_model(json.dumps(data).encode(), arrays)
 
     check()
+
+
+@pytest.mark.parametrize("confidence", [0.0, 1.0, -0.5])
+def test_a_confidence_that_has_no_intervals_is_the_fault_of_the_file(each_model, tmp_path, confidence):
+    folder = tmp_path / "model"
+    shutil.copytree(each_model, folder)
+    content = json.loads((folder / MODEL_FILE).read_text())
+    (folder / MODEL_FILE).write_text(json.dumps({**content, "confidence": confidence}))
+    with pytest.raises(ModelError, match=rf"{re.escape(str(folder))}: .*confidence"):
+        AerodynamicModel.load(folder)
 
 
 def test_damaged_model_file(each_model, load_model):

@@ -33,6 +33,9 @@ CORE = {
     messages.ERPM: partial(messages.unpack_erpm, vehicle=Vehicle.load("hdbeetle")),
     messages.PREDICTION: messages.unpack_predictions,
     messages.ALARM: messages.unpack_alarms,
+    messages.EVENT: lambda payloads: [
+        np.array([event.time_ns for event in messages.unpack_events(payloads)], dtype=np.int64)
+    ],
     messages.WRENCH: partial(messages.unpack_body_vectors, type_name=messages.WRENCH),
 }
 
@@ -75,7 +78,7 @@ def test_damaged_messages(type_name):
 
 def test_every_type_of_the_project_is_here():
     known = {name for name in vars(messages).values() if isinstance(name, str) and "/msg/" in name}
-    assert {name for name in known if name.startswith("quadpi/")} - {"quadpi/msg/AlarmEvent"} <= CORE.keys()
+    assert {name for name in known if name.startswith("quadpi/")} <= CORE.keys()
 
 
 SETTINGS = AdapterSettings(
