@@ -205,7 +205,7 @@ class Alarm:
         count = _alarm_kernel(
             time_ns, usable, faults, *judged, self._limits, self._state, self._memory, integers, numbers
         )
-        return _rows(integers[:count], numbers[:count])
+        return _rows(integers[:count], numbers[:count]) if count else _NO_ROWS
 
 
 def _rows(integers: npt.NDArray[np.int64], numbers: Array) -> Alarms:
@@ -225,6 +225,9 @@ def _rows(integers: npt.NDArray[np.int64], numbers: Array) -> Alarms:
         input_excess=numbers[:, _ROW_EXCESS:_ROW_LEVERAGE],
         faults=integers[:, _FAULTS],
     )
+
+
+_NO_ROWS = _rows(np.empty((0, _ROW_INTEGERS), dtype=np.int64), np.empty((0, _ROW_SIZE)))
 
 
 class AlarmTime(NamedTuple):

@@ -62,7 +62,7 @@ class EventLog:
     def take(self, alarms: Alarms) -> Events:
         """Take the rows of a block; returns every event that opened or closed, in order."""
         changed: Events = []
-        if not self._open and not (alarms.level == LEVEL_ALARM).any():
+        if len(alarms) == 0 or (not self._open and not (alarms.level == LEVEL_ALARM).any()):
             return changed
         for row in range(len(alarms)):
             now = int(alarms.time_ns[row])

@@ -16,6 +16,8 @@ from quadpi_core.monitor.output import Alarms
 _MOST = 3
 # Of the sequential test's limit, from which on an axis is named: where its warning begins.
 _MISCOVERAGE_NAMED = 0.5
+# Of half the training range, from which on an input is named: it may be what leverage and width come from.
+_OUTSIDE = 1.05
 
 
 def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, ...]:
@@ -35,9 +37,7 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
         return ()
     if wanted & EXTRAPOLATION:
         ratio = 1.0 + 2.0 * alarms.input_excess[row]
-        told += [
-            f"{INPUT_NAMES[k]} {ratio[k]:.1f} x the training range" for k in _beyond(alarms.input_score[row])
-        ]
+        told += [f"{INPUT_NAMES[k]} {ratio[k]:.1f} x the training range" for k in _beyond(ratio, _OUTSIDE)]
         for name, scores in (("leverage", alarms.leverage[row]), ("width", alarms.width[row])):
             told += [f"{AXES[k]} {name} {scores[k]:.1f} x its limit" for k in _beyond(scores)]
     if wanted & MISCOVERAGE:
