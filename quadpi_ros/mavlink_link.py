@@ -85,7 +85,7 @@ class UdpLink:
 
 
 def _widen(receiver: socket.socket) -> None:
-    """Room for seconds of packets while the processor is busy; without the right to it, the system's limit."""
+    """Room for seconds of packets while the processor is busy, beyond the system's limit if allowed."""
     try:
         receiver.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
     except PermissionError:

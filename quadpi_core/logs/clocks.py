@@ -35,8 +35,8 @@ class Offset(NamedTuple):
 
     Attributes:
         offset_ns: add it to the other clock's stamps.
-        uncertainty_ns: bound of its error, with symmetric delays far below; None where the delay of the link
-            is part of the offset, which arrivals alone cannot tell.
+        uncertainty_ns: bound of its error; None where the delay of the link is part of the offset, which
+            arrivals alone cannot tell.
         exchanged: whether it comes from exchanges.
     """
 
@@ -45,24 +45,34 @@ class Offset(NamedTuple):
     exchanged: bool
 
 
-class _Candidate(NamedTuple):
+class _Exchange(NamedTuple):
+    """The offset lies between low and high: the other clock was read after sending and before receiving."""
+
     at_ns: int
-    offset_ns: int
-    error_ns: float
+    low_ns: int
+    high_ns: int
+
+
+class _Arrival(NamedTuple):
+    """The offset lies below: the stamp was made before its message arrived."""
+
+    at_ns: int
+    high_ns: int
 
 
 class ClockOffset:
     """Offset to the clock of a sender, as exchanges of stamps or, without an answer, arrivals tell it.
 
-    Of the exchanges of the last ten seconds the one with the smallest bound counts: half its round trip, plus
-    what the clocks may have drifted since. Without any, the earliest arrival relative to its stamp counts:
-    the offset then contains the smallest delay of the link. The applied offset follows slowly, so that the
-    spacing of stamps stays that of the sender; O(1) per call.
+    An exchange bounds the offset on both sides, an arrival from above; bounds of the last ten seconds,
+    widened by what clocks may have drifted since, leave an interval whose centre is the estimate. Without any
+    exchange the earliest arrival relative to its stamp counts: the offset then contains the smallest delay
+    of the link. The applied offset follows slowly, so that the spacing of stamps stays that of the sender;
+    O(1) per call.
     """
 
     def __init__(self) -> None:
-        self._exchanges: deque[_Candidate] = deque(maxlen=_EXCHANGES)
-        self._arrivals: deque[_Candidate] = deque(maxlen=_WINDOW_NS // _BUCKET_NS)
+        self._exchanges: deque[_Exchange] = deque(maxlen=_EXCHANGES)
+        self._arrivals: deque[_Arrival] = deque(maxlen=_WINDOW_NS // _BUCKET_NS)
         self._goal = 0
         self._estimated_ns = 0
         self._applied: int | None = None
@@ -75,8 +85,7 @@ class ClockOffset:
         round_trip = received_ns - sent_ns
         if not 0 <= round_trip <= _ROUND_TRIP_MAX_NS:
             return
-        middle = sent_ns + round_trip // 2
-        self._exchanges.append(_Candidate(received_ns, middle - remote_ns, 0.5 * round_trip))
+        self._exchanges.append(_Exchange(received_ns, sent_ns - remote_ns, received_ns - remote_ns))
 
     def arrival(self, remote_ns: int, arrival_ns: int) -> None:
         """Take the stamp of a message and when it arrived."""
@@ -86,9 +95,9 @@ class ClockOffset:
         offset = arrival_ns - remote_ns
         newest = self._arrivals[-1] if self._arrivals else None
         if newest is None or arrival_ns - newest.at_ns >= _BUCKET_NS:
-            self._arrivals.append(_Candidate(arrival_ns, offset, 0.0))
-        elif offset < newest.offset_ns:
-            self._arrivals[-1] = newest._replace(offset_ns=offset)
+            self._arrivals.append(_Arrival(arrival_ns, offset))
+        elif offset < newest.high_ns:
+            self._arrivals[-1] = newest._replace(high_ns=offset)
 
     def _forget(self) -> None:
         """The sender has begun again."""
@@ -100,15 +109,17 @@ class ClockOffset:
 
     def estimate(self, now_ns: int) -> Offset | None:
         """The best offset at a time, not slewed; None before anything has arrived."""
-        recent = [known for known in self._exchanges if now_ns - known.at_ns <= _WINDOW_NS]
-        if recent:
-            errors = [known.error_ns + DRIFT * (now_ns - known.at_ns) for known in recent]
-            best = min(range(len(recent)), key=errors.__getitem__)
-            return Offset(recent[best].offset_ns, round(errors[best]), exchanged=True)
-        if not self._arrivals:
-            return None
-        offset = min(known.offset_ns for known in self._arrivals)
-        return Offset(offset, None, exchanged=False)
+        exchanges = [known for known in self._exchanges if now_ns - known.at_ns <= _WINDOW_NS]
+        if not exchanges:
+            highs = [known.high_ns for known in self._arrivals]
+            return Offset(min(highs), None, exchanged=False) if highs else None
+        low = max(known.low_ns - _drifted(now_ns - known.at_ns) for known in exchanges)
+        highs = [known.high_ns + _drifted(now_ns - known.at_ns) for known in exchanges]
+        highs += [first.high_ns + _drifted(now_ns - first.at_ns) for first in self._arrivals]
+        high = min(highs)
+        if high < low:  # one of the clocks was set
+            _, low, high = exchanges[-1]
+        return Offset((low + high) // 2, (high - low + 1) // 2, exchanged=True)
 
     def to_local(self, remote_ns: int, now_ns: int) -> int:
         """A stamp of the sender by this computer's clock; `arrival` or `exchange` must have been called."""
@@ -125,6 +136,10 @@ class ClockOffset:
             self._applied += min(max(error, -most), most)
         self._slewed_ns = max(self._slewed_ns, remote_ns)
         return remote_ns + self._applied
+
+
+def _drifted(age_ns: int) -> int:
+    return round(DRIFT * max(0, age_ns))
 
 
 class Line(NamedTuple):

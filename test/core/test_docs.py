@@ -24,7 +24,7 @@ PAGES = sorted((ROOT / "docs").glob("*.md"))
 # By test/core/logs/test_data_set_guide.py and test/core/logs/adapters/test_bags.py, which make their files;
 # the last by `make tables`.
 RUN_ELSEWHERE = {"add-a-data-set.md", "adapters.md", "paper-tables.md"}
-ON_REAL_FLIGHTS = {"commands.md"}
+ON_REAL_FLIGHTS = {"commands.md", "import-logs.md"}
 QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
 
 

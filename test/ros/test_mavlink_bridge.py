@@ -148,7 +148,7 @@ def test_nothing_is_lost_at_500_hz_and_values_and_clock_are_right() -> None:
         imu = [messages.unpack_imu(payload) for payload in heard.payloads["imu"]]
         rotors = messages.unpack_rotor_speeds(heard.payloads["rotor_speeds"][-1])
         state = messages.unpack_odometry(heard.payloads["mocap/odometry"][-1])
-        status = heard.statuses[-1]
+        statuses, status = heard.statuses, heard.statuses[-1]
     assert imu[-1].specific_force[0] == pytest.approx([0.25, -0.5, -9.75])
     assert imu[-1].angular_velocity[0, 1:] == pytest.approx([0.0, -0.5])
     assert rotors.speeds[0] == pytest.approx(SPEEDS)
@@ -156,8 +156,11 @@ def test_nothing_is_lost_at_500_hz_and_values_and_clock_are_right() -> None:
     assert state.attitude[0] == pytest.approx([0.5, 0.5, -0.5, 0.5])
     assert state.velocity[0] == pytest.approx([4.0, 5.0, 6.0])
     assert status["lost"] == status["checksum_errors"] == status["noise_bytes"] == "0"
-    assert status["clock_offset_from"] == "TIMESYNC"
-    assert float(status["clock_offset_ms"]) == pytest.approx(epoch_ns * 1e-6, abs=2.0)
+    exchanged = [one for one in statuses if one.get("clock_offset_from") == "TIMESYNC"]
+    errors_ms = [abs(float(one["clock_offset_ms"]) - epoch_ns * 1e-6) for one in exchanged]
+    assert min(errors_ms) < 2.0
+    for error_ms, one in zip(errors_ms, exchanged, strict=True):
+        assert error_ms <= float(one["clock_uncertainty_ms"]) + 0.01
     # Stamps are the vehicle's, moved: steady where arrivals are not.
     steps_ms = np.diff([one.time_ns[0] for one in imu[1000:]]) * 1e-6
     assert np.all(steps_ms > 0)
@@ -178,7 +181,7 @@ def test_without_timesync_the_diagnostics_say_what_the_stamps_are() -> None:
         status = heard.statuses[-1]
         assert status["clock_offset_from"] == "earliest arrivals"
         assert status["clock_uncertainty_ms"] == "unknown"
-        assert float(status["clock_offset_ms"]) == pytest.approx(epoch_ns * 1e-6, abs=2.0)
+        heard.until(lambda: abs(float(heard.statuses[-1]["clock_offset_ms"]) - epoch_ns * 1e-6) < 2.0)
 
 
 def test_noise_and_cut_packets_cost_nothing_but_are_counted() -> None:
