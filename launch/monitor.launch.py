@@ -22,6 +22,8 @@ TOPICS = (
     "rotor_speeds",
     "erpm",
     "mocap/pose",
+    "mocap/odometry",
+    "mocap/twist",
     "wind",
     "odometry",
     "prediction",

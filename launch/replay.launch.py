@@ -35,7 +35,15 @@ def generate_launch_description() -> LaunchDescription:
         # Declared by monitor.launch.py, which is included before this runs.
         remappings=[
             (topic, LaunchConfiguration(f"{topic.replace('/', '_')}_topic"))
-            for topic in ("imu", "rotor_speeds", "erpm", "mocap/pose", "wind")
+            for topic in (
+                "imu",
+                "rotor_speeds",
+                "erpm",
+                "mocap/pose",
+                "mocap/odometry",
+                "mocap/twist",
+                "wind",
+            )
         ],
         output="screen",
     )

@@ -5,18 +5,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.logs import messages
 from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.ekf_kernels import Outcome
+from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
 from quadpi_core.signals.odometry import fused_sample
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
@@ -24,8 +25,17 @@ from quadpi_ros.parameters import parameter
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import SensorNode
 
+# Of several in a bag, the first is used.
+MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
+
 _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
+_LEVELS = {
+    EstimatorStatus.INITIALISING: diagnostics.WARN,
+    EstimatorStatus.OK: diagnostics.OK,
+    EstimatorStatus.DEGRADED: diagnostics.WARN,
+    EstimatorStatus.LOST: diagnostics.ERROR,
+}
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,11 @@ class EstimatorParameters:
 
     vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
     imu_rate_hz: float = parameter(500.0, "nominal rate of the topic imu", limits=(50.0, 5000.0))
+    mocap_topic: str = parameter(
+        "mocap/pose",
+        "topic and type of the motion capture to use",
+        choices=MOCAP_TOPICS,
+    )
     world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
     body_frame: str = parameter(messages.BODY_FRAME, "child_frame_id of odometry: forward-left-up")
     autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
@@ -79,20 +94,36 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._imu_health = self.listen(
             Imu, "imu", messages.unpack_imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz
         )
-        self._pose_health = self.listen(PoseStamped, "mocap/pose", messages.unpack_pose, self._take_pose)
+        topic, body_frame = self.parameters.mocap_topic, self.parameters.body_frame
+        if topic == "mocap/pose":
+            self.listen(PoseStamped, topic, messages.unpack_pose, self._take_pose)
+        elif topic == "mocap/odometry":
+            self.listen(Odometry, topic, messages.unpack_odometry, self._take_odometry)
+        else:
+            unpack = partial(messages.unpack_twist, body_frame=body_frame)
+            self.listen(TwistStamped, topic, unpack, self._take_twist)
 
     def problem(self) -> str | None:
         """Also that no state comes out of what arrives."""
         silent = super().problem()
         if silent or self._ekf.initialised:
             return silent
-        return "imu and mocap/pose arrive but give no state: are they stamped by the same clock?"
+        mocap = self.parameters.mocap_topic
+        return f"imu and {mocap} arrive but give no state: are they stamped by the same clock?"
 
     def statuses(self) -> list[DiagnosticStatus]:
-        """The state of the filter."""
-        if not self._ekf.initialised:
-            return [self.status("filter", diagnostics.WARN, "initialising", {})]
-        return [self.status("filter", diagnostics.OK, "ok", {})]
+        """How far the estimate can be used, and what became of the motion capture."""
+        ekf = self._ekf
+        values: dict[str, float | int] = {}
+        if ekf.initialised:
+            values = {
+                "delay_s": ekf.delay_s,
+                "delay_std_s": ekf.delay_std_s,
+                "since_correction_s": ekf.since_correction_s,
+            }
+        for kind, counts in (("poses", ekf.pose_counts), ("velocities", ekf.velocity_counts)):
+            values |= {f"{kind} {_reason(outcome)}": count for outcome, count in counts.items() if count}
+        return [self.status("filter", _LEVELS[ekf.status], ekf.status.name.lower(), values)]
 
     def _take_imu(self, imu: ImuStream) -> None:
         outcome = self._ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
@@ -107,6 +138,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         sample = fused_sample(self._ekf.state, self._gyro_noise)
         if self.listener:
             self.listener.take_imu(sample.imu)
+        if self._ekf.status == EstimatorStatus.LOST:
+            return
+        if self.listener:
             self.listener.take_odometry(sample.odometry)
         world_frame, body_frame = self._frames
         odometry = messages.pack_odometry(
@@ -115,11 +149,15 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._publish(odometry[0])
 
     def _take_pose(self, pose: PoseStream) -> None:
-        outcome = self._ekf.update_pose(int(pose.time_ns[0]), pose.position[0], pose.attitude[0])
-        if outcome not in (Outcome.USED, Outcome.COLLECTED):
-            reason = _reason(outcome)
-            self._pose_health.refuse(reason)
-            self.warn("topic mocap/pose", f"pose not used: {reason}")
+        self._ekf.update_pose(int(pose.time_ns[0]), pose.position[0], pose.attitude[0])
+
+    def _take_odometry(self, odometry: OdometryStream) -> None:
+        time_ns = int(odometry.time_ns[0])
+        self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0])
+        self._ekf.update_velocity(time_ns, odometry.velocity[0], True)
+
+    def _take_twist(self, twist: TwistStream) -> None:
+        self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))
 
 
 def _reason(outcome: Outcome) -> str:
@@ -137,6 +175,7 @@ def _warm_up(vehicle: Vehicle) -> None:
         pose = messages.unpack_pose(messages.pack_pose(PoseStream(stamp, still, level))[0])
         imu = messages.unpack_imu(messages.pack_imu(ImuStream(stamp, still, hover))[0])
         ekf.update_pose(int(stamp[0]), pose.position[0], pose.attitude[0])
+        ekf.update_velocity(int(stamp[0]), pose.position[0], True)
         ekf.predict(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0])
     sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
     messages.pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)

@@ -228,6 +228,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
         def swap(response: LoadModel.Response) -> None:
             self._results.swap(name, monitor, error, response)
+            # They may have changed while the model was loaded.
+            self.parameters_changed()
             self.get_logger().info(response.message)
 
         return swap

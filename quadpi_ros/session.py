@@ -20,6 +20,7 @@ from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.ekf_initial import COLLECT_NS
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_ros.collector import AlarmChange, Collector
+from quadpi_ros.estimator_node import MOCAP_TOPICS
 from quadpi_ros.player import Playlist
 from quadpi_ros.processes import Child, isolated_domain
 
@@ -103,7 +104,8 @@ def run_session(
     playlist = Playlist.read(bag)
     rotor_topic = "rotor_speeds" if "rotor_speeds" in playlist.names else "erpm"
     stamps = {name: unpack_stamps(topic.payloads) for name, topic in playlist.by_name().items()}
-    for topic in ("imu", rotor_topic, "mocap/pose"):
+    mocap_topic = next((topic for topic in MOCAP_TOPICS if topic in playlist.names), MOCAP_TOPICS[0])
+    for topic in ("imu", rotor_topic, mocap_topic):
         if len(stamps.get(topic, ())) < 2:
             raise SessionError(f"{bag}: topic {topic}: the live nodes need it, the bag does not hold it")
     all_parameters = {
@@ -111,9 +113,10 @@ def run_session(
         "model": str(model),
         "imu_rate_hz": nominal_rate(stamps["imu"]),
         "rotor_topic": rotor_topic,
+        "mocap_topic": mocap_topic,
         **(parameters or {}),
     }
-    played = [name for name in playlist.names if name in ("imu", rotor_topic, "mocap/pose", "wind")]
+    played = [name for name in playlist.names if name in ("imu", rotor_topic, mocap_topic, "wind")]
     with isolated_domain() as folder, Collector(int(stamps["imu"][0]), on_alarm) as collector:
         parameter_file = folder / "parameters.yaml"
         parameter_file.write_text(yaml.safe_dump({"/**": {"ros__parameters": all_parameters}}))
