@@ -6,8 +6,8 @@ Per input it is the range that the training flights covered, per axis the levera
 interval width that they reached. The range of a flight runs between its 0.1 % and 99.9 % quantiles, so
 that one spike does not widen it; the envelope spans the ranges of all flights. Flights that repeat a
 trajectory still differ a little at its extremes, so the alarm allows a margin beyond the range and a
-headroom above the peaks. Both are plain fractions, not quantiles of a distribution: few flights cannot
-support a false-alarm rate, so none is claimed.
+headroom above the peaks. Here both are plain fractions, for which no rate of false alarms is claimed;
+`monitor.calibration` puts limits with a rate in their place where flights allow it.
 """
 
 from __future__ import annotations

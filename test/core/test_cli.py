@@ -32,6 +32,7 @@ EVALUATION = {
 }
 RECORDING = {"kind", "name", "vehicle", "source", "topics", "envelope", "findings"}
 MODEL = {
+    "alarm",
     "kind",
     "name",
     "identity",
