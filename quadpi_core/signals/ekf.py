@@ -251,9 +251,11 @@ class Ekf:
             outcome = self._collect_imu(time_ns, sample)
         else:
             outcome = _OUTCOMES[buffer.predict(self._memory, time_ns, sample)]
-            if outcome == Outcome.USED and self._memory.clock[Clock.HELD_COUNT]:
-                buffer.release(self._memory, *self._journal)
-            if outcome == Outcome.RESET:
+            if outcome is Outcome.USED:
+                if self._memory.clock[Clock.HELD_COUNT]:
+                    buffer.release(self._memory, *self._journal)
+                return outcome
+            if outcome is Outcome.RESET:
                 self.reset()
                 self._collect_imu(time_ns, sample)
         self._memory.counts[_IMU, outcome] += 1
@@ -445,8 +447,10 @@ class Ekf:
         arrived_ns = self._memory.sources[:, Source.ARRIVED_NS].copy()
         buffer.start(self._memory, initial.time_ns, initial.row, initial.imu_ns)
         caught_up = [(stamp, sample) for stamp, sample in imu if stamp >= initial.imu_ns]
+        counted = self._memory.counts[_IMU].copy()
         for stamp, sample in caught_up[1:]:
             buffer.predict(self._memory, stamp, sample)
+        self._memory.counts[_IMU] = counted
         self._caught_up = np.array([stamp for stamp, _ in caught_up], dtype=np.int64)
         delay_ns = round(1e9 * self._sensors.mocap_delay_s)
         for stamp, kind, value in self._measurements:

@@ -199,7 +199,8 @@ def noise_of(numbers: Array) -> Noise:
 def predict(memory: Memory, time_ns: int, sample: Array) -> int:
     """Take one IMU sample (6,), rates rad/s and specific force m/s², and move the estimate to its stamp.
 
-    Then :func:`release` is due. Gives the value of an :class:`Outcome`; the memory is untouched unless USED.
+    Then :func:`release` is due. Gives the value of an :class:`Outcome`; the memory is untouched unless USED,
+    which alone is counted here.
     """
     clock, stamps, rows = memory.clock, memory.stamps, memory.rows
     if not usable_imu(sample):
@@ -221,7 +222,8 @@ def predict(memory: Memory, time_ns: int, sample: Array) -> int:
     clock[_HEAD] = following
     clock[_FILLED] = min(clock[_FILLED] + 1, length)
     clock[_STATUS] = _status(memory, time_ns)
-    return Outcome.USED.value
+    memory.counts[0, _USED] += 1
+    return _USED
 
 
 @njit(cache=True)

@@ -130,11 +130,12 @@ def run(
         outcome = predict(memory, imu_ns[index], samples[index])
         if outcome == Outcome.RESET.value:
             return
-        memory.counts[0, outcome] += 1
         progress.imu[0] += 1
         if outcome == Outcome.USED.value:
             release(memory, journal_ns, journal)
             record(memory, track, progress, index)
+        else:
+            memory.counts[0, outcome] += 1
 
 
 @njit(cache=True)
