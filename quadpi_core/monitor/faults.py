@@ -22,6 +22,7 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import MAX_GAP_NS, RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.frames import Array
+from quadpi_core.signals.chain import ATTITUDE, RATES, ROTOR_SPEEDS, SPECIFIC_FORCE, VELOCITY, WIND
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # Beyond these a sample is a broken sensor or a wrong unit, not flight.
@@ -57,80 +58,35 @@ _GYRO, _ACCELEROMETER, _SPEEDS, _SQUARES, _STILL, _ROTOR_STILL, _SETTLED = 0, 3,
 STATE_SIZE = 21
 
 
-class Judgement(NamedTuple):
-    """What is known of K samples before they are filtered.
+class FaultMemory(NamedTuple):
+    """What the search for faults knows of the vehicle, and remembers; arrays that the kernel changes.
 
     Attributes:
-        usable: (K,) False for a sample that cannot be judged.
-        restart: (K,) True where the low-pass starts anew.
-        faults: (K,) bits of this module.
-        used, restarts: how many are usable, and how many of these restart.
+        limits: largest rotor speed [rad/s], and for how long an inertial sensor may stand still [s].
+        spins: (4,) ±1 per rotor.
+        previous_ns: (1,) stamp of the last usable sample.
+        state: (21,) numbers.
     """
 
-    usable: npt.NDArray[np.bool_]
-    restart: npt.NDArray[np.bool_]
-    faults: npt.NDArray[np.int64]
-    used: int
-    restarts: int
+    limits: Array
+    spins: Array
+    previous_ns: npt.NDArray[np.int64]
+    state: Array
 
-
-class FaultFinder:
-    """Judges the samples of one vehicle as they come.
-
-    Args:
-        vehicle: as in its vehicle file.
-        rate_hz: sample rate of the IMU.
-    """
-
-    def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
-        self._limits = np.array(
-            [
-                AIRSPEED_MAX_M_S,
-                RATE_MAX_RAD_S,
-                SPECIFIC_FORCE_MAX_M_S2,
-                vehicle.rotor_speed_spike_rad_s,
-                max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz),
-            ]
+    @classmethod
+    def empty(cls, vehicle: Vehicle, rate_hz: float) -> FaultMemory:
+        """The memory for a vehicle, and the sample rate of its IMU, that has seen nothing."""
+        return cls(
+            np.array([vehicle.rotor_speed_spike_rad_s, max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz)]),
+            np.asarray(vehicle.rotor_spins, dtype=float),
+            np.array([_NO_STAMP]),
+            np.zeros(STATE_SIZE),
         )
-        self._spins = np.asarray(vehicle.rotor_spins, dtype=float)
-        self.reset()
 
-    def reset(self) -> None:
+    def forget(self) -> None:
         """Forget the past."""
-        self._previous_ns = np.array([_NO_STAMP])
-        self._state = np.zeros(STATE_SIZE)
-
-    def step(
-        self,
-        time_ns: npt.NDArray[np.int64],
-        velocity: Array,
-        attitude: Array,
-        rates: Array,
-        specific_force: Array,
-        rotor_speeds: Array,
-        wind: Array,
-    ) -> Judgement:
-        """Judge K samples; arguments as of :meth:`quadpi_core.monitor.Monitor.step`."""
-        usable = np.empty(len(time_ns), dtype=np.bool_)
-        restart = np.empty(len(time_ns), dtype=np.bool_)
-        faults = np.empty(len(time_ns), dtype=np.int64)
-        used, restarts = _judge_kernel(
-            time_ns,
-            velocity,
-            attitude,
-            rates,
-            specific_force,
-            rotor_speeds,
-            wind,
-            self._limits,
-            self._spins,
-            self._previous_ns,
-            self._state,
-            usable,
-            restart,
-            faults,
-        )
-        return Judgement(usable, restart, faults, used, restarts)
+        self.previous_ns[0] = _NO_STAMP
+        self.state[:] = 0.0
 
 
 def fault_words(faults: int) -> Iterator[str]:
@@ -162,28 +118,29 @@ def fault_words(faults: int) -> Iterator[str]:
 
 
 @njit(cache=True)
-def _count_missing(values: Any) -> int:
-    missing = 0
-    for value in values:
-        missing += np.isnan(value)
-    return missing
-
-
-@njit(cache=True)
-def _all_finite(values: Any) -> bool:
-    finite = True
-    for value in values:
-        finite &= np.isfinite(value)
-    return finite
+def _all_missing(values: Any) -> bool:
+    return bool(np.all(np.isnan(values)))
 
 
 @njit(cache=True)
 def _within(values: Any, limit: float) -> bool:
     """Whether every magnitude is at most `limit`."""
-    within = True
-    for value in values:
-        within &= abs(value) <= limit
-    return within
+    return bool(np.all(np.abs(values) <= limit))
+
+
+@njit(cache=True)
+def _plausible(sample: Any, rotor_speed_max: float) -> bool:
+    """Whether a finite sample (20,) can be that of a flight."""
+    attitude = sample[ATTITUDE]
+    return bool(
+        abs(np.sqrt(np.sum(attitude * attitude)) - 1.0) <= QUATERNION_NORM_TOLERANCE
+        and _within(sample[VELOCITY], AIRSPEED_MAX_M_S)
+        and _within(sample[WIND], AIRSPEED_MAX_M_S)
+        and _within(sample[RATES], RATE_MAX_RAD_S)
+        and _within(sample[SPECIFIC_FORCE], SPECIFIC_FORCE_MAX_M_S2)
+        and _within(sample[ROTOR_SPEEDS], rotor_speed_max)
+        and sample[ROTOR_SPEEDS].min() >= 0.0
+    )
 
 
 @njit(cache=True)
@@ -239,82 +196,46 @@ def _rotor_faults(speeds: Any, spins: Any, state: Any, step_s: float, first: boo
 
 
 @njit(cache=True)
-def _judge_kernel(
-    time_ns: Any,
-    velocity: Any,
-    attitude: Any,
-    rates: Any,
-    specific_force: Any,
-    rotor_speeds: Any,
-    wind: Any,
-    limits: Any,
-    spins: Any,
-    previous_ns: Any,
-    state: Any,
-    usable: Any,
-    restart: Any,
-    faults: Any,
-) -> tuple[int, int]:
-    """Mark which samples can be used, where the low-pass must start anew and what is wrong; return counts."""
-    used, restarts = 0, 0
-    for i in range(time_ns.size):
-        step_ns = time_ns[i] - previous_ns[0]
-        first = previous_ns[0] == _NO_STAMP
-        jump = not first and abs(step_ns) > MAX_GAP_NS
-        found = 0
-        if not first:
-            if step_ns == 0:
-                found |= STAMP_REPEATED
-            elif step_ns < 0:
-                found |= STAMP_BACKWARD
-            elif jump:
-                found |= GAP
-        missing_state = _count_missing(velocity[i]) == 3 and _count_missing(attitude[i]) == 4
-        missing_rotors = _count_missing(rotor_speeds[i]) == ROTORS
-        if missing_state:
-            found |= STATE_MISSING
-        if missing_rotors:
-            found |= ROTORS_MISSING
-        finite = (
-            _all_finite(velocity[i])
-            and _all_finite(attitude[i])
-            and _all_finite(rates[i])
-            and _all_finite(specific_force[i])
-            and _all_finite(rotor_speeds[i])
-            and _all_finite(wind[i])
-        )
-        plausible = False
-        if finite:
-            norm_square = 0.0
-            for component in attitude[i]:
-                norm_square += component * component
-            plausible = (
-                abs(np.sqrt(norm_square) - 1.0) <= QUATERNION_NORM_TOLERANCE
-                and _within(velocity[i], limits[0])
-                and _within(wind[i], limits[0])
-                and _within(rates[i], limits[1])
-                and _within(specific_force[i], limits[2])
-                and _within(rotor_speeds[i], limits[3])
-                and rotor_speeds[i].min() >= 0.0
-            )
-            if not plausible:
-                found |= NOT_PLAUSIBLE
-        elif not missing_state and not missing_rotors:
-            found |= NOT_FINITE
-        usable[i] = plausible and (first or jump or step_ns > 0)
-        restart[i] = jump
-        if usable[i]:
-            used += 1
-            restarts += jump
-            previous_ns[0] = time_ns[i]
-            anew = first or jump
-            step_s = 0.0 if anew else step_ns * 1e-9
-            gyro_s = _still(rates[i], state, _GYRO, _CREEP_RAD_S, _STILL, step_s)
-            force_s = _still(specific_force[i], state, _ACCELEROMETER, _CREEP_M_S2, _STILL + 1, step_s)
-            if gyro_s >= limits[4]:
-                found |= GYRO_FROZEN
-            if force_s >= limits[4]:
-                found |= ACCELEROMETER_FROZEN
-            found |= _rotor_faults(rotor_speeds[i], spins, state, step_s, anew)
-        faults[i] = found
-    return used, restarts
+def judge(time_ns: int, sample: Any, memory: Any) -> tuple[int, bool, bool]:
+    """Judge one sample (20,), in the channels of :mod:`quadpi_core.signals.chain`.
+
+    Gives the bits of what is wrong, whether the sample can be used, and whether the low-pass starts anew.
+    """
+    limits, state = memory.limits, memory.state
+    step_ns = time_ns - memory.previous_ns[0]
+    first = memory.previous_ns[0] == _NO_STAMP
+    jump = not first and abs(step_ns) > MAX_GAP_NS
+    found = 0
+    if not first:
+        if step_ns == 0:
+            found |= STAMP_REPEATED
+        elif step_ns < 0:
+            found |= STAMP_BACKWARD
+        elif jump:
+            found |= GAP
+    missing_state = _all_missing(sample[VELOCITY]) and _all_missing(sample[ATTITUDE])
+    missing_rotors = _all_missing(sample[ROTOR_SPEEDS])
+    if missing_state:
+        found |= STATE_MISSING
+    if missing_rotors:
+        found |= ROTORS_MISSING
+    plausible = False
+    if np.all(np.isfinite(sample)):
+        plausible = _plausible(sample, limits[0])
+        if not plausible:
+            found |= NOT_PLAUSIBLE
+    elif not missing_state and not missing_rotors:
+        found |= NOT_FINITE
+    usable = plausible and (first or jump or step_ns > 0)
+    if usable:
+        memory.previous_ns[0] = time_ns
+        anew = first or jump
+        step_s = 0.0 if anew else step_ns * 1e-9
+        gyro_s = _still(sample[RATES], state, _GYRO, _CREEP_RAD_S, _STILL, step_s)
+        force_s = _still(sample[SPECIFIC_FORCE], state, _ACCELEROMETER, _CREEP_M_S2, _STILL + 1, step_s)
+        if gyro_s >= limits[1]:
+            found |= GYRO_FROZEN
+        if force_s >= limits[1]:
+            found |= ACCELEROMETER_FROZEN
+        found |= _rotor_faults(sample[ROTOR_SPEEDS], memory.spins, state, step_s, anew)
+    return found, usable, jump

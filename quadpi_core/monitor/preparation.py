@@ -4,22 +4,30 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import Stamps
+from quadpi_core.compiled import njit
+from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
-from quadpi_core.monitor.faults import FaultFinder
-from quadpi_core.signals.chain import FilteredSignals, SignalChain
+from quadpi_core.monitor.faults import FaultMemory, judge
+from quadpi_core.signals.chain import (
+    ATTITUDE,
+    RATES,
+    ROTOR_SPEEDS,
+    SPECIFIC_FORCE,
+    VELOCITY,
+    WIND,
+    ChainMemory,
+    filter_sample,
+    forget,
+)
+from quadpi_core.signals.filters import design_low_pass
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import Vehicle
-
-# The arguments of `Preparation.step` after the stamps, in their order.
-Signals: TypeAlias = tuple[Array, ...]
 
 
 class Prepared(NamedTuple):
@@ -42,6 +50,21 @@ class Prepared(NamedTuple):
     faults: npt.NDArray[np.int64]
 
 
+class _Vehicle(NamedTuple):
+    """What the kernel needs to know of a vehicle.
+
+    Attributes:
+        control_signs, rotor_radius, hover_induced_velocity: see `inputs.vehicle_constants`.
+        mass, inertia: kg, and (3, 3) kg m².
+    """
+
+    control_signs: Array
+    rotor_radius: float
+    hover_induced_velocity: float
+    mass: float
+    inertia: Array
+
+
 class Preparation:
     """Judges and filters the samples of one vehicle; memory and time per sample are constant.
 
@@ -55,15 +78,15 @@ class Preparation:
     """
 
     def __init__(self, vehicle: Vehicle, rate_hz: float, cutoff_hz: float) -> None:
-        self._chain = SignalChain(rate_hz, cutoff_hz)
-        self._constants = vehicle_constants(vehicle)
-        self._mass, self._inertia = vehicle.mass_kg, vehicle.inertia
-        self._finder = FaultFinder(vehicle, rate_hz)
+        self._design = design_low_pass(cutoff_hz, rate_hz)
+        self._vehicle = _Vehicle(*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia)
+        self._faults = FaultMemory.empty(vehicle, rate_hz)
+        self._chain = ChainMemory.empty()
 
     def reset(self) -> None:
         """Forget the past: as after construction."""
-        self._chain.reset()
-        self._finder.reset()
+        self._faults.forget()
+        forget(self._chain)
 
     def step(
         self,
@@ -76,34 +99,58 @@ class Preparation:
         wind_world: Array,
     ) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
-        signals: Signals = (velocity_body, attitude, rates, specific_force, rotor_speeds, wind_world)
-        usable, restart, faults, used, restarts = self._finder.step(time_ns, *signals)
-        if used < len(time_ns):
-            restart = restart[usable]
-            signals = tuple(signal[usable] for signal in signals)
-        filtered = self._filter(signals, restart, restarts)
-        velocity_air = relative_to_air(filtered.velocity, filtered.attitude, filtered.wind)
-        inputs = np.empty((used, len(INPUT_NAMES)))
-        inputs_kernel(
-            velocity_air, filtered.attitude, filtered.rates, filtered.rotor_speeds, *self._constants, inputs
+        samples = np.concatenate(
+            (velocity_body, attitude, rates, specific_force, rotor_speeds, wind_world), axis=1
         )
-        measured = newton_euler(
-            filtered.specific_force, filtered.rates, filtered.angular_acceleration, self._mass, self._inertia
+        count = len(time_ns)
+        prepared = Prepared(
+            time_ns,
+            np.empty(count, dtype=np.bool_),
+            np.empty((count, len(INPUT_NAMES))),
+            np.empty((count, len(AXES))),
+            np.empty((count, 3)),
+            np.empty(count, dtype=np.int64),
         )
-        return Prepared(time_ns, usable, inputs, measured, filtered.velocity, faults)
+        used = _prepare(samples, self._design, self._vehicle, self._faults, self._chain, prepared)
+        if used == count:
+            return prepared
+        inputs, measured, velocity = (
+            prepared.inputs[:used],
+            prepared.measured[:used],
+            prepared.velocity[:used],
+        )
+        return prepared._replace(inputs=inputs, measured=measured, velocity=velocity)
 
-    def _filter(self, signals: Signals, restart: npt.NDArray[np.bool_], restarts: int) -> FilteredSignals:
-        """The low-pass over all signals, started anew at the marked samples."""
-        samples = len(restart)
-        if samples == 0:
-            no_acceleration = np.empty((0, 3))
-            return FilteredSignals._make((*signals, no_acceleration))
-        if restarts == 0:
-            return self._chain.step(*signals)
-        starts = np.flatnonzero(restart)
-        parts = []
-        for start, stop in pairwise(sorted({0, *starts.tolist(), samples})):
-            if restart[start]:
-                self._chain.reset()
-            parts.append(self._chain.step(*(signal[start:stop] for signal in signals)))
-        return FilteredSignals(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+@njit(cache=True)
+def _prepare(samples: Any, design: Any, vehicle: Any, faults: Any, chain: Any, prepared: Any) -> int:
+    """Judge and filter K samples (K, 20); the number of usable ones, whose rows of `prepared` are filled."""
+    used = 0
+    value, slope = np.empty((1, samples.shape[1])), np.empty((1, samples.shape[1]))
+    for i in range(samples.shape[0]):
+        found, usable, jump = judge(prepared.time_ns[i], samples[i], faults)
+        prepared.faults[i] = found
+        prepared.usable[i] = usable
+        if not usable:
+            continue
+        if jump:
+            forget(chain)
+        filter_sample(design, chain, samples[i], value[0], slope[0])
+        attitude, rates = value[:, ATTITUDE], value[:, RATES]
+        row = slice(used, used + 1)
+        inputs_kernel(
+            relative_to_air(value[:, VELOCITY], attitude, value[:, WIND]),
+            attitude,
+            rates,
+            value[:, ROTOR_SPEEDS],
+            vehicle.control_signs,
+            vehicle.rotor_radius,
+            vehicle.hover_induced_velocity,
+            prepared.inputs[row],
+        )
+        prepared.measured[row] = newton_euler(
+            value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
+        )
+        prepared.velocity[used] = value[0, VELOCITY]
+        used += 1
+    return used

@@ -10,7 +10,14 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.signals.filters import CausalLowPass, zero_phase
+from quadpi_core.signals.filters import (
+    DELAYS,
+    SECTIONS,
+    LowPass,
+    low_pass,
+    settled_state,
+    zero_phase,
+)
 
 VELOCITY = slice(0, 3)
 ATTITUDE = slice(3, 7)
@@ -42,45 +49,48 @@ class FilteredSignals(NamedTuple):
     angular_acceleration: Array
 
 
-class SignalChain:
-    """The causal low-pass over every signal; blocks of any length give the same samples, bit for bit.
+class ChainMemory(NamedTuple):
+    """What the causal low-pass over every signal remembers; arrays, because the kernel changes them in place.
 
-    Args:
-        rate_hz: the IMU's sample rate, taken as constant.
-        cutoff_hz: of the fourth-order Butterworth low-pass.
-
-    Raises:
-        SignalError: if the cut-off is not below half the rate.
+    Attributes:
+        delays: (2 sections, 2 delays, 20) delay lines of the channels.
+        attitude: (4,) the last one, of the sign that it was filtered with; zeros before the first.
+        started: (1,) whether there is a past.
     """
 
-    def __init__(self, rate_hz: float, cutoff_hz: float) -> None:
-        self._low_pass = CausalLowPass(cutoff_hz, rate_hz)
-        self._last_attitude = np.zeros(4)
+    delays: Array
+    attitude: Array
+    started: Array
 
-    def reset(self) -> None:
-        """Forget the past, after a gap or a jump of the clock."""
-        self._low_pass.reset()
-        self._last_attitude[:] = 0.0
+    @classmethod
+    def empty(cls) -> ChainMemory:
+        """The memory of a chain that has seen nothing."""
+        return cls(np.zeros((SECTIONS, DELAYS, WIND.stop)), np.zeros(4), np.zeros(1))
 
-    def step(
-        self,
-        velocity_body: Array,
-        attitude: Array,
-        rates: Array,
-        specific_force: Array,
-        rotor_speeds: Array,
-        wind: Array,
-    ) -> FilteredSignals:
-        """Filter the next K samples; shapes and units as in :class:`FilteredSignals`.
 
-        Raises:
-            SignalError: if a value is not finite; the chain stays as it was.
-        """
-        samples = _pack(velocity_body, attitude, rates, specific_force, rotor_speeds, wind)
-        last_attitude = make_continuous(samples[:, ATTITUDE], self._last_attitude)
-        filtered = self._low_pass.step(samples)
-        self._last_attitude = last_attitude
-        return _unpack(filtered.value, filtered.derivative[:, RATES])
+@njit(cache=True)
+def forget(memory: ChainMemory) -> None:
+    """Forget the past, after a gap or a jump of the clock: the next sample starts the chain anew."""
+    memory.attitude[:] = 0.0
+    memory.started[0] = 0.0
+
+
+@njit(cache=True)
+def filter_sample(design: LowPass, memory: ChainMemory, sample: Array, value: Array, slope: Array) -> None:
+    """Pass one finite sample (20,) through the causal low-pass; the rate is taken as constant.
+
+    Fills `value` (20,), its attitude of unit norm, and `slope` (20,), the derivative per second. The sign of
+    the attitude in `sample` becomes that nearest to the one before. The chain starts settled at its first
+    sample.
+    """
+    make_continuous(sample[ATTITUDE].reshape(1, 4), memory.attitude)
+    memory.attitude[:] = sample[ATTITUDE]
+    if memory.started[0] == 0.0:
+        memory.delays[:] = settled_state(design, sample)
+        memory.started[0] = 1.0
+    low_pass(design, memory.delays, sample.reshape(1, -1), value.reshape(1, -1), slope.reshape(1, -1))
+    attitude = value[ATTITUDE]
+    attitude /= np.sqrt(np.sum(attitude * attitude))
 
 
 def filter_zero_phase(

@@ -80,7 +80,10 @@ def settled_state(design: LowPass, sample: Array) -> Array:
 
 @njit(cache=True)
 def low_pass(design: LowPass, state: Array, samples: Array, value: Array, derivative: Array) -> None:
-    """Filter `samples` (K, C) into `value` and `derivative` (K, C), updating `state` (2, 2, C) in place."""
+    """Filter finite `samples` (K, C) into `value` and `derivative` (K, C), and advance `state` (2, 2, C).
+
+    Blocks of any length give the same samples, bit for bit. The sample rate is taken as constant.
+    """
     first, second = design.first, design.second
     slope_gain = 2.0 * design.rate_hz * second.gain
     for row in range(samples.shape[0]):
@@ -95,36 +98,6 @@ def low_pass(design: LowPass, state: Array, samples: Array, value: Array, deriva
             value[row, channel] = second.gain * (newest + 2.0 * last + before)
             derivative[row, channel] = slope_gain * (newest - before)
             state[1, 0, channel], state[1, 1, channel] = newest, last
-
-
-class CausalLowPass:
-    """The low-pass as it runs live: blocks of any length give the same samples, bit for bit.
-
-    The filter starts settled at its first sample. The sample rate is taken as constant; the caller decides
-    what a gap means and calls :meth:`reset` where the past no longer counts.
-    """
-
-    def __init__(self, cutoff_hz: float, rate_hz: float) -> None:
-        self._design = design_low_pass(cutoff_hz, rate_hz)
-        self._state: Array | None = None
-
-    def reset(self) -> None:
-        """Forget the past: the next sample starts the filter anew."""
-        self._state = None
-
-    def step(self, samples: Array) -> Filtered:
-        """Filter the next samples (K, C), K ≥ 1.
-
-        Raises:
-            SignalError: if a value is not finite; the filter stays as it was.
-        """
-        samples = np.ascontiguousarray(samples, dtype=np.float64)
-        _require_finite(samples)
-        if self._state is None:
-            self._state = settled_state(self._design, samples[0])
-        filtered = Filtered(np.empty_like(samples), np.empty_like(samples))
-        low_pass(self._design, self._state, samples, filtered.value, filtered.derivative)
-        return filtered
 
 
 def zero_phase(
@@ -152,15 +125,15 @@ def zero_phase(
         )
     head = 2.0 * samples[0] - samples[padding:0:-1]
     tail = 2.0 * samples[-1] - samples[-2 : -padding - 2 : -1]
-    forward = _run(design, np.concatenate((head, samples, tail)))
+    forward = filter_settled(design, np.concatenate((head, samples, tail)))
     keep = slice(padding, padding + len(samples))
-    value = _run(design, forward.value[::-1]).value[::-1]
-    derivative = _run(design, forward.derivative[::-1, derivative_of]).value[::-1]
+    value = filter_settled(design, forward.value[::-1]).value[::-1]
+    derivative = filter_settled(design, forward.derivative[::-1, derivative_of]).value[::-1]
     return Filtered(value[keep].copy(), derivative[keep].copy())
 
 
-def _run(design: LowPass, samples: Array) -> Filtered:
-    """Filter a whole signal (N, C) from the settled state of its first sample."""
+def filter_settled(design: LowPass, samples: Array) -> Filtered:
+    """Filter a whole signal (N, C) from the settled state of its first sample, as it would be live."""
     samples = np.ascontiguousarray(samples)
     filtered = Filtered(np.empty_like(samples), np.empty_like(samples))
     low_pass(design, settled_state(design, samples[0]), samples, filtered.value, filtered.derivative)

@@ -11,8 +11,7 @@ import pytest
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.inputs import aerodynamic_inputs
+from quadpi_core.frames import Array
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
@@ -21,7 +20,7 @@ from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.spread import SpreadShape
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.signals.chain import SignalChain
+from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.vehicle import Vehicle
 
 RATE_HZ = 500.0
@@ -72,9 +71,7 @@ def samples(vehicle) -> PairedSamples:
 @pytest.fixture(scope="session")
 def training_inputs(vehicle) -> Array:
     """Input vectors of a minute of `fly`."""
-    signals = SignalChain(RATE_HZ, CUTOFF_HZ).step(*fly(60.0, vehicle, seed=1)[1:])
-    velocity_air = signals.velocity - rotate_world_to_body(signals.attitude, signals.wind)
-    return aerodynamic_inputs(velocity_air, signals.attitude, signals.rates, signals.rotor_speeds, vehicle)
+    return Preparation(vehicle, RATE_HZ, CUTOFF_HZ).step(*fly(60.0, vehicle, seed=1)).inputs
 
 
 @pytest.fixture(scope="session")

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.monitor import faults
-from quadpi_core.monitor.faults import FaultFinder, fault_words
+from quadpi_core.monitor.faults import fault_words
+from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.vehicle import Vehicle
-from test.core.monitor.conftest import RATE_HZ, fly
+from test.core.monitor.conftest import CUTOFF_HZ, RATE_HZ, fly
 
 COUNT = 2000
 
@@ -26,9 +27,9 @@ class Flight:
 
     def words(self, block: int = COUNT) -> list[set[str]]:
         """What is said of each sample."""
-        finder = FaultFinder(self.vehicle, RATE_HZ)
+        preparation = Preparation(self.vehicle, RATE_HZ, CUTOFF_HZ)
         bits = [
-            finder.step(*(column[start : start + block] for column in self.columns.values())).faults
+            preparation.step(*(column[start : start + block] for column in self.columns.values())).faults
             for start in range(0, COUNT, block)
         ]
         return [set(fault_words(int(found))) for found in np.concatenate(bits)]

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from quadpi_core.errors import SignalError
-from quadpi_core.signals.chain import SignalChain, filter_zero_phase
+from quadpi_core.signals.chain import (
+    ATTITUDE,
+    RATES,
+    ROTOR_SPEEDS,
+    SPECIFIC_FORCE,
+    VELOCITY,
+    WIND,
+    ChainMemory,
+    filter_sample,
+    filter_zero_phase,
+    forget,
+    make_continuous,
+)
+from quadpi_core.signals.filters import design_low_pass, filter_settled
 
 RATE, CUTOFF = 500.0, 40.0
 
@@ -28,39 +39,42 @@ def random_signals(samples: int = 300, seed: int = 2):
     ]
 
 
-def test_one_by_one_equals_the_block_bit_for_bit():
+def filtered_one_by_one(signals, memory):
+    """Values and slopes (N, 20) of the causal chain."""
+    design = design_low_pass(CUTOFF, RATE)
+    samples = np.concatenate(signals, axis=1)
+    value, slope = np.empty_like(samples), np.empty_like(samples)
+    for row in range(len(samples)):
+        filter_sample(design, memory, samples[row], value[row], slope[row])
+    return value, slope
+
+
+def test_the_causal_chain_is_the_low_pass_of_a_continuous_attitude():
     signals = random_signals()
-    whole = SignalChain(RATE, CUTOFF).step(*signals)
-    live = SignalChain(RATE, CUTOFF)
-    rows = [live.step(*(column[i : i + 1] for column in signals)) for i in range(len(signals[0]))]
-    for name in whole._fields:
-        assert np.array_equal(np.concatenate([getattr(row, name) for row in rows]), getattr(whole, name)), (
-            name
-        )
+    value, slope = filtered_one_by_one(signals, ChainMemory.empty())
+    samples = np.concatenate(signals, axis=1)
+    make_continuous(samples[:, ATTITUDE], np.zeros(4))
+    expected = filter_settled(design_low_pass(CUTOFF, RATE), samples)
+    norm = np.linalg.norm(expected.value[:, ATTITUDE], axis=1, keepdims=True)
+    np.testing.assert_allclose(value[:, ATTITUDE], expected.value[:, ATTITUDE] / norm, rtol=1e-12)
+    for others in (VELOCITY, RATES, SPECIFIC_FORCE, ROTOR_SPEEDS, WIND):
+        np.testing.assert_array_equal(value[:, others], expected.value[:, others])
+    np.testing.assert_array_equal(slope, expected.derivative)
 
 
 def test_attitude_of_either_sign_filters_to_the_same_rotation():
     signals = random_signals()
-    filtered = filter_zero_phase(*signals, rate_hz=RATE, cutoff_hz=CUTOFF).attitude
-    np.testing.assert_allclose(np.linalg.norm(filtered, axis=1), 1.0, rtol=1e-12)
-    assert np.all(np.abs(np.sum(filtered * signals[1], axis=1)) > 1.0 - 1e-6)
+    zero_phase = filter_zero_phase(*signals, rate_hz=RATE, cutoff_hz=CUTOFF).attitude
+    causal = filtered_one_by_one(signals, ChainMemory.empty())[0][:, ATTITUDE]
+    for filtered, lag in ((zero_phase, 1e-6), (causal, 3e-3)):
+        np.testing.assert_allclose(np.linalg.norm(filtered, axis=1), 1.0, rtol=1e-12)
+        assert np.all(np.abs(np.sum(filtered * signals[1], axis=1)) > 1.0 - lag)
 
 
-def test_inputs_are_left_alone_and_bad_samples_refused():
-    signals = random_signals()
-    before = [column.copy() for column in signals]
-    chain = SignalChain(RATE, CUTOFF)
-    chain.step(*signals)
-    assert all(np.array_equal(a, b) for a, b in zip(signals, before, strict=True))
-    signals[4][5, 2] = np.nan
-    with pytest.raises(SignalError, match="sample 5 "):
-        chain.step(*signals)
-
-
-def test_reset_forgets_the_past():
-    signals = random_signals()
-    chain = SignalChain(RATE, CUTOFF)
-    first = chain.step(*signals)
-    chain.reset()
-    again = chain.step(*signals)
-    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+def test_a_chain_that_forgets_starts_anew():
+    memory = ChainMemory.empty()
+    first = filtered_one_by_one(random_signals(), memory)
+    filtered_one_by_one(random_signals(seed=3), memory)
+    forget(memory)
+    again = filtered_one_by_one(random_signals(), memory)
+    assert np.array_equal(first, again)
