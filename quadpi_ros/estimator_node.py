@@ -18,7 +18,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStrea
 from quadpi_core.logs import messages
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
-from quadpi_core.signals.odometry import fused_sample
+from quadpi_core.signals.odometry import fused_sample, with_gyro_faults
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.parameters import parameter
@@ -30,6 +30,8 @@ MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
 
 _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
+# What the monitor has to hear of, though there is no state at its stamp: it reports that.
+_WITHOUT_STATE = (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET)
 _LEVELS = {
     EstimatorStatus.INITIALISING: diagnostics.WARN,
     EstimatorStatus.OK: diagnostics.OK,
@@ -131,9 +133,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             reason = _reason(outcome)
             self._imu_health.refuse(reason)
             self.warn("topic imu", f"sample not used: {reason}")
-        if outcome == Outcome.UNUSABLE and self.listener:
-            self.listener.take_imu(imu)
         if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self._ekf.initialised:
+            if self.listener and outcome in _WITHOUT_STATE:
+                self.listener.take_imu(with_gyro_faults(imu))
             return
         sample = fused_sample(self._ekf.state, self._gyro_noise)
         if self.listener:

@@ -24,6 +24,7 @@ from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
 from quadpi_core.monitor.pairing import JUMP_BACK_NS, TIMEOUT_S, Pairing
+from quadpi_core.signals.odometry import with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.estimator_node import EstimatorNode
@@ -111,7 +112,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._restart()
         vehicle, rate_hz = self._vehicle, self.parameters.imu_rate_hz
         if self._estimator is None:
-            self.listen(Imu, "imu", messages.unpack_imu, self.take_imu, rate_hz=rate_hz)
+            self.listen(Imu, "imu", messages.unpack_imu, self._take_raw_imu, rate_hz=rate_hz)
             self.listen(Odometry, "odometry", messages.unpack_odometry, self.take_odometry)
         else:
             self._estimator.listener = self
@@ -163,6 +164,9 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._latency.arrived(time_ns, time.monotonic_ns())
         self._pairing.add_imu(time_ns, imu.specific_force[0])
         self._advance()
+
+    def _take_raw_imu(self, imu: ImuStream) -> None:
+        self.take_imu(with_gyro_faults(imu))
 
     def take_odometry(self, odometry: OdometryStream) -> None:
         """Take one state."""

@@ -224,7 +224,7 @@ def judge(time_ns: int, sample: Any, memory: Any) -> tuple[int, bool, bool]:
         plausible = _plausible(sample, limits[0])
         if not plausible:
             found |= NOT_PLAUSIBLE
-    elif not missing_state and not missing_rotors:
+    elif not (missing_state or missing_rotors) or not np.all(np.isfinite(sample[SPECIFIC_FORCE])):
         found |= NOT_FINITE
     usable = plausible and (first or jump or step_ns > 0)
     if usable:

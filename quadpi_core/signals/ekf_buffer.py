@@ -79,7 +79,8 @@ class Clock:
     ACCEPTED_NS = 5  # stamp of the IMU sample at which a correction was last accepted
     STATUS = 6
     JOURNALLED = 7
-    WIDTH = 8
+    JUMPED_NS = 8  # stamp of the IMU sample before, where that was far from all before it
+    WIDTH = 9
 
 
 class Source:
@@ -96,11 +97,12 @@ class Source:
 
 
 _HEAD, _FILLED, _CORRECTED_NS, _ACCEPTED_NS = Clock.HEAD, Clock.FILLED, Clock.CORRECTED_NS, Clock.ACCEPTED_NS
-_HELD_FIRST, _HELD_COUNT, _STATUS, _JOURNALLED = (
+_HELD_FIRST, _HELD_COUNT, _STATUS, _JOURNALLED, _JUMPED_NS = (
     Clock.HELD_FIRST,
     Clock.HELD_COUNT,
     Clock.STATUS,
     Clock.JOURNALLED,
+    Clock.JUMPED_NS,
 )
 _ARRIVED_NS, _SEEN_NS, _REPEATS, _CHANGES = Source.ARRIVED_NS, Source.SEEN_NS, Source.REPEATS, Source.CHANGES
 _REFUSED_SINCE_NS, _REFUSED_NS, _REFUSED = Source.REFUSED_SINCE_NS, Source.REFUSED_NS, Source.REFUSED
@@ -118,7 +120,7 @@ class Memory(NamedTuple):
     """All that the filter remembers; arrays that the kernels change in place.
 
     Attributes:
-        clock: (8,) see :class:`Clock`.
+        clock: (9,) see :class:`Clock`.
         stamps: (N,) of the estimates in `rows`, a ring.
         rows: (N + 3, 279) estimates at the stamps of IMU samples, see :class:`Row`; then that after the last
             correction, at its own instant, and two to work on.
@@ -163,6 +165,7 @@ def forget(memory: Memory) -> None:
     for array in (memory.clock, memory.rows, memory.sources, memory.seen):
         array[...] = 0
     memory.sources[:, Source.ARRIVED_NS] = _NEVER
+    memory.clock[Clock.JUMPED_NS] = _NEVER
 
 
 def start(memory: Memory, time_ns: int, estimate: Array, imu_ns: int) -> None:
@@ -199,8 +202,8 @@ def noise_of(numbers: Array) -> Noise:
 def predict(memory: Memory, time_ns: int, sample: Array) -> int:
     """Take one IMU sample (6,), rates rad/s and specific force m/s², and move the estimate to its stamp.
 
-    Then :func:`release` is due. Gives the value of an :class:`Outcome`; the memory is untouched unless USED,
-    which alone is counted here.
+    Then :func:`release` is due. Gives the value of an :class:`Outcome`; unless USED, which alone is counted
+    here, the memory keeps but a stamp that jumped.
     """
     clock, stamps, rows = memory.clock, memory.stamps, memory.rows
     if not usable_imu(sample):
@@ -208,7 +211,12 @@ def predict(memory: Memory, time_ns: int, sample: Array) -> int:
     head = clock[_HEAD]
     since = time_ns - stamps[head]
     if since > MAX_GAP_NS or since < -MAX_JUMP_BACK_NS:
-        return Outcome.RESET.value
+        # One stamp alone may be broken; two that agree are a pause or another clock.
+        if 0 < time_ns - clock[_JUMPED_NS] <= MAX_GAP_NS:
+            return Outcome.RESET.value
+        clock[_JUMPED_NS] = time_ns
+        return Outcome.STAMP_JUMPED.value
+    clock[_JUMPED_NS] = _NEVER
     if since <= 0:
         return Outcome.STAMP_NOT_ADVANCING.value
     length = len(stamps)

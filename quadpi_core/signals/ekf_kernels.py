@@ -75,6 +75,7 @@ class Outcome(IntEnum):
     RESET = 6  # the IMU paused too long or its clock jumped back: the filter starts anew with this sample
     REJECTED = 7  # contradicts the estimate by more than both uncertainties allow
     FROZEN = 8  # repeats the value before it bit for bit: no new measurement
+    STAMP_JUMPED = 9  # an IMU sample far from the one before: RESET if the next one agrees with it
 
 
 class EstimatorStatus(IntEnum):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import ImuStream, OdometryStream
+from quadpi_core.flight import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, ImuStream, OdometryStream
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.signals.ekf import State
@@ -56,6 +56,18 @@ def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSample:
         out[:, _OUT_POSE].reshape(1, 6, 6),
         out[:, _OUT_TWIST].reshape(1, 6, 6),
     )
+
+
+def with_gyro_faults(imu: ImuStream) -> ImuStream:
+    """IMU samples (K) whose specific force shows a gyro that cannot be: not finite or too large, as that is.
+
+    The monitor takes the specific force from the IMU and the rates from the state, which a sample that the
+    filter refuses does not change: by itself it would interpolate over a gyro that fails.
+    """
+    rates = imu.angular_velocity
+    fails = ~(np.abs(rates) <= RATE_MAX_RAD_S).all(axis=1, keepdims=True)
+    shown = rates * (SPECIFIC_FORCE_MAX_M_S2 / RATE_MAX_RAD_S)
+    return ImuStream(imu.time_ns, rates, np.where(fails, shown, imu.specific_force))
 
 
 @njit(cache=True)

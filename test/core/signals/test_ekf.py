@@ -276,10 +276,20 @@ def test_sign_and_scale_of_a_pose_attitude_do_not_matter(noisy_vehicle, simulate
 @pytest.mark.parametrize("jump_ns", [150_000_000, -2_000_000_000])
 def test_a_pause_or_a_jump_back_starts_anew(running, jump_ns):
     ekf, last_ns = running
-    assert ekf.predict(last_ns + jump_ns, np.zeros(3), np.zeros(3)) == Outcome.RESET
+    for step_ns, outcome in ((0, Outcome.STAMP_JUMPED), (2_000_000, Outcome.RESET)):
+        assert ekf.predict(last_ns + jump_ns + step_ns, np.zeros(3), np.zeros(3)) == outcome
     assert not ekf.initialised
     with pytest.raises(SignalError, match="not initialised"):
         _ = ekf.state
+
+
+@pytest.mark.parametrize("jump_ns", [31_536_000_000_000_000, -1_700_000_000_000_000_000])
+def test_one_stamp_that_is_far_off_is_refused_and_the_rest_goes_on(running, jump_ns):
+    ekf, last_ns = running
+    assert ekf.predict(last_ns + jump_ns, np.zeros(3), np.zeros(3)) == Outcome.STAMP_JUMPED
+    assert ekf.predict(last_ns + 2_000_000, np.zeros(3), np.zeros(3)) == Outcome.USED
+    assert ekf.predict(last_ns + jump_ns + 2_000_000, np.zeros(3), np.zeros(3)) == Outcome.STAMP_JUMPED
+    assert ekf.initialised
 
 
 def test_a_pose_from_the_future_does_not_keep_it_from_starting(noisy_vehicle, simulated):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadpi_core.flight import SPECIFIC_FORCE_MAX_M_S2, ImuStream
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import rotations
 from quadpi_core.signals.ekf import State
 from quadpi_core.signals.ekf_kernels import ATTITUDE, ERROR_STATES, GYRO_BIAS, POSITION, VELOCITY, Row
-from quadpi_core.signals.odometry import fused_sample
+from quadpi_core.signals.odometry import fused_sample, with_gyro_faults
 
 GYRO_NOISE = 0.02
 
@@ -54,3 +55,14 @@ def test_covariances_match_the_spread_of_perturbed_states() -> None:
 def assert_close(actual: Array, expected: Array) -> None:
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(actual / scale, expected / scale, atol=0.06)
+
+
+def test_a_gyro_that_cannot_be_shows_in_the_specific_force() -> None:
+    rates = np.zeros((4, 3))
+    rates[1, 2], rates[2, 0], rates[3, 1] = np.nan, -71.0, 69.0
+    force = np.tile([0.0, 0.0, -9.8], (4, 1))
+    shown = with_gyro_faults(ImuStream(np.arange(4), rates, force)).specific_force
+    np.testing.assert_array_equal(shown[[0, 3]], force[[0, 3]])
+    assert np.isnan(shown[1, 2])
+    assert np.isfinite(shown[2]).all()
+    assert np.abs(shown[2]).max() > SPECIFIC_FORCE_MAX_M_S2
