@@ -53,8 +53,8 @@ def named(monitors: Iterable[Monitor]) -> dict[str, Monitor]:
 
 def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
     """Load every compiled kernel: no sample in flight may wait for it, good or bad."""
-    hover = PairedSamples(
-        time_ns=np.zeros(1, dtype=np.int64),
+    hover = PairedSamples.join(
+        np.zeros(1, dtype=np.int64),
         velocity=np.zeros((1, 3)),
         attitude=np.array([[1.0, 0.0, 0.0, 0.0]]),
         rates=np.zeros((1, 3)),
@@ -62,7 +62,7 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
         rotor_speeds=np.full((1, ROTORS), 1.0),
         wind=np.zeros((1, 3)),
     )
-    missing = hover._replace(time_ns=np.ones(1, dtype=np.int64), rates=np.full((1, 3), np.nan))
+    missing = PairedSamples(np.ones(1, dtype=np.int64), np.full_like(hover.values, np.nan))
     for samples in (hover, missing):
         predictions, alarms, _ = monitor.step(*samples)
         _pack(monitor, predictions, messages.BODY_FRAME)

@@ -72,16 +72,7 @@ class Monitor:
         if self._adaptive is not None:
             self._adaptive.reset()
 
-    def step(
-        self,
-        time_ns: Stamps,
-        velocity_body: Array,
-        attitude: Array,
-        rates: Array,
-        specific_force: Array,
-        rotor_speeds: Array,
-        wind_world: Array,
-    ) -> tuple[Predictions, Alarms, Events]:
+    def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
         """Take K samples; blocks of any length give the same rows, bit for bit.
 
         A sample that is not finite, not plausible or not later than the one before gives no prediction and
@@ -90,18 +81,9 @@ class Monitor:
 
         Args:
             time_ns: (K,) stamps.
-            velocity_body: (K, 3) m/s over ground, body axes.
-            attitude: (K, 4) body to world.
-            rates: (K, 3) rad/s.
-            specific_force: (K, 3) m/s², body axes.
-            rotor_speeds: (K, 4) rad/s.
-            wind_world: (K, 3) m/s, world.
+            values: (K, 20), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
         """
-        return self.judge(
-            self.preparation.step(
-                time_ns, velocity_body, attitude, rates, specific_force, rotor_speeds, wind_world
-            )
-        )
+        return self.judge(self.preparation.step(time_ns, values))
 
     def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
         """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`."""

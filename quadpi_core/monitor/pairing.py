@@ -18,6 +18,15 @@ import numpy as np
 from quadpi_core.compiled import njit
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+from quadpi_core.signals.chain import (
+    ATTITUDE,
+    CHANNELS,
+    RATES,
+    ROTOR_SPEEDS,
+    SPECIFIC_FORCE,
+    VELOCITY,
+    WIND,
+)
 
 # How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
 TIMEOUT_S = 0.1
@@ -29,28 +38,71 @@ _OLDEST, _COUNT, _NEWEST_NS = 0, 1, 2
 _WIDEST = 10
 # Of PairingCounts.
 _PAIRED, _EARLY, _DROPPED, _DISORDERED = 0, 1, 2, 3
-# Where velocity, attitude, rates, specific force, rotor speeds and wind lie in a row of 20.
-_PLACES = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slice(13, 17), slice(17, 20))
-_SIGNALS = 20
 _NEVER = -(2**63)
 # A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
 JUMP_BACK_NS = 1_000_000_000
 
 
 class PairedSamples(NamedTuple):
-    """K complete samples: stamps (K,) and the arguments of `Monitor.step` in its order.
+    """K complete samples.
 
-    velocity (K, 3) m/s over ground and rates (K, 3) rad/s in body axes, attitude (K, 4) body to world,
-    specific_force (K, 3) m/s², rotor_speeds (K, 4) rad/s, wind (K, 3) m/s in the world.
+    Attributes:
+        time_ns: (K,) stamps.
+        values: (K, 20) channels of :mod:`quadpi_core.signals.chain`: velocity over ground m/s, body axes;
+            attitude body to world; rates rad/s; specific force m/s², body axes; rotor speeds rad/s; wind m/s,
+            world.
     """
 
     time_ns: Stamps
-    velocity: Array
-    attitude: Array
-    rates: Array
-    specific_force: Array
-    rotor_speeds: Array
-    wind: Array
+    values: Array
+
+    @classmethod
+    def join(
+        cls,
+        time_ns: Stamps,
+        *,
+        velocity: Array,
+        attitude: Array,
+        rates: Array,
+        specific_force: Array,
+        rotor_speeds: Array,
+        wind: Array,
+    ) -> PairedSamples:
+        """Samples of the channels one by one."""
+        return cls(
+            time_ns,
+            np.concatenate((velocity, attitude, rates, specific_force, rotor_speeds, wind), axis=1),
+        )
+
+    @property
+    def velocity(self) -> Array:
+        """(K, 3) view."""
+        return self.values[:, VELOCITY]
+
+    @property
+    def attitude(self) -> Array:
+        """(K, 4) view."""
+        return self.values[:, ATTITUDE]
+
+    @property
+    def rates(self) -> Array:
+        """(K, 3) view."""
+        return self.values[:, RATES]
+
+    @property
+    def specific_force(self) -> Array:
+        """(K, 3) view."""
+        return self.values[:, SPECIFIC_FORCE]
+
+    @property
+    def rotor_speeds(self) -> Array:
+        """(K, 4) view."""
+        return self.values[:, ROTOR_SPEEDS]
+
+    @property
+    def wind(self) -> Array:
+        """(K, 3) view."""
+        return self.values[:, WIND]
 
 
 @dataclass(frozen=True)
@@ -87,7 +139,7 @@ class Pairing:
             counts=np.zeros(4, dtype=np.int64),
         )
         self._taken_ns = np.empty(capacity, dtype=np.int64)
-        self._taken = np.empty((capacity, _SIGNALS))
+        self._taken = np.empty((capacity, CHANNELS))
         # Compiled now, not when the first sample waits for it.
         self.take()
 
@@ -117,8 +169,7 @@ class Pairing:
         count = _take(self._tracks, self._timeout_ns, self._taken_ns, self._taken)
         if count == 0:
             return None
-        taken = self._taken[:count]
-        return PairedSamples(self._taken_ns[:count].copy(), *(taken[:, place].copy() for place in _PLACES))
+        return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
 
 
 class _Tracks(NamedTuple):
@@ -208,8 +259,8 @@ def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
             else:
                 tracks.counts[_DROPPED] += 1
                 row[:] = np.nan
-                row[17:20] = 0.0
-            row[10:13] = tracks.rows[_IMU, imu[_OLDEST], :3]
+                row[WIND] = 0.0
+            row[SPECIFIC_FORCE] = tracks.rows[_IMU, imu[_OLDEST], :3]
             taken_ns[count] = time_ns
             count += 1
         _drop_oldest(imu, capacity)
@@ -219,13 +270,13 @@ def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
 @njit(cache=True)
 def _complete(tracks: Any, time_ns: int, row: Any) -> None:
     """Fill state, rotor speeds and wind at the stamp."""
-    _interpolate(tracks, _STATE, time_ns, row[:10])
-    row[3:7] /= np.sqrt(np.sum(row[3:7] * row[3:7]))
-    _interpolate(tracks, _ROTORS, time_ns, row[13:17])
-    row[17:20] = 0.0
+    _interpolate(tracks, _STATE, time_ns, row[: RATES.stop])
+    row[ATTITUDE] /= np.sqrt(np.sum(row[ATTITUDE] * row[ATTITUDE]))
+    _interpolate(tracks, _ROTORS, time_ns, row[ROTOR_SPEEDS])
+    row[WIND] = 0.0
     held = _hold(tracks, _WIND, time_ns)
     if held >= 0:
-        row[17:20] = tracks.rows[_WIND, held, :3]
+        row[WIND] = tracks.rows[_WIND, held, :3]
 
 
 @njit(cache=True)

@@ -16,6 +16,7 @@ from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehi
 from quadpi_core.monitor.faults import FaultMemory, judge
 from quadpi_core.signals.chain import (
     ATTITUDE,
+    CHANNELS,
     RATES,
     ROTOR_SPEEDS,
     SPECIFIC_FORCE,
@@ -88,20 +89,8 @@ class Preparation:
         self._faults.forget()
         forget(self._chain)
 
-    def step(
-        self,
-        time_ns: Stamps,
-        velocity_body: Array,
-        attitude: Array,
-        rates: Array,
-        specific_force: Array,
-        rotor_speeds: Array,
-        wind_world: Array,
-    ) -> Prepared:
+    def step(self, time_ns: Stamps, values: Array) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
-        samples = np.concatenate(
-            (velocity_body, attitude, rates, specific_force, rotor_speeds, wind_world), axis=1
-        )
         count = len(time_ns)
         prepared = Prepared(
             time_ns,
@@ -111,7 +100,7 @@ class Preparation:
             np.empty((count, 3)),
             np.empty(count, dtype=np.int64),
         )
-        used = _prepare(samples, self._design, self._vehicle, self._faults, self._chain, prepared)
+        used = _prepare(values, self._design, self._vehicle, self._faults, self._chain, prepared)
         if used == count:
             return prepared
         inputs, measured, velocity = (
@@ -123,19 +112,19 @@ class Preparation:
 
 
 @njit(cache=True)
-def _prepare(samples: Any, design: Any, vehicle: Any, faults: Any, chain: Any, prepared: Any) -> int:
-    """Judge and filter K samples (K, 20); the number of usable ones, whose rows of `prepared` are filled."""
+def _prepare(values: Any, design: Any, vehicle: Any, faults: Any, chain: Any, prepared: Any) -> int:
+    """Judge and filter samples (K, 20); the number of usable ones, whose rows of `prepared` are filled."""
     used = 0
-    value, slope = np.empty((1, samples.shape[1])), np.empty((1, samples.shape[1]))
-    for i in range(samples.shape[0]):
-        found, usable, jump = judge(prepared.time_ns[i], samples[i], faults)
+    value, slope = np.empty((1, CHANNELS)), np.empty((1, CHANNELS))
+    for i in range(values.shape[0]):
+        found, usable, jump = judge(prepared.time_ns[i], values[i], faults)
         prepared.faults[i] = found
         prepared.usable[i] = usable
         if not usable:
             continue
         if jump:
             forget(chain)
-        filter_sample(design, chain, samples[i], value[0], slope[0])
+        filter_sample(design, chain, values[i], value[0], slope[0])
         attitude, rates = value[:, ATTITUDE], value[:, RATES]
         row = slice(used, used + 1)
         inputs_kernel(

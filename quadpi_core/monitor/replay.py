@@ -273,8 +273,8 @@ def _pair(recording: Recording, imu: ImuStream, odometry: OdometryStream) -> Pai
 
     attitude = interpolate_attitude(odometry.time_ns, odometry.attitude, time_ns, _ANY_GAP).values
     attitude[incomplete] = np.nan
-    return PairedSamples(
-        time_ns=time_ns,
+    return PairedSamples.join(
+        time_ns,
         velocity=at_imu(odometry.time_ns, odometry.velocity),
         attitude=attitude,
         rates=at_imu(odometry.time_ns, odometry.rates),

@@ -25,6 +25,7 @@ RATES = slice(7, 10)
 SPECIFIC_FORCE = slice(10, 13)
 ROTOR_SPEEDS = slice(13, 17)
 WIND = slice(17, 20)
+CHANNELS = 20
 
 
 class FilteredSignals(NamedTuple):
@@ -65,7 +66,7 @@ class ChainMemory(NamedTuple):
     @classmethod
     def empty(cls) -> ChainMemory:
         """The memory of a chain that has seen nothing."""
-        return cls(np.zeros((SECTIONS, DELAYS, WIND.stop)), np.zeros(4), np.zeros(1))
+        return cls(np.zeros((SECTIONS, DELAYS, CHANNELS)), np.zeros(4), np.zeros(1))
 
 
 @njit(cache=True)

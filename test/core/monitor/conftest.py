@@ -47,8 +47,8 @@ def fly(seconds: float, vehicle: Vehicle, seed: int = 0) -> PairedSamples:
     rates = np.stack((0.42 * np.cos(2.1 * time), 0.425 * np.cos(1.7 * time), 0 * time), axis=1)
     specific_force = np.array([0.0, 0.0, -vehicle.gravity_m_s2]) - 0.3 * velocity
     swing = np.stack([np.sin(3.1 * time + phase) for phase in range(4)], axis=1)
-    return PairedSamples(
-        time_ns=1_700_000_000_000_000_000 + np.round(time * 1e9).astype(np.int64),
+    return PairedSamples.join(
+        1_700_000_000_000_000_000 + np.round(time * 1e9).astype(np.int64),
         velocity=velocity + 0.01 * rng.standard_normal(velocity.shape),
         attitude=attitude,
         rates=rates + 0.02 * rng.standard_normal(rates.shape),

@@ -15,7 +15,7 @@ from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.logs.mcap import Bag
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.pairing import Pairing
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.replay import replay, replay_all
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.odometry import fused_sample
@@ -96,7 +96,8 @@ def test_replay_gives_what_the_monitor_gives(model, vehicle, samples, with_odome
         ],
         axis=1,
     )
-    paired = samples._replace(rotor_speeds=speeds)
+    paired = PairedSamples(samples.time_ns, samples.values.copy())
+    paired.rotor_speeds[:] = speeds
     expected, _, _ = Monitor(model, vehicle, RATE_HZ).step(*(column[:-1] for column in paired))
     for field in fields(expected):
         np.testing.assert_allclose(
