@@ -68,9 +68,7 @@ def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording
         if not ekf.initialised:
             continue
         sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
-        state = sample.odometry
-        pairing.add_imu(time_ns, sample.imu.specific_force[0])
-        pairing.add_state(time_ns, state.velocity[0], state.attitude[0], state.rates[0])
+        pairing.add_estimate(time_ns, sample.motion)
         pairing.add_rotor_speeds(time_ns, speeds)
         complete = pairing.take()
         assert complete

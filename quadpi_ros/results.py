@@ -72,6 +72,7 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
         pairing.add_wind(time_ns, hover.wind[0])
         pairing.add_imu(time_ns, hover.specific_force[0])
         pairing.add_state(time_ns, hover.velocity[0], hover.attitude[0], hover.rates[0])
+        pairing.add_estimate(time_ns + 2, np.zeros(13))
         pairing.add_rotor_speeds(time_ns, hover.rotor_speeds[0])
         pairing.take()
     stream = RotorSpeedStream(hover.time_ns, hover.rotor_speeds)

@@ -150,23 +150,27 @@ class Pairing:
 
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        _add(self._tracks, _IMU, time_ns, specific_force)
+        _add_to(*self._tracks, _IMU, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        _add_state(self._tracks, time_ns, velocity, attitude, rates)
+        _add_state_to(*self._tracks, time_ns, velocity, attitude, rates)
+
+    def add_estimate(self, time_ns: int, motion: Array) -> None:
+        """Take an IMU sample and the state at its stamp in one: see `signals.odometry.FusedSample.motion`."""
+        _add_estimate_to(*self._tracks, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (4,) rad/s."""
-        _add(self._tracks, _ROTORS, time_ns, speeds)
+        _add_to(*self._tracks, _ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        _add(self._tracks, _WIND, time_ns, velocity)
+        _add_to(*self._tracks, _WIND, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
-        count = _take(self._tracks, self._timeout_ns, self._taken_ns, self._taken)
+        count = _take_from(*self._tracks, self._timeout_ns, self._taken_ns, self._taken)
         if count == 0:
             return None
         return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
@@ -186,6 +190,33 @@ class _Tracks(NamedTuple):
     rows: Array
     places: Stamps
     counts: Stamps
+
+
+# What Python calls takes arrays one by one: a tuple of them costs twice as much to hand over.
+@njit(cache=True)
+def _add_to(time_ns: Any, rows: Any, places: Any, counts: Any, track: int, at_ns: int, values: Any) -> None:
+    _add(_Tracks(time_ns, rows, places, counts), track, at_ns, values)
+
+
+@njit(cache=True)
+def _add_state_to(
+    time_ns: Any, rows: Any, places: Any, counts: Any, at_ns: int, velocity: Any, attitude: Any, rates: Any
+) -> None:
+    _add_state(_Tracks(time_ns, rows, places, counts), at_ns, velocity, attitude, rates)
+
+
+@njit(cache=True)
+def _add_estimate_to(time_ns: Any, rows: Any, places: Any, counts: Any, at_ns: int, motion: Any) -> None:
+    tracks = _Tracks(time_ns, rows, places, counts)
+    _add(tracks, _IMU, at_ns, motion[10:])
+    _add_state(tracks, at_ns, motion[4:7], motion[:4], motion[7:10])
+
+
+@njit(cache=True)
+def _take_from(
+    time_ns: Any, rows: Any, places: Any, counts: Any, timeout_ns: int, taken_ns: Any, taken: Any
+) -> int:
+    return _take(_Tracks(time_ns, rows, places, counts), timeout_ns, taken_ns, taken)
 
 
 @njit(cache=True)

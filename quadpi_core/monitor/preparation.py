@@ -26,7 +26,7 @@ from quadpi_core.signals.chain import (
     filter_sample,
     forget,
 )
-from quadpi_core.signals.filters import design_low_pass
+from quadpi_core.signals.filters import LowPass, Section, design_low_pass
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import Vehicle
 
@@ -51,21 +51,6 @@ class Prepared(NamedTuple):
     faults: npt.NDArray[np.int64]
 
 
-class _Vehicle(NamedTuple):
-    """What the kernel needs to know of a vehicle.
-
-    Attributes:
-        control_signs, rotor_radius, hover_induced_velocity: see `inputs.vehicle_constants`.
-        mass, inertia: kg, and (3, 3) kg m².
-    """
-
-    control_signs: Array
-    rotor_radius: float
-    hover_induced_velocity: float
-    mass: float
-    inertia: Array
-
-
 class Preparation:
     """Judges and filters the samples of one vehicle; memory and time per sample are constant.
 
@@ -79,10 +64,15 @@ class Preparation:
     """
 
     def __init__(self, vehicle: Vehicle, rate_hz: float, cutoff_hz: float) -> None:
-        self._design = design_low_pass(cutoff_hz, rate_hz)
-        self._vehicle = _Vehicle(*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia)
+        design = design_low_pass(cutoff_hz, rate_hz)
         self._faults = FaultMemory.empty(vehicle, rate_hz)
         self._chain = ChainMemory.empty()
+        self._known = (
+            np.array((*design.first, *design.second, design.rate_hz)),
+            *(*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia),
+            *self._faults,
+            *self._chain,
+        )
 
     def reset(self) -> None:
         """Forget the past: as after construction."""
@@ -100,7 +90,7 @@ class Preparation:
             np.empty((count, 3)),
             np.empty(count, dtype=np.int64),
         )
-        used = _prepare(values, self._design, self._vehicle, self._faults, self._chain, prepared)
+        used = _prepare(values, *self._known, *prepared)
         if used == count:
             return prepared
         inputs, measured, velocity = (
@@ -111,16 +101,45 @@ class Preparation:
         return prepared._replace(inputs=inputs, measured=measured, velocity=velocity)
 
 
+# Arrays one by one: a tuple of them costs twice as much to hand over.
 @njit(cache=True)
-def _prepare(values: Any, design: Any, vehicle: Any, faults: Any, chain: Any, prepared: Any) -> int:
-    """Judge and filter samples (K, 20); the number of usable ones, whose rows of `prepared` are filled."""
+def _prepare(
+    values: Any,
+    low_pass: Any,
+    control_signs: Any,
+    rotor_radius: float,
+    hover_induced_velocity: float,
+    mass: float,
+    inertia: Any,
+    limits: Any,
+    spins: Any,
+    previous_ns: Any,
+    state: Any,
+    delays: Any,
+    last_attitude: Any,
+    started: Any,
+    time_ns: Any,
+    usable: Any,
+    inputs: Any,
+    measured: Any,
+    velocity: Any,
+    faults: Any,
+) -> int:
+    """Judge and filter samples (K, 20); the number of usable ones, whose rows are filled."""
+    design = LowPass(
+        Section(low_pass[0], low_pass[1], low_pass[2]),
+        Section(low_pass[3], low_pass[4], low_pass[5]),
+        low_pass[6],
+    )
+    memory, chain = (
+        FaultMemory(limits, spins, previous_ns, state),
+        ChainMemory(delays, last_attitude, started),
+    )
     used = 0
     value, slope = np.empty((1, CHANNELS)), np.empty((1, CHANNELS))
     for i in range(values.shape[0]):
-        found, usable, jump = judge(prepared.time_ns[i], values[i], faults)
-        prepared.faults[i] = found
-        prepared.usable[i] = usable
-        if not usable:
+        faults[i], usable[i], jump = judge(time_ns[i], values[i], memory)
+        if not usable[i]:
             continue
         if jump:
             forget(chain)
@@ -132,14 +151,12 @@ def _prepare(values: Any, design: Any, vehicle: Any, faults: Any, chain: Any, pr
             attitude,
             rates,
             value[:, ROTOR_SPEEDS],
-            vehicle.control_signs,
-            vehicle.rotor_radius,
-            vehicle.hover_induced_velocity,
-            prepared.inputs[row],
+            control_signs,
+            rotor_radius,
+            hover_induced_velocity,
+            inputs[row],
         )
-        prepared.measured[row] = newton_euler(
-            value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
-        )
-        prepared.velocity[used] = value[0, VELOCITY]
+        measured[row] = newton_euler(value[:, SPECIFIC_FORCE], rates, slope[:, RATES], mass, inertia)
+        velocity[used] = value[0, VELOCITY]
         used += 1
     return used

@@ -250,10 +250,8 @@ class Ekf:
         if self._initial is None:
             outcome = self._collect_imu(time_ns, sample)
         else:
-            outcome = _OUTCOMES[buffer.predict(self._memory, time_ns, sample)]
+            outcome = _OUTCOMES[buffer.step(*self._memory, time_ns, sample, *self._journal)]
             if outcome is Outcome.USED:
-                if self._memory.clock[Clock.HELD_COUNT]:
-                    buffer.release(self._memory, *self._journal)
                 return outcome
             if outcome is Outcome.RESET:
                 self.reset()

@@ -9,7 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, ImuStream, OdometryStream
+from quadpi_core.flight import (
+    RATE_MAX_RAD_S,
+    SPECIFIC_FORCE_MAX_M_S2,
+    ImuStream,
+    OdometryStream,
+    Stamps,
+)
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.signals.ekf import State
@@ -25,19 +31,48 @@ _OUT = 88
 
 
 class FusedSample(NamedTuple):
-    """One estimate, as streams of one sample.
+    """One estimate.
 
     Attributes:
-        odometry: at the stamp of the last IMU sample.
-        imu: that sample less the estimated biases.
-        pose_covariance: (1, 6, 6) of position and of rotations about the world's axes, m² and rad².
-        twist_covariance: (1, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)².
+        time_ns: (1,) stamp of the last IMU sample.
+        row: (1, 88) all of it; the properties are views.
     """
 
-    odometry: OdometryStream
-    imu: ImuStream
-    pose_covariance: Array
-    twist_covariance: Array
+    time_ns: Stamps
+    row: Array
+
+    @property
+    def odometry(self) -> OdometryStream:
+        """The state at that stamp, as a stream of one sample."""
+        row = self.row
+        return OdometryStream(
+            self.time_ns,
+            row[:, _OUT_POSITION],
+            row[:, _OUT_ATTITUDE],
+            row[:, _OUT_VELOCITY],
+            row[:, _OUT_RATES],
+        )
+
+    @property
+    def imu(self) -> ImuStream:
+        """The IMU sample less the estimated biases."""
+        return ImuStream(self.time_ns, self.row[:, _OUT_RATES], self.row[:, _OUT_FORCE])
+
+    @property
+    def motion(self) -> Array:
+        """(13,) attitude, velocity and rates in body axes, specific force."""
+        motion: Array = self.row[0, _OUT_ATTITUDE.start : _OUT_FORCE.stop]
+        return motion
+
+    @property
+    def pose_covariance(self) -> Array:
+        """(1, 6, 6) of position and of rotations about the world's axes, m² and rad²."""
+        return self.row[:, _OUT_POSE].reshape(1, 6, 6)
+
+    @property
+    def twist_covariance(self) -> Array:
+        """(1, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)²."""
+        return self.row[:, _OUT_TWIST].reshape(1, 6, 6)
 
 
 def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSample:
@@ -49,13 +84,7 @@ def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSample:
     """
     out = np.empty((1, _OUT))
     _fill(state.row, gyro_noise_rad_s**2, out[0])
-    time_ns, rates = state.time_ns.copy(), out[:, _OUT_RATES]
-    return FusedSample(
-        OdometryStream(time_ns, out[:, _OUT_POSITION], out[:, _OUT_ATTITUDE], out[:, _OUT_VELOCITY], rates),
-        ImuStream(time_ns, rates, out[:, _OUT_FORCE]),
-        out[:, _OUT_POSE].reshape(1, 6, 6),
-        out[:, _OUT_TWIST].reshape(1, 6, 6),
-    )
+    return FusedSample(state.time_ns.copy(), out)
 
 
 def with_gyro_faults(imu: ImuStream) -> ImuStream:
