@@ -34,15 +34,15 @@ class AdaptedSubscription:
 
     Attributes:
         message_type: for the subscription, which stays serialized (`raw=True`).
-        topic: where the package publishes it by default.
+        topic: that the settings name, else where the package publishes it by default.
         kind: the stream that comes out: "rotor_speeds", "mocap" (poses), "odometry" or "imu".
     """
 
     def __init__(self, adapter: Adapter, settings: AdapterSettings, vehicle: Vehicle | None) -> None:
         self.message_type = message_class(adapter.type_name)
-        self.topic = adapter.topic
         self.kind = adapter.kind
         self._unpacker = adapter.open(definition_of(self.message_type), settings, vehicle)
+        self.topic: str = getattr(settings, adapter.kind).topic or adapter.topic
         self._dropped: Counter[str] = Counter()
 
     def unpack(self, payload: bytes) -> Stream:

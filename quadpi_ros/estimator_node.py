@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -18,15 +19,17 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStrea
 from quadpi_core.logs import messages
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
-from quadpi_core.signals.odometry import fused_sample, with_gyro_faults
+from quadpi_core.signals.odometry import FusedSample, fused_sample, with_gyro_faults
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.parameters import parameter
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import SensorNode
+from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
 # Of several in a bag, the first is used.
 MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
+IMU = Source(Imu, "imu", messages.unpack_imu)
 
 _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
@@ -49,7 +52,12 @@ class EstimatorParameters:
     mocap_topic: str = parameter(
         "mocap/pose",
         "topic and type of the motion capture to use",
-        choices=MOCAP_TOPICS,
+        choices=MOCAP_TOPICS + adapters_of("mocap"),
+    )
+    adapters: str = parameter(
+        "",
+        "how messages of other packages are read: a name in config/adapters or a path",
+        optional=True,
     )
     world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
     body_frame: str = parameter(messages.BODY_FRAME, "child_frame_id of odometry: forward-left-up")
@@ -62,8 +70,8 @@ class StateListener(Protocol):
     def take_imu(self, imu: ImuStream) -> None:
         """Take an IMU sample, corrected by the estimated biases."""
 
-    def take_odometry(self, odometry: OdometryStream) -> None:
-        """Take the state at the stamp of that sample."""
+    def take_estimate(self, sample: FusedSample) -> None:
+        """Take an IMU sample, corrected, and the state at its stamp."""
 
 
 class EstimatorNode(SensorNode[EstimatorParameters]):
@@ -86,6 +94,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         vehicle = Vehicle.load(parameters.vehicle)
         self._frames = (parameters.world_frame, parameters.body_frame)
         self._gyro_noise = vehicle.noise.gyro_noise_rad_s
+        adapted = AdaptedSources(self.get_name(), parameters.adapters, vehicle)
+        self._imu = adapted.instead_of(IMU, "imu")
+        self._mocap, self._take_mocap = self._motion_capture(adapted)
         _warm_up(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz)
         self._publish = self.announce(Odometry, "odometry")
@@ -93,25 +104,28 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def activate(self) -> None:
         """Start anew from what comes now."""
         self._ekf.reset()
-        self._imu_health = self.listen(
-            Imu, "imu", messages.unpack_imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz
-        )
-        topic, body_frame = self.parameters.mocap_topic, self.parameters.body_frame
+        self._imu_health = self.listen(*self._imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz)
+        self.listen(*self._mocap, self._take_mocap)
+
+    def _motion_capture(self, adapted: AdaptedSources) -> tuple[Source, Callable[[Any], None]]:
+        """The topic that the parameters name, and what takes its samples."""
+        topic = self.parameters.mocap_topic
         if topic == "mocap/pose":
-            self.listen(PoseStamped, topic, messages.unpack_pose, self._take_pose)
-        elif topic == "mocap/odometry":
-            self.listen(Odometry, topic, messages.unpack_odometry, self._take_odometry)
-        else:
-            unpack = partial(messages.unpack_twist, body_frame=body_frame)
-            self.listen(TwistStamped, topic, unpack, self._take_twist)
+            return Source(PoseStamped, topic, messages.unpack_pose), self._take_pose
+        if topic == "mocap/odometry":
+            return Source(Odometry, topic, messages.unpack_odometry), self._take_odometry
+        if topic == "mocap/twist":
+            unpack = partial(messages.unpack_twist, body_frame=self.parameters.body_frame)
+            return Source(TwistStamped, topic, unpack), self._take_twist
+        return adapted.named(topic), self._take_pose
 
     def problem(self) -> str | None:
         """Also that no state comes out of what arrives."""
         silent = super().problem()
         if silent or self._ekf.initialised:
             return silent
-        mocap = self.parameters.mocap_topic
-        return f"imu and {mocap} arrive but give no state: are they stamped by the same clock?"
+        imu, mocap = self._imu.topic, self._mocap.topic
+        return f"{imu} and {mocap} arrive but give no state: are they stamped by the same clock?"
 
     def statuses(self) -> list[DiagnosticStatus]:
         """How far the estimate can be used, and what became of the motion capture."""
@@ -132,18 +146,18 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             reason = _reason(outcome)
             self._imu_health.refuse(reason)
-            self.warn("topic imu", f"sample not used: {reason}")
+            self.warn(f"topic {self._imu.topic}", f"sample not used: {reason}")
         if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self._ekf.initialised:
             if self.listener and outcome in _WITHOUT_STATE:
                 self.listener.take_imu(with_gyro_faults(imu))
             return
         sample = fused_sample(self._ekf.state, self._gyro_noise)
-        if self.listener:
-            self.listener.take_imu(sample.imu)
         if self._ekf.status == EstimatorStatus.LOST:
+            if self.listener:
+                self.listener.take_imu(sample.imu)
             return
         if self.listener:
-            self.listener.take_odometry(sample.odometry)
+            self.listener.take_estimate(sample)
         world_frame, body_frame = self._frames
         odometry = messages.pack_odometry(
             sample.odometry, sample.pose_covariance, sample.twist_covariance, world_frame, body_frame

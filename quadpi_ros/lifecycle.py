@@ -61,9 +61,12 @@ class ManagedNode(LifecycleNode, Generic[Parameters]):
 
         Raises:
             QuadpiError: saying what the user can mend.
+            Exception: whatever else the transition met.
         """
         self._starting = True
-        if trigger() != TransitionCallbackReturn.SUCCESS and self._failure is not None:
+        self._failure = None
+        trigger()
+        if self._failure is not None:
             raise self._failure
         self._starting = False
 
@@ -113,7 +116,6 @@ class ManagedNode(LifecycleNode, Generic[Parameters]):
             if not self._starting:
                 self.get_logger().error(traceback.format_exc())
             return TransitionCallbackReturn.ERROR
-        self._failure = None
         self.state = goal
         return TransitionCallbackReturn.SUCCESS
 

@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -15,7 +16,6 @@ from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
-from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, WindStream
@@ -24,18 +24,20 @@ from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
 from quadpi_core.monitor.pairing import JUMP_BACK_NS, TIMEOUT_S, Pairing
-from quadpi_core.signals.odometry import with_gyro_faults
+from quadpi_core.signals.odometry import FusedSample, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.estimator_node import EstimatorNode
+from quadpi_ros.estimator_node import IMU, EstimatorNode
 from quadpi_ros.parameters import parameter
 from quadpi_ros.results import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import SensorNode
 from quadpi_ros.slow_service import SlowService
+from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
 _SETTINGS = MonitorSettings()
 _LONG_AGO_NS = -(2**63)
+_ODOMETRY = Source(Odometry, "odometry", messages.unpack_odometry)
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,14 @@ class MonitorParameters:
         (), "model folder, as `quadpi identify` writes it; of several, the first gives the alarm"
     )
     rotor_topic: str = parameter(
-        "rotor_speeds", "topic and type of the rotor speeds to use", choices=("rotor_speeds", "erpm")
+        "rotor_speeds",
+        "topic and type of the rotor speeds to use",
+        choices=("rotor_speeds", "erpm", *adapters_of("rotor_speeds")),
+    )
+    adapters: str = parameter(
+        "",
+        "how messages of other packages are read: a name in config/adapters or a path",
+        optional=True,
     )
     imu_rate_hz: float = parameter(500.0, "nominal rate of the topic imu", limits=(50.0, 5000.0))
     confidence: float = parameter(
@@ -86,7 +95,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     In a process of its own it listens to imu and odometry; the accelerometer bias is then part of the
     measured wrench, as odometry does not carry it. An estimator in the same process hands over
-    :meth:`take_imu` (bias removed) and :meth:`take_odometry` directly.
+    :meth:`take_estimate` directly.
 
     Args:
         estimator: in the same process.
@@ -102,27 +111,24 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Load the vehicle, the models and every compiled kernel."""
         parameters = self.parameters
         self._vehicle = Vehicle.load(parameters.vehicle)
-        if parameters.rotor_topic == "erpm":
-            self._vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
+        adapted = AdaptedSources(self.get_name(), parameters.adapters, self._vehicle)
+        self._rotors = self._rotor_source(adapted)
+        if self._estimator is None:
+            self._imu = adapted.instead_of(IMU, "imu")
+            self._odometry = adapted.instead_of(_ODOMETRY, "odometry")
         monitors = named(self._load(path) for path in parameters.model)
         self._results = Results(self, monitors, parameters.body_frame)
 
     def activate(self) -> None:
         """Start anew from what comes now."""
         self._restart()
-        vehicle, rate_hz = self._vehicle, self.parameters.imu_rate_hz
         if self._estimator is None:
-            self.listen(Imu, "imu", messages.unpack_imu, self._take_raw_imu, rate_hz=rate_hz)
-            self.listen(Odometry, "odometry", messages.unpack_odometry, self.take_odometry)
+            self.listen(*self._imu, self._take_raw_imu, rate_hz=self.parameters.imu_rate_hz)
+            self.listen(*self._odometry, self.take_odometry)
         else:
             self._estimator.listener = self
         self.listen(Vector3Stamped, "wind", messages.unpack_wind, self._take_wind, required=False)
-        if self.parameters.rotor_topic == "erpm":
-            self.listen(
-                Erpm, "erpm", lambda payload: messages.unpack_erpm(payload, vehicle), self._take_rotor_speeds
-            )
-        else:
-            self.listen(RotorSpeeds, "rotor_speeds", messages.unpack_rotor_speeds, self._take_rotor_speeds)
+        self.listen(*self._rotors, self._take_rotor_speeds)
         self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
 
     def deactivate(self) -> None:
@@ -157,13 +163,23 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def take_imu(self, imu: ImuStream) -> None:
         """Take one IMU sample."""
         time_ns = int(imu.time_ns[0])
+        self._note_arrival(time_ns)
+        self._pairing.add_imu(time_ns, imu.specific_force[0])
+        self._advance()
+
+    def take_estimate(self, sample: FusedSample) -> None:
+        """Take an IMU sample and the state at its stamp."""
+        time_ns = int(sample.time_ns[0])
+        self._note_arrival(time_ns)
+        self._pairing.add_estimate(time_ns, sample.motion)
+        self._advance()
+
+    def _note_arrival(self, time_ns: int) -> None:
         if time_ns < self._newest_ns - JUMP_BACK_NS:
             self._results.monitors.reset()
             self._latency.reset()
         self._newest_ns = time_ns
         self._latency.arrived(time_ns, time.monotonic_ns())
-        self._pairing.add_imu(time_ns, imu.specific_force[0])
-        self._advance()
 
     def _take_raw_imu(self, imu: ImuStream) -> None:
         self.take_imu(with_gyro_faults(imu))
@@ -199,6 +215,16 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._newest_ns = _LONG_AGO_NS
         self._latency = Latency()
         self._results.monitors.reset()
+
+    def _rotor_source(self, adapted: AdaptedSources) -> Source:
+        """The topic that the parameters name."""
+        topic, vehicle = self.parameters.rotor_topic, self._vehicle
+        if topic == "rotor_speeds":
+            return Source(RotorSpeeds, topic, messages.unpack_rotor_speeds)
+        if topic == "erpm":
+            vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
+            return Source(Erpm, topic, partial(messages.unpack_erpm, vehicle=vehicle))
+        return adapted.named(topic)
 
     def _load(self, path: str) -> Monitor:
         parameters = self.parameters

@@ -31,6 +31,7 @@ class _Declaration:
     limits: tuple[float, float] | None
     choices: tuple[str, ...]
     in_flight: bool
+    optional: bool
 
 
 def parameter(
@@ -40,18 +41,20 @@ def parameter(
     limits: tuple[float, float] | None = None,
     choices: tuple[str, ...] = (),
     in_flight: bool = False,
+    optional: bool = False,
 ) -> Any:
     """A field of a parameter dataclass.
 
     Args:
-        default: also fixes the type; the empty string or tuple makes the parameter required. A tuple takes
-            one string, or an array of them.
+        default: also fixes the type; the empty string or tuple makes the parameter required, unless it is
+            optional. A tuple takes one string, or an array of them.
         description: shown by `ros2 param describe`.
         limits: smallest and largest value of a double.
         choices: the strings allowed.
         in_flight: whether it can be set while the node runs; else it is read-only.
+        optional: whether it may be empty.
     """
-    declaration = _Declaration(description, limits, choices, in_flight)
+    declaration = _Declaration(description, limits, choices, in_flight, optional)
     return field(default=default, metadata={"declaration": declaration})
 
 
@@ -98,7 +101,7 @@ class ParameterServer(Generic[Parameters]):
         if name in given:
             value = self._checked(name, given[name])
             node.undeclare_parameter(name)
-        if value in ("", ()):
+        if value in ("", ()) and not declaration.optional:
             raise ParameterError(f"{self._where}: parameter `{name}` is required: {declaration.description}")
         ros_value = list(value) if isinstance(value, tuple) else value
         node.declare_parameter(name, ros_value, _descriptor(declaration), ignore_override=True)

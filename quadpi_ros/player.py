@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Play the sensor topics of a bag in real time: serialized messages as recorded, header stamps untouched."""
+"""Play the sensor topics of a bag in real time: serialized messages as recorded, stamps untouched.
+
+Messages of other packages are played as well, where the package that defines them is installed.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +25,12 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
+from quadpi_core.logs.adapters import ADAPTERS
 from quadpi_core.logs.bags import find_topic
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.messages import unpack_stamps
 from quadpi_core.paths import whole_output
+from quadpi_ros.adapters import AdapterError, message_class
 from quadpi_ros.discovery import await_listeners
 from quadpi_ros.runtime import SENSOR_QOS, run
 
@@ -38,9 +43,21 @@ SENSOR_TYPES: dict[str, type] = {
     "mocap/twist": TwistStamped,
     "wind": Vector3Stamped,
 }
+# Standard topics that an adapter's messages stand in for.
+_STANDS_IN_FOR = {
+    "imu": ("imu",),
+    "rotor_speeds": ("rotor_speeds", "erpm"),
+    "mocap": ("mocap/pose", "mocap/odometry", "mocap/twist"),
+    "odometry": ("mocap/pose", "mocap/odometry", "mocap/twist"),
+}
 
 # Time for the last messages to leave before the participant closes.
 _FLUSH_S = 0.2
+
+_TOPICS_HELP = (
+    "standard topics, and messages of other packages by the name of their adapter; "
+    "without it, the standard topics, and adapters where those are missing"
+)
 
 
 class PlayerError(QuadpiError):
@@ -52,7 +69,7 @@ class Playlist:
     """Messages of several topics in the order of their log times.
 
     Attributes:
-        names: standard name of each topic, relative to the player's namespace.
+        names: standard name of each topic, relative to the player's namespace, or key of `ADAPTERS`.
         topics: their messages.
         due_ns: (M,) when each message is due, since the first.
         topic: (M,) index of the topic of each message.
@@ -69,12 +86,16 @@ class Playlist:
     def read(cls, path: Path, names: Sequence[str] = tuple(SENSOR_TYPES)) -> Playlist:
         """Read those of the named topics that the bag holds, in whatever namespace.
 
+        Args:
+            path: of the bag.
+            names: standard names, and keys of `ADAPTERS`, whose topics are found by their type.
+
         Raises:
             LogError: if the bag cannot be read.
-            PlayerError: if it holds none of the topics.
+            PlayerError: if it holds none of the topics, or several of an adapter's type.
         """
         with Bag(path) as bag:
-            found = {name: connection.topic for name in names if (connection := find_topic(bag, name))}
+            found = {name: topic for name in names if (topic := _topic_of(bag, name))}
             by_name = bag.read(list(found.values()))
         if not found:
             raise PlayerError(f"{path}: holds none of the topics {', '.join(names)}")
@@ -122,15 +143,68 @@ class Playlist:
         return sent_ns
 
     def save_sent(self, path: Path, sent_ns: Stamps) -> None:
-        """Write a .npz with one array per topic: stamp and publication time, (n, 2) nanoseconds."""
+        """Write a .npz: stamp and publication time, (n, 2) nanoseconds, by standard name of the topic."""
         published = self.topic[: len(sent_ns)], self.message[: len(sent_ns)]
         columns = {}
         for index, (name, topic) in enumerate(self.by_name().items()):
+            if name not in SENSOR_TYPES:
+                continue
             mine = published[0] == index
             stamps = unpack_stamps(topic.payloads)[published[1][mine]]
             columns[name] = np.column_stack((stamps, sent_ns[mine]))
         with whole_output(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **columns)
+
+
+def playable(path: Path) -> list[str]:
+    """The standard topics of a bag, and adapters for the inputs that it has no standard topic for.
+
+    Says on stderr which messages cannot be played because their package is not installed.
+
+    Raises:
+        LogError: if the bag cannot be read.
+        PlayerError: see :meth:`Playlist.read`.
+    """
+    with Bag(path) as bag:
+        standard = [name for name in SENSOR_TYPES if _topic_of(bag, name)]
+        candidates = [
+            name
+            for name, adapter in ADAPTERS.items()
+            if not set(_STANDS_IN_FOR[adapter.kind]) & set(standard) and _topic_of(bag, name)
+        ]
+    adapted = []
+    for name in candidates:
+        try:
+            message_class(ADAPTERS[name].type_name)
+            adapted.append(name)
+        except AdapterError as error:
+            print(f"quadpi: {path}: cannot be played: {error}", file=sys.stderr)
+    return standard + adapted
+
+
+def _topic_of(bag: Bag, name: str) -> str | None:
+    """The full name of a topic in the bag, by its standard name or the key of its adapter."""
+    if name in SENSOR_TYPES:
+        connection = find_topic(bag, name)
+        return connection.topic if connection else None
+    type_name = ADAPTERS[name].type_name
+    topics = sorted({one.topic for one in bag.connections if one.msgcount and one.msgtype == type_name})
+    if len(topics) > 1:
+        raise PlayerError(
+            f"{bag.path}: {type_name} on several topics, {', '.join(topics)}: choose others with --topics"
+        )
+    return topics[0] if topics else None
+
+
+def _announcement(name: str) -> tuple[type, str]:
+    """Message type and topic to publish; the topic is relative to the player's namespace.
+
+    Raises:
+        AdapterError: if the package that defines the messages is not installed.
+    """
+    if name in SENSOR_TYPES:
+        return SENSOR_TYPES[name], name
+    return message_class(ADAPTERS[name].type_name), ADAPTERS[name].topic
 
 
 def main() -> int:
@@ -144,7 +218,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="player", description="Play the sensor topics of a bag.")
     parser.add_argument("bag", type=Path, help="bag to play")
     parser.add_argument("--rate", type=float, default=1.0, help="speed; 1 is real time")
-    parser.add_argument("--topics", nargs="+", choices=SENSOR_TYPES, default=list(SENSOR_TYPES))
+    parser.add_argument("--topics", nargs="+", choices=[*SENSOR_TYPES, *ADAPTERS], help=_TOPICS_HELP)
     parser.add_argument(
         "--wait", type=float, default=10.0, metavar="S", help="seconds to wait for subscribers; 0: do not"
     )
@@ -163,9 +237,9 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _play(options: argparse.Namespace) -> None:
-    playlist = Playlist.read(options.bag, options.topics)
+    playlist = Playlist.read(options.bag, options.topics or playable(options.bag) or tuple(SENSOR_TYPES))
     node = Node("player", start_parameter_services=False)
-    publishers = [node.create_publisher(SENSOR_TYPES[name], name, SENSOR_QOS) for name in playlist.names]
+    publishers = [node.create_publisher(*_announcement(name), SENSOR_QOS) for name in playlist.names]
     if options.wait > 0.0:
         await_listeners(node, publishers, options.nodes, options.wait)
     sent_ns = playlist.play([publisher.publish for publisher in publishers], options.rate)

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import importlib
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,6 +48,22 @@ def ros(ros_domain: int) -> Iterator[None]:
     rclpy.init(domain_id=ros_domain)
     yield
     rclpy.try_shutdown()
+
+
+@pytest.fixture
+def run_main(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str]]:
+    """Run a program of quadpi_ros in this process; gives its exit status and what it wrote to stderr."""
+    del ros_domain
+
+    def run(module: str, *arguments: str) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", [module, *arguments])
+        capfd.readouterr()
+        status = importlib.import_module(f"quadpi_ros.{module}").main()
+        return status, capfd.readouterr().err
+
+    return run
 
 
 def stamps(rate_hz: float) -> np.ndarray:

@@ -137,7 +137,9 @@ def px4_msgs(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_over_real_dds_with_the_package_built(px4_msgs, ros_domain):
+def test_over_real_dds_with_the_package_built(px4_msgs, ros_domain, tmp_path):
+    settings = tmp_path / "px4.yaml"
+    settings.write_text("rotor_speeds: {rotors: [1, 2, 3, 4], unit: rpm}\n")
     (packages,) = px4_msgs.glob("lib/python*/site-packages")
     environment = {
         **{name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"},
@@ -146,7 +148,7 @@ def test_over_real_dds_with_the_package_built(px4_msgs, ros_domain):
         "ROS_DOMAIN_ID": str(ros_domain),
     }
     ended = subprocess.run(
-        [sys.executable, ROOT / "test/ros/adapters_child.py"],
+        [sys.executable, ROOT / "test/ros/adapters_child.py", settings],
         env=environment,
         check=False,
         capture_output=True,

@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -37,15 +38,7 @@ FROM_LAUNCH = {"vehicle", "model"}
 IN_FLIGHT = {"persistence_s", "release_s", "alarm_rate_hz"}
 
 
-def run_module(module: str, *arguments: str) -> tuple[int, str]:
-    process = subprocess.run(
-        [sys.executable, "-m", f"quadpi_ros.{module}", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    return process.returncode, process.stderr
+Main = Callable[..., tuple[int, str]]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +46,7 @@ def run_module(module: str, *arguments: str) -> tuple[int, str]:
     [
         (
             ["vehicle:=neurobem", "vehikel:=x"],
-            "node estimator: unknown parameter `vehikel`; known: autostart, body_frame",
+            "node estimator: unknown parameter `vehikel`; known: adapters, autostart, body_frame",
         ),
         ([], "node estimator: parameter `vehicle` is required"),
         (
@@ -68,9 +61,9 @@ def run_module(module: str, *arguments: str) -> tuple[int, str]:
         (["vehicle:=no_such"], "no such vehicle file; known vehicles:"),
     ],
 )
-def test_estimator_refuses_wrong_parameters(overrides: list[str], message: str) -> None:
+def test_estimator_refuses_wrong_parameters(run_main: Main, overrides: list[str], message: str) -> None:
     arguments = [part for override in overrides for part in ("-p", override)]
-    status, errors = run_module("estimator_node", "--ros-args", *arguments)
+    status, errors = run_main("estimator_node", "--ros-args", *arguments)
     assert status == 2
     (line,) = errors.splitlines()
     assert line.startswith("quadpi: ")
@@ -82,31 +75,50 @@ def test_estimator_refuses_wrong_parameters(overrides: list[str], message: str) 
     [
         (
             ["vehicle:=neurobem", "model:=m", "rotor_topic:=rpm"],
-            "must be one of rotor_speeds, erpm, found `rpm`",
+            "must be one of rotor_speeds, erpm, mavros_status, mavros_telemetry, px4_status, found `rpm`",
         ),
         (["vehicle:=neurobem", "model:=m", "rotor_topic:=erpm"], "electrical rotor speeds need `pole_pairs`"),
         (
             ["vehicle:=neurobem", "model:=m", "world_frame:=map", "monitor:mode:=x"],
             "unknown parameter `mode`",
         ),
+        (
+            ["vehicle:=neurobem", "model:=m", "rotor_topic:=px4_status"],
+            "node monitor: parameter `adapters` is required for `px4_status`",
+        ),
+        (
+            ["vehicle:=neurobem", "model:=m", "mocap_topic:=mocap4r2", "adapters:=px4"],
+            "px4_msgs/msg/SensorCombined: the package px4_msgs that defines it is not installed here",
+        ),
+        (
+            ["vehicle:=neurobem", "model:=m", "rotor_topic:=mavros_status", "adapters:=mavros"],
+            "mavros_msgs/msg/ESCStatus: the package mavros_msgs that defines it is not installed here",
+        ),
+        (["vehicle:=neurobem", "model:=m", "adapters:=no_such"], "no such adapter file"),
     ],
 )
-def test_live_process_refuses_wrong_parameters(overrides: list[str], message: str) -> None:
+def test_live_process_refuses_wrong_parameters(run_main: Main, overrides: list[str], message: str) -> None:
     arguments = [part for override in overrides for part in ("-p", override)]
-    status, errors = run_module("live", "--ros-args", *arguments)
+    status, errors = run_main("live", "--ros-args", *arguments)
     assert status == 2
     (line,) = errors.splitlines()
     assert message in line
 
 
 def test_wrong_ros_argument_is_one_line() -> None:
-    status, errors = run_module("live", "--ros-args", "--nonsense")
-    assert status == 2
-    assert errors.splitlines()[-1] == "quadpi: unknown ROS arguments ['--nonsense']"
+    process = subprocess.run(
+        [sys.executable, "-m", "quadpi_ros.live", "--ros-args", "--nonsense"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert process.returncode == 2
+    assert process.stderr.splitlines()[-1] == "quadpi: unknown ROS arguments ['--nonsense']"
 
 
-def test_player_names_a_bag_that_is_not_there(tmp_path: Path) -> None:
-    status, errors = run_module("player", str(tmp_path / "none.mcap"))
+def test_player_names_a_bag_that_is_not_there(run_main: Main, tmp_path: Path) -> None:
+    status, errors = run_main("player", str(tmp_path / "none.mcap"))
     assert status == 2
     assert errors == f"quadpi: {tmp_path / 'none.mcap'}: no such bag\n"
 
@@ -357,7 +369,10 @@ def test_a_failed_configuration_is_one_line_and_can_be_tried_again(monkeypatch: 
     assert node.trigger_configure() == TransitionCallbackReturn.ERROR
     assert "ValueError: a bug" in logged[-1]
     assert node.state == "unconfigured"
-    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    errors.append(ValueError("another bug"))
+    with pytest.raises(ValueError, match="another bug"):
+        node.must(node.trigger_configure)
+    node.must(node.trigger_configure)
     assert node.state == "inactive"
     assert node.trigger_shutdown() == TransitionCallbackReturn.SUCCESS
     assert node.state == "finalized"
