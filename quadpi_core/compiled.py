@@ -20,6 +20,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar
 
 import numba
@@ -40,7 +41,9 @@ _IMPORT = re.compile(
 
 
 def njit(*signatures: Any, **options: Any) -> Callable[[Kernel], Kernel]:
-    """`numba.njit` of a function of this package, cached where its file's cache is."""
+    """`numba.njit`, cached where the cache of the function's file is."""
+    if len(signatures) == 1 and isinstance(signatures[0], FunctionType):
+        return njit()(signatures[0])
     compile_it = numba.njit(*signatures, **options)
 
     def compiled(function: Kernel) -> Kernel:

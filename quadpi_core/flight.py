@@ -10,6 +10,7 @@ the vehicle file. Stamps are integer nanoseconds; samples are on the first axis.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import ClassVar, TypeAlias
 
@@ -77,27 +78,8 @@ class RotorSpeedStream(Stream):
     speeds: Array
 
 
-def _not_given() -> Stamps:
-    return np.empty(0, dtype=np.int64)
-
-
 @dataclass(frozen=True)
-class _LateStream(Stream):
-    """A stream that a network delays.
-
-    `arrival_ns` (N,) is the stamp of the newest IMU sample that was there before each sample came; its own
-    stamp where that is not known.
-    """
-
-    arrival_ns: Stamps = field(default_factory=_not_given, kw_only=True)
-
-    def __post_init__(self) -> None:
-        if not len(self.arrival_ns):
-            object.__setattr__(self, "arrival_ns", self.time_ns)
-
-
-@dataclass(frozen=True)
-class PoseStream(_LateStream):
+class PoseStream(Stream):
     """position (N, 3) m in the world and attitude (N, 4) body to world, from motion capture."""
 
     topic: ClassVar[str] = "mocap/pose"
@@ -106,7 +88,7 @@ class PoseStream(_LateStream):
 
 
 @dataclass(frozen=True)
-class TwistStream(_LateStream):
+class TwistStream(Stream):
     """velocity (N, 3) m/s over ground, from motion capture: in body axes where `in_body` (N,), else world."""
 
     topic: ClassVar[str] = "mocap/twist"
@@ -142,6 +124,7 @@ class Recording:
         vehicle: name of the vehicle file.
         source: path of the file, for messages.
         battery_v: (time_ns, volts) where the log has it; only `quadpi info` looks at it.
+        arrivals: by topic, how many IMU samples had arrived before each sample (N,), where the log tells.
     """
 
     name: str
@@ -154,6 +137,17 @@ class Recording:
     odometry: OdometryStream | None = None
     wind: WindStream | None = None
     battery_v: tuple[Stamps, Array] | None = None
+    arrivals: Mapping[str, Stamps] = field(default_factory=dict)
+
+    def arrivals_of(self, stream: Stream) -> Stamps:
+        """How many IMU samples were there before each sample (N,): as the log tells, else by the stamps.
+
+        Of a stream that lost samples since it was read, the stamps count.
+        """
+        known = self.arrivals.get(stream.topic)
+        if known is not None and len(known) == len(stream):
+            return known
+        return np.searchsorted(self.imu.time_ns, stream.time_ns, side="right")
 
     def streams(self) -> list[Stream]:
         """The streams that are present."""

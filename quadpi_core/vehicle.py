@@ -200,6 +200,8 @@ def _rotor_spin(path: Path, index: int, rotor: Any) -> float:
 
 def _noise(path: Path, data: dict[str, Any]) -> SensorNoise:
     known = {f.name for f in fields(SensorNoise)}
+    if not isinstance(data, dict):
+        raise VehicleError(f"{path}: `noise` must hold keys with numbers, found {data!r}")
     for key in data:
         if key not in known:
             raise VehicleError(f"{path}: unknown key `noise.{key}`; known: {sorted(known)}")

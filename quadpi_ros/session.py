@@ -160,6 +160,8 @@ def play(
     """
     sent_file = folder / "sent.npz"
     arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
+    # Nodes that configure themselves for the first time on a machine compile the kernels meanwhile.
+    arguments += ("--wait", str(_START_TIMEOUT_S))
     arguments += ("--nodes", *managed) if managed else ()
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())

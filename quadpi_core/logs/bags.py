@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -57,6 +57,8 @@ _KINDS = {
     **dict.fromkeys(_MOCAP, "mocap"),
     "odometry": "odometry",
 }
+# Topics whose messages become streams of other names.
+_STREAMS = {"erpm": ("rotor_speeds",), "mocap/odometry": ("mocap/pose", "mocap/twist")}
 _FIELDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
 _STARTS_WITH_HEADER = re.compile(
     r"(?:\s*(?:#[^\n]*|\w+\s+[A-Z_0-9]+\s*=[^\n]*)?\n)*\s*std_msgs/(?:msg/)?Header\s"
@@ -136,10 +138,6 @@ def read_bag(
     if "imu" in names:
         imu = unpacked_topic(path, topics[names["imu"]], messages.unpack_imu)
         streams.setdefault("imu", imu)
-        for mocap in [topics[names[topic]] for topic in _MOCAP if topic in names]:
-            arrival_ns = _arrivals(imu.time_ns, topics[names["imu"]], mocap)
-            pose = None if pose is None else replace(pose, arrival_ns=arrival_ns)
-            twist = None if twist is None else replace(twist, arrival_ns=arrival_ns)
     return Recording(
         name=path.stem,
         vehicle=vehicle_name,
@@ -153,13 +151,23 @@ def read_bag(
             "wind": unpacked("wind", messages.unpack_wind),
             **streams,
         },
+        arrivals=_arrivals(names, topics),
     )
 
 
-def _arrivals(imu_ns: Stamps, imu: Topic, late: Topic) -> Stamps:
-    """Stamp of the newest IMU sample that was logged before each message of another topic, or with it."""
-    newest = np.searchsorted(imu.log_time_ns, late.log_time_ns, side="right") - 1
-    arrivals: Stamps = np.where(newest >= 0, imu_ns[np.maximum(newest, 0)], imu_ns[0] - 1)
+def _arrivals(names: Mapping[str, str], topics: Mapping[str, Topic]) -> dict[str, Stamps]:
+    """How many IMU samples were logged before each message of the other topics, or with it."""
+    if "imu" not in names:
+        return {}
+    imu_ns = topics[names["imu"]].log_time_ns
+    arrivals = {
+        topic: np.searchsorted(imu_ns, topics[name].log_time_ns, side="right")
+        for topic, name in names.items()
+        if topic != "imu"
+    }
+    for topic, streams in _STREAMS.items():
+        if topic in arrivals:
+            arrivals |= dict.fromkeys(streams, arrivals[topic])
     return arrivals
 
 

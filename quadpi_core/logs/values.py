@@ -27,7 +27,8 @@ def attitude_values(orientation_xyzw: Any, attitude: Any) -> int:
     for row in range(attitude.shape[0]):
         x, y, z, w = orientation_xyzw[row]
         norm = np.sqrt(x * x + y * y + z * z + w * w)
-        if not abs(norm - 1.0) <= _QUATERNION_NORM_TOLERANCE:
+        # Of what is not finite, the check of the stream or the estimator says that it is not.
+        if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
             return row
         # frames.quaternion_flu_enu_to_frd_ned
         scale = _SQRT_HALF / norm

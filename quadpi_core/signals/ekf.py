@@ -326,7 +326,7 @@ class Ekf:
                 "nothing to correct the IMU by"
             )
         samples = np.ascontiguousarray(np.concatenate((imu.angular_velocity, imu.specific_force), axis=1))
-        measurements = ekf_run.merge(recording.pose, recording.twist)
+        measurements = ekf_run.merge(recording)
         track = ekf_run.empty_track(len(imu))
         progress = ekf_run.Progress(*(np.zeros(1, dtype=np.int64) for _ in range(3)))
         if journalled:
@@ -384,7 +384,7 @@ class Ekf:
     ) -> None:
         """Take the next sample by arrival as if it came live."""
         index, following = int(progress.imu[0]), int(progress.measurement[0])
-        if following < len(measurements.time_ns) and measurements.arrival_ns[following] < imu_ns[index]:
+        if following < len(measurements.time_ns) and measurements.after[following] <= index:
             self._value[:] = measurements.value[following]
             self._take(int(measurements.time_ns[following]), int(measurements.kind[following]))
             progress.measurement[0] += 1

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import PoseStream, Stamps, TwistStream
+from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.ekf_buffer import Clock, Memory, hold, predict, release
 from quadpi_core.signals.ekf_corrections import BODY_VELOCITY, POSE, VALUES, WORLD_VELOCITY, Count
@@ -24,13 +24,13 @@ class Measurements(NamedTuple):
     """Corrections in the order of their arrival.
 
     Attributes:
-        arrival_ns: (M,) stamp of the newest IMU sample that was there before it.
+        after: (M,) how many IMU samples were there before it.
         time_ns: (M,) stamps.
         kind: (M,) see :mod:`.ekf_corrections`.
         value: (M, 7).
     """
 
-    arrival_ns: Stamps
+    after: Count
     time_ns: Stamps
     kind: Count
     value: Array
@@ -67,23 +67,24 @@ class Progress(NamedTuple):
     recorded: Count
 
 
-def merge(pose: PoseStream | None, twist: TwistStream | None) -> Measurements:
+def merge(recording: Recording) -> Measurements:
     """Poses and velocities in the order of their arrival, the pose first where they tie."""
-    arrival_ns, time_ns, kind, value = [], [], [], []
+    pose, twist = recording.pose, recording.twist
+    after, time_ns, kind, value = [], [], [], []
     if pose is not None:
-        arrival_ns.append(pose.arrival_ns)
+        after.append(recording.arrivals_of(pose))
         time_ns.append(pose.time_ns)
         kind.append(np.full(len(pose), POSE))
         value.append(np.concatenate((pose.position, pose.attitude), axis=1))
     if twist is not None:
-        arrival_ns.append(twist.arrival_ns)
+        after.append(recording.arrivals_of(twist))
         time_ns.append(twist.time_ns)
         kind.append(np.where(twist.in_body, BODY_VELOCITY, WORLD_VELOCITY))
         value.append(np.pad(twist.velocity, ((0, 0), (0, VALUES - 3))))
-    arrived = np.concatenate(arrival_ns)
+    arrived = np.concatenate(after)
     order = np.argsort(arrived, kind="stable")
     return Measurements(
-        arrived[order],
+        arrived[order].astype(np.int64),
         np.concatenate(time_ns)[order],
         np.concatenate(kind).astype(np.int64)[order],
         np.ascontiguousarray(np.concatenate(value)[order], dtype=np.float64),
@@ -118,7 +119,7 @@ def run(
     """
     while progress.imu[0] < len(imu_ns):
         index, following = progress.imu[0], progress.measurement[0]
-        if following < len(measurements.time_ns) and measurements.arrival_ns[following] < imu_ns[index]:
+        if following < len(measurements.time_ns) and measurements.after[following] <= index:
             hold(
                 memory,
                 measurements.time_ns[following],

@@ -254,7 +254,7 @@ class TestJsonKeys:
         evaluation = read_json(tmp_path / "evaluation.json")
         assert set(evaluation) == EVALUATION
         assert set(evaluation["groups"]) == {"all"}
-        assert set(evaluation["groups"]["all"]) == {"flights", "axes"}
+        assert set(evaluation["groups"]["all"]) == {"flights", "axes", "alarm"}
         assert set(evaluation["flights"]) == {"flight0", "flight1"}
         for part in (evaluation["groups"]["all"], *evaluation["flights"].values()):
             assert set(part["axes"]) == {"Fx", "Fz"}

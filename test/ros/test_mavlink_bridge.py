@@ -90,6 +90,10 @@ class Listener:
             assert time.monotonic() < deadline, f"{counts} {self.statuses[-1:]}"
             self.executor.spin_until_future_complete(Future(), timeout_sec=0.05)
 
+    def message(self) -> str:
+        """What the last status says."""
+        return self.statuses[-1]["message"] if self.statuses else ""
+
     def count(self, topic: str = "imu") -> int:
         return len(self.payloads[topic])
 
@@ -177,7 +181,7 @@ def test_without_timesync_the_diagnostics_say_what_the_stamps_are() -> None:
         flying(port, "--seconds", "20", "--deaf") as (_, epoch_ns),
     ):
         heard.until(lambda: any("imu_from" in status for status in heard.statuses[-1:]))
-        heard.until(lambda: "answers no TIMESYNC" in heard.statuses[-1]["message"])
+        heard.until(lambda: "answers no TIMESYNC" in heard.message())
         status = heard.statuses[-1]
         assert status["clock_offset_from"] == "earliest arrivals"
         assert status["clock_uncertainty_ms"] == "unknown"
@@ -192,7 +196,7 @@ def test_noise_and_cut_packets_cost_nothing_but_are_counted() -> None:
     ):
         heard.until(lambda: vehicle.poll() is not None)
         heard.until(lambda: heard.count() == 400)
-        heard.until(lambda: int(heard.statuses[-1]["noise_bytes"]) > 10_000)
+        heard.until(lambda: bool(heard.statuses) and int(heard.statuses[-1]["noise_bytes"]) > 10_000)
         assert (heard.samples() == np.arange(400)).all()
         assert heard.statuses[-1]["lost"] == "0"
 
@@ -202,7 +206,7 @@ def test_a_vehicle_that_starts_again_is_followed() -> None:
     with listening(connection=f"udp:127.0.0.1:{port}") as heard:
         with flying(port, "--seconds", "20", "--rate", "100"):
             heard.until(lambda: heard.count() > 50)
-        heard.until(lambda: "nothing heard of system 1" in heard.statuses[-1]["message"])
+        heard.until(lambda: heard.statuses and "nothing heard of system 1" in heard.statuses[-1]["message"])
         before = heard.count()
         # Its clock begins anew with it.
         with flying(port, "--seconds", "20", "--rate", "100", ago_s=1.0):

@@ -17,7 +17,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header
 
-MESSAGES = ("Erpm", "ExtrapolationAlarm", "RotorSpeeds", "WrenchPrediction")
+MESSAGES = ("AlarmEvent", "Erpm", "ExtrapolationAlarm", "RotorSpeeds", "WrenchPrediction")
 DISCOVERY_TIMEOUT_S = 10.0
 
 
@@ -27,11 +27,15 @@ def filled(message_type: type) -> Any:
     values = {
         "std_msgs/Header": lambda: Header(stamp=Time(sec=7, nanosec=123), frame_id="base_link"),
         "double": lambda: float(rng.normal()),
+        "double[3]": lambda: rng.normal(size=3),
         "double[4]": lambda: rng.normal(size=4),
         "double[6]": lambda: rng.normal(size=6),
         "string": lambda: "bebop2-0123456789ab",
         "sequence<string>": lambda: ["mu_x", "omega_avg"],
+        "builtin_interfaces/Time": lambda: Time(sec=8, nanosec=9),
+        "uint32": lambda: int(rng.integers(1, 64)),
         "uint8": lambda: int(rng.integers(1, 64)),
+        "uint8[3]": lambda: rng.integers(1, 4, size=3, dtype=np.uint8),
     }
     return message_type(
         **{name: values[kind]() for name, kind in message_type.get_fields_and_field_types().items()}

@@ -209,9 +209,9 @@ def test_bad_samples_are_refused_counted_and_leave_no_trace(running):
 def arriving_late(recording, lateness_ns, stamp_ns=0):
     """The poses arrive so much after they were true; of that, their stamps are late by `stamp_ns`."""
     pose = recording.pose
-    newest = np.searchsorted(recording.imu.time_ns, pose.time_ns + lateness_ns, side="right") - 1
-    arrival_ns = recording.imu.time_ns[newest]
-    return replace(recording, pose=replace(pose, time_ns=pose.time_ns + stamp_ns, arrival_ns=arrival_ns))
+    after = np.searchsorted(recording.imu.time_ns, pose.time_ns + lateness_ns, side="right")
+    late = replace(pose, time_ns=pose.time_ns + stamp_ns)
+    return replace(recording, pose=late, arrivals={pose.topic: after})
 
 
 def velocity_error(vehicle, recording, true):

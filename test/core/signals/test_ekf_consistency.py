@@ -86,7 +86,9 @@ def flown(dash: Dash, seed: int):
     delay = rng.normal(scale=DELAY_STD_S) + np.cumsum(steps * rng.standard_normal(len(pose)))
     stamped_ns = pose.time_ns + np.rint(1e9 * delay).astype(np.int64)
     arrival_ns = sensed.arrival_ns["mocap/pose"] + round(3e9 * DELAY_STD_S)
-    return replace(sensed.recording, pose=replace(pose, time_ns=stamped_ns, arrival_ns=arrival_ns))
+    after = np.searchsorted(sensed.recording.imu.time_ns, arrival_ns, side="right")
+    late = replace(pose, time_ns=stamped_ns)
+    return replace(sensed.recording, pose=late, arrivals={pose.topic: after})
 
 
 def error_of(state_position, state_velocity, state_attitude, dash: Dash, index):
@@ -124,11 +126,18 @@ def flights(dash):
     for seed in range(SEEDS):
         recording = flown(dash, seed)
         imu, pose = recording.imu, recording.pose
+        after = recording.arrivals_of(pose)
         ekf, row, begin_ns = Ekf(dash.vehicle, RATE), [], 0
         for end_ns in edges:
             of_imu = (imu.time_ns > begin_ns) & (imu.time_ns <= end_ns)
-            of_pose = (pose.arrival_ns >= begin_ns) & (pose.arrival_ns < end_ns)
-            part = replace(recording, imu=taken(imu, of_imu), pose=taken(pose, of_pose))
+            first, last = np.searchsorted(imu.time_ns, (begin_ns, end_ns), side="right")
+            of_pose = (after >= first) & (after < last)
+            part = replace(
+                recording,
+                imu=taken(imu, of_imu),
+                pose=taken(pose, of_pose),
+                arrivals={pose.topic: after[of_pose] - first},
+            )
             trace = ekf.run(part)
             index = np.searchsorted(dash.truth.time_ns, trace.time_ns)
             error = error_of(trace.position, trace.velocity, trace.attitude, dash, index)

@@ -81,7 +81,7 @@ def test_a_step_of_the_delay_is_found_out(noisy_vehicle, simulated):
     pose = simulated.recording.pose
     late_ns = np.where(pose.time_ns > 4 * SECOND, 80_000_000, 0)
     time_ns = pose.time_ns + late_ns
-    ekf, trace = run(noisy_vehicle, simulated, replace(pose, time_ns=time_ns, arrival_ns=time_ns))
+    ekf, trace = run(noisy_vehicle, simulated, replace(pose, time_ns=time_ns))
     assert abs(ekf.delay_s - 0.08) < 4.0 * ekf.delay_std_s + 0.002
     assert during(trace, 5.5, 8.0) == {EstimatorStatus.OK}
     assert np.sqrt(np.mean(errors(trace, simulated, 6.5)[1] ** 2)) < 0.05

@@ -30,6 +30,7 @@ import numpy as np
 from quadpi_core.cli import main
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor
+from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.vehicle import Vehicle
 
 model, bag, inputs, output = sys.argv[1:]
@@ -38,11 +39,18 @@ evaluation = loaded.evaluate(np.load(inputs))
 np.save(inputs, evaluation.upper)
 
 monitor = Monitor(loaded, Vehicle.load(loaded.vehicle), 400.0)
-level = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3))
+hover = PairedSamples.join(
+    np.zeros(1, dtype=np.int64),
+    velocity=np.zeros((1, 3)),
+    attitude=np.array([[1.0, 0.0, 0.0, 0.0]]),
+    rates=np.zeros((1, 3)),
+    specific_force=np.array([[0.0, 0.0, -9.81]]),
+    rotor_speeds=np.full((1, 4), 1100.0),
+    wind=np.zeros((1, 3)),
+)
 for k in range(20):
     stamp = np.array([1_700_000_000_000_000_000 + k * 2_500_000])
-    force, speeds = np.array([[0.0, 0.0, -9.81]]), np.full((1, 4), 1100.0)
-    predictions, alarms = monitor.step(stamp, *level, force, speeds, np.zeros((1, 3)))
+    predictions, alarms, events = monitor.step(stamp, hover.values)
     assert np.isfinite(predictions.upper).all() and len(predictions.time_ns) == 1
 
 sys.argv = ["quadpi", "replay", model, bag, "-o", output]
