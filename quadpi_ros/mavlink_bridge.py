@@ -34,16 +34,20 @@ from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, Sess
 from quadpi_core.logs.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
+from quadpi_ros.discovery import DiscoveryError, await_subscribers
 from quadpi_ros.mavlink_link import Link, check_connection, is_replay, open_link
 from quadpi_ros.parameters import ParameterError, parameter, read_parameters
 from quadpi_ros.runtime import SENSOR_QOS, run, spin
 
-_STANDARD, _NONE = "standard", "none"
-_AUTO = "auto"
+_STANDARD, _AUTO = "standard", "auto"
 _READ_TIMEOUT_S = 0.02
 _BACK_OFF_S = (0.5, 8.0)
 _SILENT_S = 2.0
 _STOP_TIMEOUT_S = 5.0
+# How long a log waits for a subscriber of imu, and how often it asks whether the node ends.
+_SUBSCRIBER_WAIT_S, _SUBSCRIBER_POLL_S = 10.0, 1.0
+# Time for the last messages to leave before the participant closes.
+_FLUSH_S = 0.2
 _WIDTHS = {"imu": 6, "rotor_speeds": 4, "mocap/pose": 7, "odometry": 13}
 _LEVEL_ROW = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
@@ -67,7 +71,7 @@ class BridgeParameters:
     state_rate_hz: float = parameter(100.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 1000.0))
     passive: bool = parameter(False, "send nothing: no heartbeat, no requests, no clock exchange")
     key_file: str = parameter(
-        _NONE, "file with the passphrase of signed packets; with one, others are refused"
+        "", "file with the passphrase of signed packets; with one, others are refused", optional=True
     )
     body_frame: str = parameter(messages.BODY_FRAME, "frame_id of the body, forward-left-up")
     world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of the world, east-north-up")
@@ -95,11 +99,12 @@ class MavlinkBridge(Node):
         )
         # Of a log that cannot be read nothing better comes by waiting.
         self._link: Link | None = open_link(self._parameters.connection) if self._is_replay else None
-        self._publish = {
-            "imu": self._publisher(Imu, "imu"),
-            "rotor_speeds": self._publisher(RotorSpeeds, "rotor_speeds"),
-            "mocap/pose": self._publisher(PoseStamped, "mocap/pose"),
-            "odometry": self._publisher(Odometry, "mocap/odometry"),
+        self._imu_publisher = self.create_publisher(Imu, "imu", SENSOR_QOS)
+        self._publish: dict[str, Callable[[Any], None]] = {
+            "imu": self._imu_publisher.publish,
+            "rotor_speeds": self.create_publisher(RotorSpeeds, "rotor_speeds", SENSOR_QOS).publish,
+            "mocap/pose": self.create_publisher(PoseStamped, "mocap/pose", SENSOR_QOS).publish,
+            "odometry": self.create_publisher(Odometry, "mocap/odometry", SENSOR_QOS).publish,
         }
         for topic, width in _WIDTHS.items():
             self._packed(topic, 0, _LEVEL_ROW[:width])  # the first sample must not wait for compiled kernels
@@ -123,10 +128,6 @@ class MavlinkBridge(Node):
         self._thread.join(_STOP_TIMEOUT_S)
         super().destroy_node()
 
-    def _publisher(self, message_type: type, topic: str) -> Callable[[Any], None]:
-        publish: Callable[[Any], None] = self.create_publisher(message_type, topic, SENSOR_QOS).publish
-        return publish
-
     def _packed(self, topic: str, time_ns: int, values: Any) -> bytes:
         stream: Any = stream_of(topic, np.array([time_ns], dtype=np.int64), values[np.newaxis])
         world, body = self._parameters.world_frame, self._parameters.body_frame
@@ -148,6 +149,8 @@ class MavlinkBridge(Node):
                 self._link = None
                 self._connections += 1
                 self._problem = None
+                if self._is_replay:
+                    self._await_subscriber()
                 try:
                     while not self._stop.is_set():
                         heard = self._exchange(link) or heard
@@ -155,6 +158,7 @@ class MavlinkBridge(Node):
                     link.close()
             except EOFError:
                 self.get_logger().info(f"{self._parameters.connection}: played to its end")
+                self._stop.wait(_FLUSH_S)
                 self._problem = "the log is played"
                 rclpy.try_shutdown(context=self.context)
                 return
@@ -168,6 +172,20 @@ class MavlinkBridge(Node):
                 wait_s = _BACK_OFF_S[0]
             self._stop.wait(wait_s)
             wait_s = min(2.0 * wait_s, longest_s)
+
+    def _await_subscriber(self) -> None:
+        """A log does not wait for those who are still to find it; an autopilot cannot be asked to."""
+        self._problem = "nobody subscribes to imu yet: the log waits"
+        deadline = time.monotonic() + _SUBSCRIBER_WAIT_S
+        while not self._stop.is_set():
+            try:
+                await_subscribers(self, [self._imu_publisher], _SUBSCRIBER_POLL_S)
+                break
+            except DiscoveryError as error:
+                if time.monotonic() > deadline:
+                    self.get_logger().warning(f"{error}: the log is played all the same")
+                    break
+        self._problem = None
 
     def _exchange(self, link: Link) -> bool:
         """Read once, publish what came, send what is due; whether anything came."""
@@ -254,7 +272,7 @@ def _settings(parameters: BridgeParameters) -> SessionSettings:
             "odometry": parameters.state_rate_hz,
         },
         imu_source=parameters.imu_source,
-        key=None if parameters.key_file == _NONE else _key(Path(parameters.key_file)),
+        key=_key(Path(parameters.key_file)) if parameters.key_file else None,
         passive=parameters.passive or is_replay(parameters.connection),
     )
 

@@ -31,7 +31,7 @@ from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.messages import unpack_stamps
 from quadpi_core.paths import whole_output
 from quadpi_ros.adapters import AdapterError, message_class
-from quadpi_ros.discovery import await_listeners
+from quadpi_ros.discovery import DiscoveryError, await_listeners
 from quadpi_ros.runtime import SENSOR_QOS, run
 
 SENSOR_TYPES: dict[str, type] = {
@@ -241,7 +241,11 @@ def _play(options: argparse.Namespace) -> None:
     node = Node("player", start_parameter_services=False)
     publishers = [node.create_publisher(*_announcement(name), SENSOR_QOS) for name in playlist.names]
     if options.wait > 0.0:
-        await_listeners(node, publishers, options.nodes, options.wait)
+        try:
+            await_listeners(node, publishers, options.nodes, options.wait)
+        except DiscoveryError as error:
+            advice = "choose topics with --topics, or start at once with --wait 0"
+            raise PlayerError(f"{error} ({options.wait:g} s); {advice}") from error
     sent_ns = playlist.play([publisher.publish for publisher in publishers], options.rate)
     time.sleep(_FLUSH_S)
     if options.sent:

@@ -206,7 +206,7 @@ def test_a_vehicle_that_starts_again_is_followed() -> None:
     with listening(connection=f"udp:127.0.0.1:{port}") as heard:
         with flying(port, "--seconds", "20", "--rate", "100"):
             heard.until(lambda: heard.count() > 50)
-        heard.until(lambda: heard.statuses and "nothing heard of system 1" in heard.statuses[-1]["message"])
+        heard.until(lambda: "nothing heard of system 1" in heard.message())
         before = heard.count()
         # Its clock begins anew with it.
         with flying(port, "--seconds", "20", "--rate", "100", ago_s=1.0):
