@@ -61,17 +61,15 @@ def odometry_values(
             value[43 + 3 * i] = vector[row, 0]
             value[44 + 3 * i], value[45 + 3 * i] = -vector[row, 1], -vector[row, 2]
         for i in range(6):
+            # Adding zero makes an unknown covariance 0.0 on every axis, not -0.0.
             # NED to ENU swaps the first two of each three axes and turns the third; FRD to FLU turns two.
             from_i = i + 1 - 2 * (i % 3) if i % 3 < 2 else i
             for j in range(6):
                 from_j = j + 1 - 2 * (j % 3) if j % 3 < 2 else j
                 sign = 1.0 if (i % 3 == 2) == (j % 3 == 2) else -1.0
-                value[7 + 6 * i + j] = sign * pose_covariance[row, from_i, from_j]
+                value[7 + 6 * i + j] = sign * pose_covariance[row, from_i, from_j] + 0.0
                 sign = 1.0 if (i % 3 == 0) == (j % 3 == 0) else -1.0
-                value[49 + 6 * i + j] = sign * twist_covariance[row, i, j]
-        # Adding zero keeps -0.0 out of the messages.
-        for k in range(value.size):
-            value[k] += 0.0
+                value[49 + 6 * i + j] = sign * twist_covariance[row, i, j] + 0.0
 
 
 @njit(cache=True)

@@ -259,7 +259,7 @@ class TestJsonKeys:
         for part in (evaluation["groups"]["all"], *evaluation["flights"].values()):
             assert set(part["axes"]) == {"Fx", "Fz"}
             assert all(set(axis) == METRICS for axis in part["axes"].values())
-        assert set(evaluation["flights"]["flight0"]) == {"duration_s", "axes"}
+        assert set(evaluation["flights"]["flight0"]) == {"duration_s", "axes", "alarm"}
 
     def test_replay(self, quadpi, model, bags, tmp_path):
         output = tmp_path / "out.mcap"

@@ -222,7 +222,7 @@ def test_commands_of_the_page_run(tmp_path, vendor, topics, quadpi, monkeypatch)
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "field_bag", vendor.px4_1_14, topics)
     shutil.copy(config_directory() / "vehicles" / f"{VEHICLE}.yaml", "my-quad.yaml")
-    (settings,) = re.findall(r"```yaml\n(.*?)```", text, flags=re.DOTALL)
+    settings, *_ = re.findall(r"```yaml\n(.*?)```", text, flags=re.DOTALL)
     Path("field.yaml").write_text(settings)
     ran = [quadpi(*shlex.split(line)[1:]) for line in re.findall(r"^quadpi .*$", text, flags=re.MULTILINE)]
     assert [one.status for one in ran] == [0, 0], ran
