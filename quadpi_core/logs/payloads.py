@@ -30,6 +30,10 @@ def copy_spans(
             copy[offset] = span[offset]
 
 
+# Where a message alone starts.
+_FIRST: Indices = np.zeros(1, dtype=np.int64)
+
+
 @dataclass(frozen=True)
 class Payloads:
     """N serialized messages: one buffer, and where in it each message starts and how long it is."""
@@ -48,6 +52,8 @@ class Payloads:
     def from_rows(cls, rows: Bytes) -> Payloads:
         """Messages of one length, one per row."""
         count, length = rows.shape
+        if count == 1:
+            return cls(rows.reshape(-1), _FIRST, np.array([length]))
         return cls(np.ascontiguousarray(rows).reshape(-1), np.arange(count) * length, np.full(count, length))
 
     @classmethod

@@ -67,7 +67,7 @@ class AerodynamicModel:
     identity: str = ""
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
 
-    @property
+    @cached_property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes held, in the order of `AXES`."""
         return tuple(axis for axis in AXES if axis in self.fitted)
