@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -35,6 +36,7 @@ _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
 # What the monitor has to hear of, though there is no state at its stamp: it reports that.
 _WITHOUT_STATE = (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET)
+_FUSED = {f"{kind} {outcome}" for kind in ("poses", "velocities") for outcome in ("used", "collected")}
 _LEVELS = {
     EstimatorStatus.INITIALISING: diagnostics.WARN,
     EstimatorStatus.OK: diagnostics.OK,
@@ -105,7 +107,8 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         """Start anew from what comes now."""
         self._ekf.reset()
         self._imu_health = self.listen(*self._imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz)
-        self.listen(*self._mocap, self._take_mocap)
+        self._mocap_health = self.listen(*self._mocap, self._take_mocap)
+        self._counted = self._mocap_outcomes()
 
     def _motion_capture(self, adapted: AdaptedSources) -> tuple[Source, Callable[[Any], None]]:
         """The topic that the parameters name, and what takes its samples."""
@@ -127,6 +130,14 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         imu, mocap = self._imu.topic, self._mocap.topic
         return f"{imu} and {mocap} arrive but give no state: are they stamped by the same clock?"
 
+    def count_refused(self) -> None:
+        """Poses and velocities wait for their place in time; only then it is known whether they are used."""
+        outcomes = self._mocap_outcomes()
+        for what, count in (outcomes - self._counted).items():
+            if what not in _FUSED:
+                self._mocap_health.refuse(what, count)
+        self._counted = outcomes
+
     def statuses(self) -> list[DiagnosticStatus]:
         """How far the estimate can be used, and what became of the motion capture."""
         ekf = self._ekf
@@ -137,9 +148,20 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
                 "delay_std_s": ekf.delay_std_s,
                 "since_correction_s": ekf.since_correction_s,
             }
-        for kind, counts in (("poses", ekf.pose_counts), ("velocities", ekf.velocity_counts)):
-            values |= {f"{kind} {_reason(outcome)}": count for outcome, count in counts.items() if count}
+        values |= self._mocap_outcomes()
         return [self.status("filter", _LEVELS[ekf.status], ekf.status.name.lower(), values)]
+
+    def _mocap_outcomes(self) -> Counter[str]:
+        """How many poses and velocities met each outcome so far."""
+        ekf = self._ekf
+        return Counter(
+            {
+                f"{kind} {_reason(outcome)}": count
+                for kind, counts in (("poses", ekf.pose_counts), ("velocities", ekf.velocity_counts))
+                for outcome, count in counts.items()
+                if count
+            }
+        )
 
     def _take_imu(self, imu: ImuStream) -> None:
         outcome = self._ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])

@@ -146,11 +146,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def statuses(self) -> list[DiagnosticStatus]:
         """The models and their alarm, how samples meet, and how long results take."""
-        latency = self._latency.report()
-        values = asdict(self._pairing.counts) | {
-            "latency_p50_ms": None if latency is None else 1e3 * latency[0],
-            "latency_p99_ms": None if latency is None else 1e3 * latency[1],
-        }
+        values = asdict(self._pairing.counts) | self._latencies()
         dropped, self._dropped = self._pairing.counts.dropped - self._dropped, self._pairing.counts.dropped
         level, message = diagnostics.OK, "samples are complete"
         if dropped:
@@ -159,6 +155,25 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self.status("alarm", *self._results.alarm_status()),
             self.status("pairing", level, message, values),
         ]
+
+    def _latencies(self) -> dict[str, float | str | None]:
+        """Since the last status; results that are far from their stamps tell that the clocks differ."""
+        clock = self.get_clock()
+        ahead_ns = None if clock.ros_time_is_active else clock.now().nanoseconds - time.monotonic_ns()
+        latency = self._latency.report(ahead_ns)
+        if latency is None:
+            return {}
+        values: dict[str, float | str | None] = {
+            "latency_p50_ms": 1e3 * latency.arrival.median,
+            "latency_p99_ms": 1e3 * latency.arrival.p99,
+        }
+        if latency.stamp is not None:
+            values["latency_from_stamp_p50_ms"] = 1e3 * latency.stamp.median
+            values["latency_from_stamp_p99_ms"] = 1e3 * latency.stamp.p99
+        else:
+            other = "use_sim_time" if ahead_ns is None else "stamps are of another clock than this computer's"
+            values["latency_from_stamp"] = f"unknown: {other}"
+        return values
 
     def take_imu(self, imu: ImuStream) -> None:
         """Take one IMU sample."""

@@ -165,6 +165,9 @@ class SensorNode(ManagedNode[Parameters]):
         silent = self.silent_topics()
         return f"nothing arrives on {', '.join(silent)}" if silent else None
 
+    def count_refused(self) -> None:
+        """Bring the health of the topics up to date with what became of samples since they came."""
+
     def statuses(self) -> list[DiagnosticStatus]:
         """What `/diagnostics` says of the core, beside the topics."""
         return []
@@ -173,7 +176,10 @@ class SensorNode(ManagedNode[Parameters]):
         """Publish the health of every topic, and log a problem that stays; once, until it changes."""
         now_s = time.monotonic()
         period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
-        problem = self.problem() if self.state == "active" else None
+        problem = None
+        if self.state == "active":
+            problem = self.problem()
+            self.count_refused()
         self._follow(problem)
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()

@@ -6,8 +6,11 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+
+from quadpi_core.flight import Stamps
 
 # Samples whose latency is kept between two reports.
 _LATENCIES_MAX = 4096
@@ -15,6 +18,8 @@ _LATENCIES_MAX = 4096
 _REASONS_MAX = 16
 # A longer step between stamps is a gap, as a multiple of the nominal or the usual step.
 _GAP_STEPS = 2.5
+# Results before their stamps by more than this, or later than that, say that the clocks differ.
+_CLOCKS_AGREE_S, _OLD_S = 0.01, 5.0
 
 
 @dataclass(frozen=True)
@@ -83,9 +88,10 @@ class TopicHealth:
                 self._span_ns += step_ns
         self._newest_ns = time_ns
 
-    def refuse(self, reason: str) -> None:
-        """Count a sample that cannot be used."""
-        self.refused[reason if reason in self.refused or len(self.refused) < _REASONS_MAX else "other"] += 1
+    def refuse(self, reason: str, count: int = 1) -> None:
+        """Count samples that cannot be used."""
+        known = reason in self.refused or len(self.refused) < _REASONS_MAX
+        self.refused[reason if known else "other"] += count
 
     @property
     def silent(self) -> bool:
@@ -118,15 +124,35 @@ class TopicHealth:
         return report
 
 
+class Percentiles(NamedTuple):
+    """Median and 99th percentile [s]."""
+
+    median: float
+    p99: float
+
+
+class LatencyReport(NamedTuple):
+    """How long results took since the report before.
+
+    Attributes:
+        arrival: from the arrival of the sample to the publication of its result.
+        stamp: from the stamp of the sample; None if the stamps are of another clock, or one not known.
+    """
+
+    arrival: Percentiles
+    stamp: Percentiles | None
+
+
 class Latency:
-    """From the arrival of a sample to the publication of its result, in their order."""
+    """From a sample to the publication of its result, in their order; times of the monotonic clock."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[int, int]] = deque(maxlen=_LATENCIES_MAX)
-        self._latencies_ns: deque[int] = deque(maxlen=_LATENCIES_MAX)
+        # Since the arrival, and between the two clocks since the stamp.
+        self._latencies_ns: deque[tuple[int, int]] = deque(maxlen=_LATENCIES_MAX)
 
     def arrived(self, time_ns: int, now_ns: int) -> None:
-        """A sample of that stamp came, at a time of the monotonic clock."""
+        """A sample of that stamp came."""
         self._waiting.append((time_ns, now_ns))
 
     def published(self, time_ns: int, now_ns: int) -> None:
@@ -138,17 +164,29 @@ class Latency:
                 return
             waiting.popleft()
             if stamp_ns == time_ns:
-                self._latencies_ns.append(now_ns - arrived_ns)
+                self._latencies_ns.append((now_ns - arrived_ns, now_ns - stamp_ns))
                 return
 
     def reset(self) -> None:
         """Forget the samples without a result."""
         self._waiting.clear()
 
-    def report(self) -> tuple[float, float] | None:
-        """Median and 99th percentile [s] since the report before; None without a result."""
+    def report(self, clock_ahead_ns: int | None) -> LatencyReport | None:
+        """Sum up the time since the report before; None without a result.
+
+        Args:
+            clock_ahead_ns: by how much the clock that stamps should be of is ahead of the monotonic one.
+        """
         if not self._latencies_ns:
             return None
-        median, p99 = np.percentile(np.array(self._latencies_ns), (50, 99))
+        arrival_ns, stamp_ns = np.array(self._latencies_ns, dtype=np.int64).T
         self._latencies_ns.clear()
-        return 1e-9 * float(median), 1e-9 * float(p99)
+        stamp = None if clock_ahead_ns is None else _percentiles(stamp_ns + clock_ahead_ns)
+        if stamp is not None and not -_CLOCKS_AGREE_S <= stamp.median <= _OLD_S:
+            stamp = None
+        return LatencyReport(_percentiles(arrival_ns), stamp)
+
+
+def _percentiles(durations_ns: Stamps) -> Percentiles:
+    median, p99 = np.percentile(1e-9 * durations_ns, (50, 99))
+    return Percentiles(float(median), float(p99))

@@ -28,8 +28,8 @@ domain_coordinator = pytest.importorskip("domain_coordinator", reason="ROS 2 is 
 
 VEHICLE = "neurobem"
 START_NS = 1_700_000_000_000_000_000
-DURATION_S = 4.0
-OUTSIDE_FROM_S = 3.0
+DURATION_S = 3.0
+OUTSIDE_FROM_S = 2.3
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 

@@ -73,13 +73,31 @@ def test_stamps_that_do_not_advance_count_as_arrived_only():
 
 def test_latency_skips_samples_without_a_result():
     latency = Latency()
-    assert latency.report() is None
+    assert latency.report(0) is None
     for stamp in range(100):
         latency.arrived(stamp, 1_000_000 * stamp)
     for stamp in range(0, 100, 2):
         latency.published(stamp, 1_000_000 * stamp + 3_000_000)
     latency.published(5, 0)
-    median, p99 = latency.report()
-    assert median == pytest.approx(3e-3)
-    assert p99 == pytest.approx(3e-3)
-    assert latency.report() is None
+    report = latency.report(None)
+    assert report.arrival == pytest.approx((3e-3, 3e-3))
+    assert report.stamp is None
+    assert latency.report(0) is None
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "expected_s"), [(1000.0, 7e-3), (1001.0, 1.007), (1010.0, None), (999.0, None)]
+)
+def test_latency_from_the_stamp_where_both_are_of_one_clock(ahead_s, expected_s):
+    latency = Latency()
+    monotonic_ns, stamp_ns = 5_000_000_000, 1_005_000_000_000
+    for sample in range(10):
+        at_ns = 1_000_000 * sample
+        latency.arrived(stamp_ns + at_ns, monotonic_ns + at_ns + 4_000_000)
+        latency.published(stamp_ns + at_ns, monotonic_ns + at_ns + 7_000_000)
+    report = latency.report(round(1e9 * ahead_s))
+    assert report.arrival == pytest.approx((3e-3, 3e-3))
+    if expected_s is None:
+        assert report.stamp is None
+    else:
+        assert report.stamp == pytest.approx((expected_s, expected_s))
