@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +17,14 @@ from quadpi_core.identification import identify, prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.models import AerodynamicModel, load_pools
 from quadpi_core.models.methods import METHODS
+from quadpi_core.paths import bags_directory
+from quadpi_core.signals.ekf_kernels import EstimatorStatus
+from quadpi_core.simulation.faults import Fault
 from quadpi_core.vehicle import Vehicle
+from test.faults.onboard import Onboard, sent_by, spoilt
 
+GOLDEN_MODEL = Path(__file__).parents[1] / "golden" / "model"
+FLIGHT_S = 8.0
 CUTOFF_HZ = 30.0
 POOL = """
 Fx: {fixed: [u], candidates: ["P^2(u, |v|, w)"]}
@@ -108,3 +115,56 @@ def refused_everywhere(refused, bad, bags, model, pool, tmp_path):
             refused(f"{re.escape(str(bad))}: {message}", command, *arguments[command])
 
     return run
+
+
+@pytest.fixture(scope="session")
+def bebop2():
+    """Vehicle of the bundled bags, and the model of the golden trace, identified on the training flights."""
+    return Vehicle.load("bebop2"), AerodynamicModel.load(GOLDEN_MODEL)
+
+
+@pytest.fixture(scope="session")
+def sensors(bebop2):
+    """sensors(seconds): what the sensors sent at the beginning of a bundled flight without an alarm."""
+    recording = read_recording(bags_directory() / "interpolation.mcap", bebop2[0])
+    return lambda seconds=FLIGHT_S: sent_by(recording, seconds)
+
+
+@pytest.fixture(scope="session")
+def fly_onboard(bebop2):
+    """fly_onboard(sent) → Flown: what estimator and monitor make of that."""
+    return lambda sent: Onboard(*bebop2).fly(sent)
+
+
+@pytest.fixture(scope="session")
+def calm(sensors, fly_onboard):
+    """The flight without a fault: all is well, and every IMU sample from the first second on is predicted."""
+    flown = fly_onboard(sensors())
+    assert not flown.alarms.level.any()
+    expected = flown.imu_ns[flown.imu_ns >= flown.odometry_ns[0]]
+    np.testing.assert_array_equal(flown.predictions.time_ns, expected)
+    assert flown.states(1.1, FLIGHT_S) == {EstimatorStatus.OK}
+    return flown
+
+
+@pytest.fixture
+def failing(sensors, fly_onboard):
+    """failing(kind, topic, at_s, for_s, …) → Flown with a fault of `quadpi_core.simulation.faults`."""
+
+    def fly(kind, topic, at_s, for_s, *, seconds=FLIGHT_S, **options):
+        return fly_onboard(spoilt(sensors(seconds), Fault(kind, topic, at_s, for_s, **options)))
+
+    return fly
+
+
+@pytest.fixture
+def altered(sensors, fly_onboard):
+    """altered(topic, alter) → Flown: `alter` takes what a sensor sends, and the seconds at which."""
+
+    def fly(topic, alter):
+        sent = sensors()
+        start_ns = sent["imu"].taken_ns[0]
+        seconds = 1e-9 * (sent[topic].taken_ns - start_ns)
+        return fly_onboard(sent | {topic: alter(sent[topic], seconds)})
+
+    return fly

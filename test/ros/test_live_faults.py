@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of publishers, clocks and files around running nodes, over real DDS; see docs/reliability.md."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from quadpi_core.flight import Recording
+from quadpi_core.logs import messages
+from quadpi_core.models.storage import ARRAYS_FILE
+from quadpi_core.monitor.alarm import BAD_DATA
+
+pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from quadpi.msg import ExtrapolationAlarm
+from quadpi.srv import LoadModel
+from rclpy.serialization import deserialize_message
+
+from quadpi_ros.processes import Child
+from quadpi_ros.runtime import SENSOR_QOS
+from test.ros.test_lifecycle import STARTED_S, STEP_NS, Rig, arguments, assert_whole
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+YEAR_NS = 365 * 86_400 * 10**9
+GROWTH_MAX = 20 * 2**20
+
+
+@pytest.fixture(scope="module")
+def flying(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model folder that tests may spoil."""
+    copy = tmp_path_factory.mktemp("flying") / "model"
+    shutil.copytree(folder / "model", copy)
+    return copy
+
+
+@pytest.fixture(scope="module")
+def live(ros_domain: int, flying: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Child]:
+    del ros_domain
+    with Child("quadpi_ros.live", arguments(str(flying)), tmp_path_factory.mktemp("err")) as nodes:
+        yield nodes
+
+
+@pytest.fixture(scope="module")
+def running(live: Child, hover: Recording) -> Iterator[Rig]:
+    assert not live.finished()
+    rig = Rig(hover)
+    rig.await_nodes()
+    rig.listen()
+    yield rig
+    rig.close()
+
+
+@pytest.fixture
+def rig(running: Rig, live: Child) -> Iterator[Rig]:
+    """The vehicle in the air, ten seconds after whatever came before; the nodes outlive every test."""
+    running.now_ns += 10_000_000_000
+    running.fly(STARTED_S)
+    running.forget()
+    yield running
+    assert not live.finished()
+
+
+def reasons(rig: Rig) -> set[str]:
+    """Why the alarm says BAD_DATA."""
+    alarms = [
+        deserialize_message(payload, ExtrapolationAlarm) for payload in rig.heard["extrapolation_alarm"]
+    ]
+    return {text for alarm in alarms if alarm.causes & BAD_DATA for text in alarm.reasons}
+
+
+def refused(rig: Rig, name: str) -> dict[str, int]:
+    """What a topic's last status says of refused messages."""
+    status = rig.latest(name)
+    assert status is not None
+    return {
+        v.key.removeprefix("refused: "): int(v.value) for v in status.values if v.key.startswith("refused: ")
+    }
+
+
+def test_flood(rig: Rig, live: Child) -> None:
+    """Each message ten times, for a second; the copies are refused, and what comes after is whole."""
+    before = live.resident_bytes()
+
+    def ten_times(_: int, sample: dict[str, Any]) -> dict[str, Any]:
+        payloads = {
+            "imu": messages.pack_imu(sample["imu"]),
+            "rotor_speeds": messages.pack_rotor_speeds(sample["rotor_speeds"]),
+        }
+        for _ in range(9):
+            for topic, payload in payloads.items():
+                rig._send(topic, payload)
+        return sample
+
+    first_ns, last_ns = rig.fly(1.0, ten_times)
+    rig.await_status("estimator: imu", DiagnosticStatus.WARN, "samples refused")
+    assert refused(rig, "estimator: imu")["stamp not advancing"] > 1000
+    span = rig.fly(STARTED_S + 0.5)
+    assert_whole(rig, "prediction", span[1] - 200 * STEP_NS, span[1])
+    stamps = rig.stamps("prediction", first_ns, last_ns)
+    assert len(stamps) > 0
+    assert (np.diff(stamps) > 0).all()
+    assert live.resident_bytes() - before < GROWTH_MAX
+
+
+@pytest.mark.parametrize("topic", ["imu", "rotor_speeds", "mocap/pose"])
+def test_stamps_a_year_ahead(rig: Rig, topic: str) -> None:
+    def ahead(_: int, sample: dict[str, Any]) -> dict[str, Any]:
+        return sample | {topic: replace(sample[topic], time_ns=sample[topic].time_ns + YEAR_NS)}
+
+    rig.fly(0.5, ahead)
+    span = rig.fly(STARTED_S + 0.7)
+    assert_whole(rig, "prediction", span[1] - 200 * STEP_NS, span[1])
+    rig.await_status("estimator: filter", DiagnosticStatus.OK, "ok")
+    if topic == "imu":
+        assert any("missing" in text for text in reasons(rig))
+        assert {"stamp jumped", "reset"} <= refused(rig, "estimator: imu").keys()
+
+
+def test_the_vehicle_side_starts_again_in_flight(rig: Rig) -> None:
+    """Its publishers are gone for a second and a half, and come back as others."""
+    for publisher in rig._publishers.values():
+        rig.node.destroy_publisher(publisher)
+    time.sleep(1.5)
+    rig.await_status("estimator: state", DiagnosticStatus.ERROR, "nothing arrives on imu, mocap/pose")
+    rig.now_ns += 1_500_000_000
+    kinds = {topic: publisher.msg_type for topic, publisher in rig._publishers.items()}
+    for topic, kind in kinds.items():
+        rig._publishers[topic] = rig.node.create_publisher(kind, topic, SENSOR_QOS)
+    rig.until(lambda: all(p.get_subscription_count() for p in rig._publishers.values()))
+    first_ns, last_ns = rig.fly(STARTED_S + 0.5)
+    assert_whole(rig, "prediction", first_ns + round(1e9 * STARTED_S), last_ns)
+    assert any("missing" in text for text in reasons(rig))
+
+
+def test_a_model_file_that_changes_in_flight(rig: Rig, flying: Path) -> None:
+    """What flies is in memory; a file that was altered, or is gone, is refused by name."""
+    arrays = flying / ARRAYS_FILE
+    whole = arrays.read_bytes()
+    arrays.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    answer = rig.call_later(LoadModel, "monitor/load_model", LoadModel.Request(path=str(flying)))
+    first_ns, _ = rig.fly(0.5)
+    altered = answer(20.0)
+    assert not altered.success
+    assert f"{flying}: {ARRAYS_FILE}: its hash is not the one in" in altered.message
+    shutil.rmtree(flying)
+    answer = rig.call_later(LoadModel, "monitor/load_model", LoadModel.Request(path=str(flying)))
+    _, last_ns = rig.fly(0.5)
+    missing = answer(20.0)
+    assert not missing.success
+    assert str(flying) in missing.message
+    assert missing.model == altered.model
+    assert_whole(rig, "prediction", first_ns, last_ns)
