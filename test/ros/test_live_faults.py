@@ -16,8 +16,13 @@ import pytest
 
 from quadpi_core.flight import Recording
 from quadpi_core.logs import messages
+from quadpi_core.logs.bags import read_bag, write_bag
+from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.storage import ARRAYS_FILE
 from quadpi_core.monitor.alarm import BAD_DATA
+from quadpi_core.paths import bags_directory
+from quadpi_core.simulation.faults import Fault
+from quadpi_core.vehicle import Vehicle
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
@@ -27,12 +32,15 @@ from quadpi.srv import LoadModel
 from rclpy.serialization import deserialize_message
 
 from quadpi_ros.processes import Child
+from quadpi_ros.session import run_session
+from test.faults.onboard import Onboard, sent_by, spoilt
 from test.ros.test_lifecycle import STARTED_S, STEP_NS, Rig, arguments, assert_whole
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 YEAR_NS = 365 * 86_400 * 10**9
 GROWTH_MAX = 20 * 2**20
+GOLDEN_MODEL = Path(__file__).parents[1] / "golden" / "model"
 
 
 @pytest.fixture(scope="module")
@@ -154,3 +162,27 @@ def test_a_model_file_that_changes_in_flight(rig: Rig, flying: Path) -> None:
     assert str(flying) in missing.message
     assert missing.model == altered.model
     assert_whole(rig, "prediction", first_ns, last_ns)
+
+
+def test_the_flights_of_test_faults_are_what_the_nodes_do(tmp_path: Path) -> None:
+    """A gyro without numbers, a pause of the IMU and one of the rotor speeds: the same rows over DDS."""
+    recording = read_bag(bags_directory() / "interpolation.mcap", Vehicle.load("bebop2"))
+    sent = spoilt(
+        sent_by(replace(recording, arrivals={}), 5.5),
+        Fault("not_finite", "imu", 1.6, 0.03, signals=("angular_velocity",)),
+        Fault("dropout", "imu", 2.2, 0.3),
+        Fault("dropout", "rotor_speeds", 4.2, 0.3),
+    )
+    imu, pose, rotor_speeds = (sent[topic].stream for topic in ("imu", "mocap/pose", "rotor_speeds"))
+    bag = tmp_path / "faults.mcap"
+    write_bag(bag, replace(recording, arrivals={}, imu=imu, pose=pose, rotor_speeds=rotor_speeds))
+    session = run_session(bag, GOLDEN_MODEL, vehicle="bebop2")
+    flown = Onboard(Vehicle.load("bebop2"), AerodynamicModel.load(GOLDEN_MODEL)).fly(sent)
+    np.testing.assert_array_equal(session.predictions.time_ns, flown.predictions.time_ns)
+    for name in ("predicted", "lower", "upper", "measured"):
+        np.testing.assert_allclose(
+            getattr(session.predictions, name), getattr(flown.predictions, name), rtol=1e-9, atol=1e-9
+        )
+    np.testing.assert_array_equal(session.alarms.time_ns, flown.alarms.time_ns)
+    np.testing.assert_array_equal(session.alarms.cause_level, flown.alarms.cause_level)
+    assert {"sample not finite", "gap in the samples"} <= set().union(*session.alarms.reasons)
