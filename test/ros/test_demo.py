@@ -28,8 +28,9 @@ def test_demo_on_the_bundled_flights(tmp_path: Path) -> None:
     for group in ("identification", "interpolation"):
         assert all(axis["picp_ci"][1] > 0.95 for axis in summary["groups"][group]["axes"].values())
     live = summary["live"]
-    assert live["alarm_first_s"] > LEAVES_THE_ENVELOPE_S
-    assert live["alarm_fraction"] > 0.2
+    # The alarm rises where false ones are rare, half a training range outside: not at the first step over it.
+    assert LEAVES_THE_ENVELOPE_S < live["alarm_first_s"] < LEAVES_THE_ENVELOPE_S + 3.0
+    assert 0.15 < live["alarm_fraction"] < 0.3
     assert live["predictions_out"] > 0.9 * live["samples_in"]
     assert "ALARM" in told.getvalue()
     assert "extrapolation.mcap" in told.getvalue()
