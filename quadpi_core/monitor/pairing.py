@@ -11,12 +11,13 @@ that stays incomplete while the IMU runs ahead by the timeout is dropped and cou
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import MAX_GAP_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import (
     ATTITUDE,
@@ -32,7 +33,7 @@ from quadpi_core.signals.chain import (
 TIMEOUT_S = 0.1
 
 # The topics, and what is kept of each: index of the oldest sample, how many there are, the newest stamp.
-_IMU, _STATE, _ROTORS, _WIND, _TRACKS = 0, 1, 2, 3, 4
+IMU, STATE, ROTORS, WIND_TOPIC, _TRACKS = 0, 1, 2, 3, 4
 _OLDEST, _COUNT, _NEWEST_NS = 0, 1, 2
 # A state is the widest row.
 _WIDEST = 10
@@ -112,7 +113,8 @@ class PairingCounts:
     Attributes:
         paired: IMU samples that were completed.
         early: IMU samples from before the first state or rotor speed; nothing could complete them.
-        dropped: IMU samples given up because their state or rotor speed did not arrive in time.
+        dropped: IMU samples given up because their state or rotor speeds did not arrive in time, or lie
+            around a gap.
         disordered: samples of any topic refused because their stamp did not advance.
     """
 
@@ -150,7 +152,7 @@ class Pairing:
 
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        _add_to(*self._tracks, _IMU, time_ns, specific_force)
+        _add_to(*self._tracks, IMU, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
@@ -162,11 +164,11 @@ class Pairing:
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (4,) rad/s."""
-        _add_to(*self._tracks, _ROTORS, time_ns, speeds)
+        _add_to(*self._tracks, ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        _add_to(*self._tracks, _WIND, time_ns, velocity)
+        _add_to(*self._tracks, WIND_TOPIC, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
@@ -174,6 +176,48 @@ class Pairing:
         if count == 0:
             return None
         return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
+
+    def take_all(self, arriving: Arriving) -> tuple[list[PairedSamples], int]:
+        """What :meth:`take` gives after each arrival, joined; apart where the clock of the IMU was set back.
+
+        Returns:
+            The samples, and how many of them are complete.
+        """
+        samples = len(arriving.imu_ns)
+        taken_ns, taken = np.empty(samples, dtype=np.int64), np.empty((samples, CHANNELS))
+        starts = np.empty(samples, dtype=np.int64)
+        before = self.counts.paired
+        count, set_back = _take_all(*self._tracks, self._timeout_ns, arriving, taken_ns, taken, starts)
+        edges = [0, *starts[:set_back].tolist(), count]
+        parts = [
+            PairedSamples(taken_ns[start:stop], taken[start:stop])
+            for start, stop in pairwise(edges)
+            if stop > start
+        ]
+        return parts, self.counts.paired - before
+
+
+class Arriving(NamedTuple):
+    """Samples in the order in which they arrive.
+
+    Attributes:
+        kind, row: (E,) topic of each (:data:`IMU`, …), and its row in the arrays of that topic.
+        imu_ns, specific_force: (N,), (N, 3).
+        state_ns, states: (S,), (S, 10) velocity and attitude, rates; see :meth:`Pairing.add_state`.
+        rotor_ns, rotor_speeds: (R,), (R, 4).
+        wind_ns, wind: (W,), (W, 3).
+    """
+
+    kind: Stamps
+    row: Stamps
+    imu_ns: Stamps
+    specific_force: Array
+    state_ns: Stamps
+    states: Array
+    rotor_ns: Stamps
+    rotor_speeds: Array
+    wind_ns: Stamps
+    wind: Array
 
 
 class _Tracks(NamedTuple):
@@ -208,7 +252,7 @@ def _add_state_to(
 @njit(cache=True)
 def _add_estimate_to(time_ns: Any, rows: Any, places: Any, counts: Any, at_ns: int, motion: Any) -> None:
     tracks = _Tracks(time_ns, rows, places, counts)
-    _add(tracks, _IMU, at_ns, motion[10:])
+    _add(tracks, IMU, at_ns, motion[10:])
     _add_state(tracks, at_ns, motion[4:7], motion[:4], motion[7:10])
 
 
@@ -220,6 +264,41 @@ def _take_from(
 
 
 @njit(cache=True)
+def _take_all(
+    time_ns: Any,
+    rows: Any,
+    places: Any,
+    counts: Any,
+    timeout_ns: int,
+    arriving: Any,
+    taken_ns: Any,
+    taken: Any,
+    starts: Any,
+) -> tuple[int, int]:
+    """Fill stamps and rows; their number, and how many times the IMU was set back, before which ones."""
+    tracks = _Tracks(time_ns, rows, places, counts)
+    count, set_back, newest_ns = 0, 0, _NEVER
+    for event in range(arriving.kind.size):
+        kind, row = arriving.kind[event], arriving.row[event]
+        if kind == IMU:
+            at_ns = arriving.imu_ns[row]
+            if newest_ns != _NEVER and at_ns < newest_ns - JUMP_BACK_NS:
+                starts[set_back] = count
+                set_back += 1
+            newest_ns = at_ns
+            _add(tracks, IMU, at_ns, arriving.specific_force[row])
+        elif kind == STATE:
+            state = arriving.states[row]
+            _add_state(tracks, arriving.state_ns[row], state[:3], state[3:7], state[7:])
+        elif kind == ROTORS:
+            _add(tracks, ROTORS, arriving.rotor_ns[row], arriving.rotor_speeds[row])
+        else:
+            _add(tracks, WIND_TOPIC, arriving.wind_ns[row], arriving.wind[row])
+        count += _take(tracks, timeout_ns, taken_ns[count:], taken[count:])
+    return count, set_back
+
+
+@njit(cache=True)
 def _make_room(tracks: Any, track: int, time_ns: int) -> int:
     """Where to write a sample of that stamp, which now is the newest; −1 if its stamp does not advance."""
     place, capacity = tracks.places[track], tracks.time_ns.shape[1]
@@ -228,6 +307,9 @@ def _make_room(tracks: Any, track: int, time_ns: int) -> int:
             tracks.counts[_DISORDERED] += 1
             return -1
         place[_COUNT] = 0
+        if track == IMU and tracks.places[STATE, _NEWEST_NS] > time_ns:
+            # The states kept are of the time before, and may be ahead of those that come.
+            tracks.places[STATE, _COUNT], tracks.places[STATE, _NEWEST_NS] = 0, _NEVER
     place[_NEWEST_NS] = time_ns
     if place[_COUNT] == capacity:
         place[_OLDEST] = (place[_OLDEST] + 1) % capacity
@@ -249,17 +331,17 @@ def _add(tracks: Any, track: int, time_ns: int, values: Any) -> None:
 @njit(cache=True)
 def _add_state(tracks: Any, time_ns: int, velocity: Any, attitude: Any, rates: Any) -> None:
     """Add a state whose attitude has the sign nearest to the one before: q and −q are the same."""
-    place, capacity = tracks.places[_STATE], tracks.time_ns.shape[1]
+    place, capacity = tracks.places[STATE], tracks.time_ns.shape[1]
     sign = 1.0
     if place[_COUNT] > 0:
-        newest = tracks.rows[_STATE, (place[_OLDEST] + place[_COUNT] - 1) % capacity]
+        newest = tracks.rows[STATE, (place[_OLDEST] + place[_COUNT] - 1) % capacity]
         projection = 0.0
         for k in range(4):
             projection += newest[3 + k] * attitude[k]
         sign = -1.0 if projection < 0.0 else 1.0
-    index = _make_room(tracks, _STATE, time_ns)
+    index = _make_room(tracks, STATE, time_ns)
     if index >= 0:
-        row = tracks.rows[_STATE, index]
+        row = tracks.rows[STATE, index]
         for k in range(3):
             row[k], row[7 + k] = velocity[k], rates[k]
         for k in range(4):
@@ -269,12 +351,12 @@ def _add_state(tracks: Any, time_ns: int, velocity: Any, attitude: Any, rates: A
 @njit(cache=True)
 def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
     """Fill stamps and rows (velocity, attitude, rates, specific force, rotor speeds, wind); their number."""
-    imu, capacity = tracks.places[_IMU], tracks.time_ns.shape[1]
-    state, rotors = tracks.places[_STATE], tracks.places[_ROTORS]
+    imu, capacity = tracks.places[IMU], tracks.time_ns.shape[1]
+    state, rotors = tracks.places[STATE], tracks.places[ROTORS]
     count = 0
     while imu[_COUNT] > 0:
-        time_ns = tracks.time_ns[_IMU, imu[_OLDEST]]
-        too_early = _starts_after(tracks, _STATE, time_ns) or _starts_after(tracks, _ROTORS, time_ns)
+        time_ns = tracks.time_ns[IMU, imu[_OLDEST]]
+        too_early = _starts_after(tracks, STATE, time_ns) or _starts_after(tracks, ROTORS, time_ns)
         complete = state[_NEWEST_NS] >= time_ns and rotors[_NEWEST_NS] >= time_ns
         if not (too_early or complete):
             if imu[_COUNT] < capacity and imu[_NEWEST_NS] - time_ns <= timeout_ns:
@@ -284,14 +366,8 @@ def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
             tracks.counts[_EARLY] += 1
         else:
             row = taken[count]
-            if complete:
-                tracks.counts[_PAIRED] += 1
-                _complete(tracks, time_ns, row)
-            else:
-                tracks.counts[_DROPPED] += 1
-                row[:] = np.nan
-                row[WIND] = 0.0
-            row[SPECIFIC_FORCE] = tracks.rows[_IMU, imu[_OLDEST], :3]
+            tracks.counts[_PAIRED if _complete(tracks, time_ns, row) else _DROPPED] += 1
+            row[SPECIFIC_FORCE] = tracks.rows[IMU, imu[_OLDEST], :3]
             taken_ns[count] = time_ns
             count += 1
         _drop_oldest(imu, capacity)
@@ -299,15 +375,16 @@ def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
 
 
 @njit(cache=True)
-def _complete(tracks: Any, time_ns: int, row: Any) -> None:
-    """Fill state, rotor speeds and wind at the stamp."""
-    _interpolate(tracks, _STATE, time_ns, row[: RATES.stop])
+def _complete(tracks: Any, time_ns: int, row: Any) -> bool:
+    """Fill state, rotor speeds and wind at the stamp; False if state or rotor speeds are not known there."""
+    known = _interpolate(tracks, STATE, time_ns, row[: RATES.stop])
     row[ATTITUDE] /= np.sqrt(np.sum(row[ATTITUDE] * row[ATTITUDE]))
-    _interpolate(tracks, _ROTORS, time_ns, row[ROTOR_SPEEDS])
+    known &= _interpolate(tracks, ROTORS, time_ns, row[ROTOR_SPEEDS])
     row[WIND] = 0.0
-    held = _hold(tracks, _WIND, time_ns)
+    held = _hold(tracks, WIND_TOPIC, time_ns)
     if held >= 0:
-        row[WIND] = tracks.rows[_WIND, held, :3]
+        row[WIND] = tracks.rows[WIND_TOPIC, held, :3]
+    return bool(known)
 
 
 @njit(cache=True)
@@ -335,15 +412,22 @@ def _hold(tracks: Any, track: int, time_ns: int) -> int:
 
 
 @njit(cache=True)
-def _interpolate(tracks: Any, track: int, time_ns: int, values: Any) -> None:
-    """Fill the values at a stamp that lies between samples kept, linearly."""
+def _interpolate(tracks: Any, track: int, time_ns: int, values: Any) -> bool:
+    """Fill the values at a stamp, linearly between the samples around it; NaN and False without these.
+
+    Samples farther apart than MAX_GAP_NS are none: nothing is known of the time between.
+    """
     before = _hold(tracks, track, time_ns)
     before_ns, first = tracks.time_ns[track, before], tracks.rows[track, before]
     if before_ns == time_ns:
         values[:] = first[: values.size]
-        return
+        return True
     after = (before + 1) % tracks.time_ns.shape[1]
+    if tracks.places[track, _COUNT] < 2 or tracks.time_ns[track, after] - before_ns > MAX_GAP_NS:
+        values[:] = np.nan
+        return False
     fraction = (time_ns - before_ns) / (tracks.time_ns[track, after] - before_ns)
     second = tracks.rows[track, after]
     for k in range(values.size):
         values[k] = first[k] + fraction * (second[k] - first[k])
+    return True

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,23 +19,28 @@ from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs import decode_recording, messages
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.events import Events
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.output import Alarms
-from quadpi_core.monitor.pairing import TIMEOUT_S, PairedSamples
+from quadpi_core.monitor.output import Alarms, Predictions
+from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
-from quadpi_core.signals.resample import interpolate, interpolate_attitude, nominal_rate
+from quadpi_core.signals.ekf_kernels import Outcome
+from quadpi_core.signals.odometry import with_gyro_faults
+from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
 
-_TIMEOUT_NS = round(TIMEOUT_S * 1e9)
-_ANY_GAP = np.iinfo(np.int64).max
+_Rows = TypeVar("_Rows", Predictions, Alarms)
+
+# IMU samples that the monitor gets although there is no estimate at them.
+_WITHOUT_STATE = (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET)
 
 
 @dataclass(frozen=True)
@@ -97,16 +102,21 @@ def replay(
         raise LogError(f"{recording.source}: topic imu: one sample is too few")
     rate_hz = nominal_rate(recording.imu.time_ns)
     monitor = Monitor(model, vehicle, rate_hz, confidence, settings)
-    imu, odometry, topics = recording.imu, recording.odometry, []
+    imu = _Imu(
+        recording.imu.time_ns,
+        with_gyro_faults(recording.imu).specific_force,
+        np.arange(len(recording.imu)),
+    )
+    odometry, state_of, topics = recording.odometry, None, []
     if recording.pose is not None or recording.twist is not None:
         trace = Ekf(vehicle, rate_hz).run(recording)
-        imu, odometry = _estimator_output(trace, recording.imu)
+        imu, odometry, state_of = _estimator_output(trace, recording.imu)
         payloads = messages.pack_odometry(odometry, _pose_covariance(trace, _published(trace)))
         topics.append(output_topic("odometry", odometry.time_ns, payloads))
     if odometry is None:
         raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
-    samples = _pair(recording, imu, odometry)
-    predictions, alarms, events = monitor.step(*samples)
+    samples = _pair(recording, imu, odometry, state_of)
+    predictions, alarms, events = _watch(monitor, samples)
 
     topics.append(
         output_topic(
@@ -126,7 +136,30 @@ def replay(
         topics,
         {"vehicle": vehicle.name, "model": model.identity, "source": recording.name, "version": __version__},
     )
-    return _summarise(recording, len(samples.time_ns), len(predictions.time_ns), alarms, events)
+    monitored = sum(len(part.time_ns) for part in samples)
+    return _summarise(recording, monitored, len(predictions.time_ns), alarms, events)
+
+
+def _watch(monitor: Monitor, samples: Sequence[PairedSamples]) -> tuple[Predictions, Alarms, Events]:
+    """What the monitor says; it starts anew with each part of the samples."""
+    outputs = []
+    for part in samples:
+        monitor.reset()
+        outputs.append(monitor.step(*part))
+    if len(outputs) == 1:
+        return outputs[0]
+    predictions, alarms, events = zip(*outputs, strict=True)
+    return _joined(predictions), _joined(alarms), [event for part in events for event in part]
+
+
+def _joined(parts: Sequence[_Rows]) -> _Rows:
+    """The rows of all parts."""
+    return type(parts[0])(
+        **{
+            column.name: np.concatenate([getattr(part, column.name) for part in parts])
+            for column in fields(parts[0])
+        }
+    )
 
 
 def replay_all(
@@ -204,32 +237,26 @@ def _replay(task: _Replay, bag: Path) -> ReplaySummary:
     return replay(task.model, task.vehicle, bag, output, confidence=task.confidence, settings=task.settings)
 
 
-def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[ImuStream, OdometryStream]:
+def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, OdometryStream, Stamps]:
     """What the estimator hands to the monitor in its process: IMU samples less their biases, and states.
 
-    Samples that it cannot use come as they are, and while it is lost there are no states: the monitor has to
-    report both.
+    Samples without an estimate come as they are, and while it is lost there are no states: the monitor has to
+    report both. The last are the IMU samples that the states belong to.
     """
-    used = np.searchsorted(imu.time_ns, trace.time_ns)
-    rates, specific_force = imu.angular_velocity.copy(), imu.specific_force.copy()
-    rates[used] -= trace.gyro_bias
-    specific_force[used] -= trace.accelerometer_bias
+    rates, specific_force = imu.angular_velocity.copy(), with_gyro_faults(imu).specific_force
+    rates[trace.sample] -= trace.gyro_bias
+    specific_force[trace.sample] = imu.specific_force[trace.sample] - trace.accelerometer_bias
+    handed_over = np.isin(trace.imu_outcomes, _WITHOUT_STATE)
+    handed_over[trace.sample] = True
     sent = _published(trace)
     states = OdometryStream(
         trace.time_ns[sent],
         trace.position[sent],
         trace.attitude[sent],
         trace.velocity_body[sent],
-        rates[used][sent],
+        rates[trace.sample[sent]],
     )
-    kept = np.union1d(used, np.flatnonzero(~_usable(imu)))
-    return ImuStream(imu.time_ns[kept], rates[kept], specific_force[kept]), states
-
-
-def _usable(imu: ImuStream) -> npt.NDArray[np.bool_]:
-    """Samples (N,) that the estimator can use."""
-    samples = np.concatenate((imu.angular_velocity, imu.specific_force), axis=1)
-    return np.array([ekf_kernels.usable_imu(sample) for sample in samples])
+    return _Imu(imu.time_ns, specific_force, np.flatnonzero(handed_over)), states, trace.sample[sent]
 
 
 def _published(trace: EkfTrace) -> npt.NDArray[np.bool_]:
@@ -249,53 +276,55 @@ def _pose_covariance(trace: EkfTrace, rows: npt.NDArray[np.bool_]) -> Array:
     return covariance
 
 
-def _pair(recording: Recording, imu: ImuStream, odometry: OdometryStream) -> PairedSamples:
-    """What live pairing gives: complete samples, NaN for those given up, nothing before it can start."""
+class _Imu(NamedTuple):
+    """IMU samples as the monitor gets them: stamps (N,) and specific force (N, 3), of those `used`."""
+
+    time_ns: Stamps
+    specific_force: Array
+    used: Stamps
+
+
+def _pair(
+    recording: Recording, imu: _Imu, odometry: OdometryStream, state_of: Stamps | None
+) -> list[PairedSamples]:
+    """What live pairing gives, apart where the clock of the IMU was set back.
+
+    Args:
+        recording: with rotor speeds.
+        imu: what the monitor gets of it.
+        odometry: the states.
+        state_of: (S,) IMU sample that each state comes right after; None where it came by itself.
+    """
     rotor_speeds = recording.rotor_speeds
     if rotor_speeds is None:
         raise LogError(f"{recording.source}: topic rotor_speeds (or erpm) is missing")
-    wait_ns = np.maximum(
-        _until_next(odometry.time_ns, imu.time_ns), _until_next(rotor_speeds.time_ns, imu.time_ns)
+    wind = recording.wind or WindStream(np.empty(0, dtype=np.int64), np.empty((0, 3)))
+    # Of what belongs to one IMU sample: what came since the one before, the sample, its state.
+    came = {
+        pairing.WIND_TOPIC: 3 * recording.arrivals_of(wind),
+        pairing.ROTORS: 3 * recording.arrivals_of(rotor_speeds),
+        pairing.IMU: 3 * imu.used + 1,
+        pairing.STATE: 3 * recording.arrivals_of(odometry) if state_of is None else 3 * state_of + 2,
+    }
+    rows = {kind: np.arange(len(places)) for kind, places in came.items()} | {pairing.IMU: imu.used}
+    order = np.argsort(np.concatenate(list(came.values())), kind="stable")
+    states = np.concatenate((odometry.velocity, odometry.attitude, odometry.rates), axis=1)
+    arriving = pairing.Arriving(
+        kind=np.repeat(list(came), [len(places) for places in came.values()])[order],
+        row=np.concatenate([rows[kind] for kind in came])[order],
+        imu_ns=imu.time_ns,
+        specific_force=imu.specific_force,
+        state_ns=odometry.time_ns,
+        states=states,
+        rotor_ns=rotor_speeds.time_ns,
+        rotor_speeds=rotor_speeds.speeds,
+        wind_ns=wind.time_ns,
+        wind=wind.velocity,
     )
-    started = imu.time_ns >= max(odometry.time_ns[0], rotor_speeds.time_ns[0])
-    complete = wait_ns <= _TIMEOUT_NS
-    given_up = ~complete & (imu.time_ns[-1] - imu.time_ns > _TIMEOUT_NS)
-    kept = started & (complete | given_up)
-    if not np.any(started & complete):
+    samples, complete = pairing.Pairing().take_all(arriving)
+    if complete == 0:
         raise LogError(f"{recording.source}: topics imu, rotor_speeds and the state share no time")
-
-    time_ns, incomplete = imu.time_ns[kept], given_up[kept]
-
-    def at_imu(stamps: Stamps, values: Array) -> Array:
-        sampled = interpolate(stamps, values, time_ns, _ANY_GAP).values
-        sampled[incomplete] = np.nan
-        return sampled
-
-    attitude = interpolate_attitude(odometry.time_ns, odometry.attitude, time_ns, _ANY_GAP).values
-    attitude[incomplete] = np.nan
-    return PairedSamples.join(
-        time_ns,
-        velocity=at_imu(odometry.time_ns, odometry.velocity),
-        attitude=attitude,
-        rates=at_imu(odometry.time_ns, odometry.rates),
-        specific_force=imu.specific_force[kept],
-        rotor_speeds=at_imu(rotor_speeds.time_ns, rotor_speeds.speeds),
-        wind=_hold(recording.wind, time_ns),
-    )
-
-
-def _until_next(stamps: Stamps, at_ns: Stamps) -> Stamps:
-    """Time (M,) from each stamp to the sample at or after it; endless after the last."""
-    following = np.searchsorted(stamps, at_ns)
-    return np.append(stamps, _ANY_GAP)[following] - at_ns
-
-
-def _hold(wind: WindStream | None, time_ns: Stamps) -> Array:
-    """Latest wind (M, 3) at or before each stamp; still air before the first."""
-    if wind is None:
-        return np.zeros((len(time_ns), 3))
-    latest = np.searchsorted(wind.time_ns, time_ns, side="right") - 1
-    return np.where(latest[:, None] >= 0, wind.velocity[latest], 0.0)
+    return samples
 
 
 def _summarise(

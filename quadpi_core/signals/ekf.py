@@ -113,6 +113,8 @@ class EkfTrace:
         variance: (M, 16) diagonal of the covariance of the error state, ordered as the slices of
             :mod:`quadpi_core.signals.ekf_kernels` (POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, …).
         status: (M,) see :class:`EstimatorStatus`.
+        sample: (M,) index of the IMU sample.
+        imu_outcomes: (N,) what became of each IMU sample, values of :class:`Outcome`.
         imu_counts, pose_counts, velocity_counts: how many samples met each :class:`Outcome`.
     """
 
@@ -125,6 +127,8 @@ class EkfTrace:
     delay_s: Array
     variance: Array
     status: npt.NDArray[np.uint8]
+    sample: npt.NDArray[np.int64]
+    imu_outcomes: npt.NDArray[np.int64]
     imu_counts: dict[Outcome, int]
     pose_counts: dict[Outcome, int]
     velocity_counts: dict[Outcome, int]
@@ -283,7 +287,7 @@ class Ekf:
         Raises:
             SignalError: if the recording has no motion capture, or never a second of IMU samples and that.
         """
-        track, _ = self._run(recording, journalled=False)
+        track, outcomes, _ = self._run(recording, journalled=False)
         nominal = track.nominal
         offset = Row.NOMINAL.start
 
@@ -300,6 +304,8 @@ class Ekf:
             delay_s=nominal[:, Row.DELAY - offset],
             variance=track.variance,
             status=track.status,
+            sample=track.sample,
+            imu_outcomes=outcomes,
             imu_counts=self.imu_counts,
             pose_counts=self.pose_counts,
             velocity_counts=self.velocity_counts,
@@ -311,14 +317,16 @@ class Ekf:
         Raises:
             SignalError: as :meth:`run`.
         """
-        return self._run(recording, journalled=True)[1]
+        return self._run(recording, journalled=True)[2]
 
     @property
     def noise(self) -> Noise:
         """What the filter assumes of the sensors."""
         return buffer.noise_of(self._memory.noise)
 
-    def _run(self, recording: Recording, *, journalled: bool) -> tuple[ekf_run.Track, list[Segment]]:
+    def _run(
+        self, recording: Recording, *, journalled: bool
+    ) -> tuple[ekf_run.Track, npt.NDArray[np.int64], list[Segment]]:
         imu = recording.imu
         if recording.pose is None and recording.twist is None:
             raise SignalError(
@@ -328,7 +336,7 @@ class Ekf:
         samples = np.ascontiguousarray(np.concatenate((imu.angular_velocity, imu.specific_force), axis=1))
         measurements = ekf_run.merge(recording)
         track = ekf_run.empty_track(len(imu))
-        progress = ekf_run.Progress(*(np.zeros(1, dtype=np.int64) for _ in range(3)))
+        progress = ekf_run.Progress(*(np.zeros(size, dtype=np.int64) for size in (1, 1, 1, len(imu))))
         if journalled:
             room = len(measurements.time_ns)
             self._journal = np.empty(room, dtype=np.int64), np.empty((room, JOURNAL))
@@ -360,7 +368,7 @@ class Ekf:
                 f"{recording.source}: the estimator never started: it needs one second with IMU samples and "
                 f"motion capture; imu spans {_span(imu.time_ns)}, {_span_of_mocap(recording)}"
             )
-        return track.until(recorded), segments
+        return track.until(recorded), progress.outcomes, segments
 
     def _segment(self, initial: Initial, imu_ns: Stamps, sampled: npt.NDArray[np.int64]) -> Segment:
         """What happened since the beginning; `sampled` are the IMU samples used since it caught up."""
@@ -389,7 +397,8 @@ class Ekf:
             self._take(int(measurements.time_ns[following]), int(measurements.kind[following]))
             progress.measurement[0] += 1
         else:
-            self.predict(int(imu_ns[index]), samples[index, :3], samples[index, 3:])
+            outcome = self.predict(int(imu_ns[index]), samples[index, :3], samples[index, 3:])
+            progress.outcomes[index] = outcome
             progress.imu[0] += 1
 
     def _take(self, time_ns: int, kind: int) -> Outcome:

@@ -60,11 +60,12 @@ class Track(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far :func:`run` has come: arrays (1,)."""
+    """How far :func:`run` has come: arrays (1,), and what became of the IMU samples (N,) until there."""
 
     imu: Count
     measurement: Count
     recorded: Count
+    outcomes: Count
 
 
 def merge(recording: Recording) -> Measurements:
@@ -131,6 +132,7 @@ def run(
         outcome = predict(memory, imu_ns[index], samples[index])
         if outcome == Outcome.RESET.value:
             return
+        progress.outcomes[index] = outcome
         progress.imu[0] += 1
         if outcome == Outcome.USED.value:
             release(memory, journal_ns, journal)

@@ -170,3 +170,46 @@ def test_wind_holds_its_last_value_and_is_calm_before() -> None:
     samples = pairing.take()
     assert samples is not None
     np.testing.assert_array_equal(samples.wind[:, 0], [0.0, 3.0, 3.0])
+
+
+@pytest.mark.parametrize("rotors", [True, False], ids=["rotor speeds", "state"])
+def test_nothing_is_interpolated_across_a_gap(rotors: bool) -> None:
+    """The sample is given up as soon as the gap is known, and only what lies in the gap is unknown."""
+    pairing = Pairing()
+    gappy, whole = (add_rotors, add_state) if rotors else (add_state, add_rotors)
+    for time_ns in range(0, 300, 2):
+        whole(pairing, time_ns * MS)
+    gappy(pairing, 0)
+    gappy(pairing, 150 * MS)
+    add_imu(pairing, 148 * MS)
+    samples = pairing.take()
+    assert samples is not None
+    assert np.isnan(samples.rotor_speeds).all() == rotors
+    assert np.isnan(samples.velocity).all() == (not rotors)
+    assert (pairing.counts.paired, pairing.counts.dropped) == (0, 1)
+
+
+def test_rotor_speeds_of_a_clock_a_year_ahead_are_none() -> None:
+    pairing = Pairing()
+    add_rotors(pairing, 0)
+    add_rotors(pairing, 31_536_000_000 * MS)
+    add_state(pairing, 2 * MS)
+    add_imu(pairing, 2 * MS)
+    samples = pairing.take()
+    assert samples is not None
+    assert np.isnan(samples.rotor_speeds).all()
+
+
+def test_states_from_before_a_jump_back_are_forgotten() -> None:
+    pairing = Pairing()
+    for time_ns in (3000, 4000):
+        add_state(pairing, time_ns * MS)
+        add_rotors(pairing, time_ns * MS)
+        add_imu(pairing, time_ns * MS)
+    pairing.take()
+    add_imu(pairing, 2500 * MS)
+    for time_ns in (2500, 3502):
+        add_rotors(pairing, time_ns * MS)
+    add_state(pairing, 3500 * MS)
+    add_imu(pairing, 3500 * MS)
+    assert taken(pairing) == [3500 * MS]
