@@ -39,6 +39,15 @@ class Stream:
     def __len__(self) -> int:
         return len(self.time_ns)
 
+    def require_samples(self, source: str) -> None:
+        """Refuse an empty stream.
+
+        Raises:
+            LogError: naming source and topic.
+        """
+        if len(self) == 0:
+            raise LogError(f"{source}: topic {self.topic}: holds no samples")
+
     def check(self, source: str) -> None:
         """Refuse what no later step can use.
 
@@ -47,8 +56,7 @@ class Stream:
                 backward, and values that are not finite.
         """
         where = f"{source}: topic {self.topic}"
-        if len(self) == 0:
-            raise LogError(f"{where}: holds no samples")
+        self.require_samples(source)
         steps = np.diff(self.time_ns)
         if np.any(steps <= 0):
             index = int(np.argmax(steps <= 0)) + 1

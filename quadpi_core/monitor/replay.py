@@ -76,6 +76,9 @@ def replay(
 ) -> ReplaySummary:
     """Write the topics odometry, prediction and extrapolation_alarm for a flight; the same bytes each time.
 
+    Samples that other commands refuse (not finite, stamps that do not rise) are followed as in flight: the
+    alarm reports them.
+
     With poses in the bag this is estimator and monitor in one process: the state comes from the causal EKF,
     and the written odometry carries the variances of position and attitude. Else it is the monitor alone, fed
     with the bag's odometry. Rotor speeds and wind meet the IMU samples as in
@@ -97,7 +100,8 @@ def replay(
     if Path(output).resolve() == Path(bag).resolve():
         raise LogError(f"{bag}: the output would replace the flight; choose another file")
     recording = decode_recording(bag, vehicle)
-    recording.check()
+    for stream in recording.streams():
+        stream.require_samples(recording.source)
     if len(recording.imu) < 2:
         raise LogError(f"{recording.source}: topic imu: one sample is too few")
     rate_hz = nominal_rate(recording.imu.time_ns)
