@@ -49,12 +49,14 @@ def blocks(page: str, language: str) -> list[str]:
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name not in RUN_ELSEWHERE], ids=lambda p: p.name)
 def test_commands_run(page, request, tmp_path):
     """In a folder with the bundled bags and the files that the page shows; then what it shows of Python."""
+    text = page.read_text()
     if page.name in ON_REAL_FLIGHTS:
         for data in request.getfixturevalue("shared_data").iterdir():
             (tmp_path / data.name).symlink_to(data)
-    text = page.read_text()
-    if "quadpi simulate" not in text:
-        (tmp_path / "bags").symlink_to(bags_directory())
+    elif "bags/" in text and "quadpi simulate" not in text:
+        (tmp_path / "bags").mkdir()
+        for bag in bags_directory().glob("*.mcap"):
+            (tmp_path / "bags" / bag.name).symlink_to(bag)
     for content in blocks(text, "yaml"):
         if named := re.match(r"# (\S+\.yaml)\n", content):
             (tmp_path / named[1]).write_text(content)
