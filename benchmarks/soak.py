@@ -14,11 +14,15 @@ import struct
 import tempfile
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from benchmarks import Result, UnavailableError
 from benchmarks.swings import IMU_HZ, REPEATS_AFTER_S, VEHICLE, swings, three_models
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from quadpi_ros.collector import Listener
 
 NAMES = ("soak_growth_mib", "soak_lost")
 
@@ -53,22 +57,23 @@ def run() -> list[Result]:
             f"imu_rate_hz:={IMU_HZ}",
         )
         arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))
-        with Listener() as listener, Child("quadpi_ros.live", arguments, scratch) as live:
+        heard = Heard()
+        with listening(heard) as listener, Child("quadpi_ros.live", arguments, scratch) as live:
             played = (str(bag), "--minutes", str(FLIGHT_MINUTES), "--rate", str(RATE))
             with Child("benchmarks.soak", played, scratch) as player:
                 resident = []
                 while not (player.finished() or live.finished()):
-                    if listener.predictions:
-                        resident.append((listener.flown_s, live.resident_bytes()))
+                    if heard.predictions:
+                        resident.append((heard.flown_s, live.resident_bytes()))
                     listener.spin(1.0)
             listener.spin(_SETTLE_S)
-            resident.append((listener.flown_s, live.resident_bytes()))
+            resident.append((heard.flown_s, live.resident_bytes()))
     settled = next(size for flown_s, size in resident if flown_s >= 60.0)
     growth = max(size for flown_s, size in resident if flown_s >= 60.0) - settled
-    lost = round(listener.flown_s * IMU_HZ) + 1 - listener.predictions
+    lost = round(heard.flown_s * IMU_HZ) + 1 - heard.predictions
     told = (
-        f"{listener.flown_s / 60.0:.1f} minutes at {listener.flown_s / listener.heard_s:.1f} x real time, "
-        f"{listener.predictions} predictions of each of three models; "
+        f"{heard.flown_s / 60.0:.1f} minutes at {heard.flown_s / heard.heard_s:.1f} x real time, "
+        f"{heard.predictions} predictions of each of three models; "
         f"resident after the first minute {settled / 2**20:.1f} MiB"
     )
     return [
@@ -77,43 +82,13 @@ def run() -> list[Result]:
     ]
 
 
-class Listener:
-    """Hears every topic of the live process and keeps nothing but counts."""
+class Heard:
+    """What is kept of what the live process publishes: counts and stamps of its predictions."""
 
     def __init__(self) -> None:
-        from nav_msgs.msg import Odometry
-        from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
-        from rclpy.context import Context
-        from rclpy.experimental import EventsExecutor
-        from rclpy.node import Node
-        from rclpy.qos import QoSProfile, ReliabilityPolicy
-
         self.predictions = 0
         self.newest_ns = self._first_ns = 0
-        self._heard_first_s = self._heard_last_s = 0.0
-        self._context = Context()
-        self._context.init()
-        self._node = Node("listener", context=self._context, start_parameter_services=False)
-        deep = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
-        for message_type, topic, take in (
-            (WrenchPrediction, "prediction", self._take),
-            (WrenchPrediction, "prediction/bootstrap", _ignore),
-            (WrenchPrediction, "prediction/quality_driven", _ignore),
-            (Odometry, "odometry", _ignore),
-            (ExtrapolationAlarm, "extrapolation_alarm", _ignore),
-        ):
-            self._node.create_subscription(message_type, topic, take, deep, raw=True)
-        self._executor = EventsExecutor(context=self._context)
-        self._executor.add_node(self._node)
-
-    def __enter__(self) -> Listener:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.remove_node(self._node)
-        self._node.destroy_node()
-        self._executor.shutdown()
-        self._context.try_shutdown()
+        self._first_s = self._newest_s = 0.0
 
     @property
     def flown_s(self) -> float:
@@ -123,21 +98,35 @@ class Listener:
     @property
     def heard_s(self) -> float:
         """Time between hearing these two."""
-        return self._heard_last_s - self._heard_first_s
+        return self._newest_s - self._first_s
 
-    def spin(self, seconds: float) -> None:
-        """Listen."""
-        from rclpy.task import Future
-
-        self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
-
-    def _take(self, payload: bytes) -> None:
+    def take(self, payload: bytes) -> None:
+        """Take a prediction."""
         seconds, nanoseconds = _STAMP.unpack_from(payload, _STAMP_AT)
         self.newest_ns = seconds * _NANOSECONDS + nanoseconds
-        self._heard_last_s = time.monotonic()
+        self._newest_s = time.monotonic()
         if not self.predictions:
-            self._first_ns, self._heard_first_s = self.newest_ns, self._heard_last_s
+            self._first_ns, self._first_s = self.newest_ns, self._newest_s
         self.predictions += 1
+
+
+def listening(heard: Heard) -> Listener:
+    """A node that hears every topic of the live process."""
+    from nav_msgs.msg import Odometry
+    from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
+
+    from quadpi_ros.collector import Listener
+
+    return Listener(
+        "listener",
+        (
+            (WrenchPrediction, "prediction", heard.take),
+            (WrenchPrediction, "prediction/bootstrap", _ignore),
+            (WrenchPrediction, "prediction/quality_driven", _ignore),
+            (Odometry, "odometry", _ignore),
+            (ExtrapolationAlarm, "extrapolation_alarm", _ignore),
+        ),
+    )
 
 
 def _ignore(_: bytes) -> None:
@@ -164,7 +153,8 @@ def play_over_and_over(bag: Path, minutes: float, rate: float) -> None:
     stamps = [_STAMP.unpack_from(payload, _STAMP_AT) for _, _, payload in messages]
     period_ns = round(REPEATS_AFTER_S * IMU_HZ) * round(_NANOSECONDS / IMU_HZ)
     start_ns = time.monotonic_ns()
-    listener, look_ns = Listener(), 0
+    heard, look_ns = Heard(), 0
+    listener = listening(heard)
     for turn in range(round(minutes * 60.0 / REPEATS_AFTER_S)):
         for (due_ns, publish, payload), (seconds, nanoseconds) in zip(messages, stamps, strict=True):
             at_ns = seconds * _NANOSECONDS + nanoseconds + turn * period_ns
@@ -173,7 +163,7 @@ def play_over_and_over(bag: Path, minutes: float, rate: float) -> None:
             if wait_ns > 0:
                 time.sleep(1e-9 * wait_ns)
             publish(bytes(payload))
-            while listener.predictions and at_ns > listener.newest_ns + _AHEAD_NS:
+            while heard.predictions and at_ns > heard.newest_ns + _AHEAD_NS:
                 listener.spin(_POLL_S)
                 if not rclpy.ok():
                     return

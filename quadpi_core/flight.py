@@ -23,6 +23,8 @@ from quadpi_core.frames import Array
 Stamps: TypeAlias = npt.NDArray[np.int64]
 # A sensor that pauses for longer is not sampling: nothing is interpolated, integrated or filtered across.
 MAX_GAP_NS = 100_000_000
+# A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
+MAX_JUMP_BACK_NS = 1_000_000_000
 # Beyond these an IMU sample comes from a broken sensor or is in a wrong unit.
 RATE_MAX_RAD_S = 70.0
 SPECIFIC_FORCE_MAX_M_S2 = 320.0

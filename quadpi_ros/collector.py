@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from nav_msgs.msg import Odometry
@@ -86,7 +87,57 @@ class AlarmFollower:
         )
 
 
-class Collector:
+Entered = TypeVar("Entered", bound="Listener")
+
+
+class Listener:
+    """A node in the caller's process that hears topics, still serialized; it ends with its block.
+
+    Args:
+        name: of the node.
+        topics: message type, name and what takes the messages of each.
+    """
+
+    def __init__(self, name: str, topics: Sequence[tuple[type, str, Callable[[bytes], object]]]) -> None:
+        self._context = Context()
+        self._context.init()
+        self._node = Node(name, context=self._context, start_parameter_services=False)
+        self._subscriptions = [
+            self._node.create_subscription(message_type, topic, take, _DEEP_QOS, raw=True)
+            for message_type, topic, take in topics
+        ]
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self._node)
+
+    def __enter__(self: Entered) -> Entered:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.remove_node(self._node)
+        self._node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+    @property
+    def connected(self) -> bool:
+        """Whether every topic has a publisher."""
+        return all(subscription.get_publisher_count() for subscription in self._subscriptions)
+
+    def spin(self, seconds: float) -> None:
+        """Listen for so long."""
+        self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+    def spin_until(self, condition: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
+        """Listen until the condition holds; False if the time is over first."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self.spin(_POLL_S)
+        return True
+
+
+class Collector(Listener):
     """A node in the caller's process that keeps every message of the live nodes, still serialized.
 
     Args:
@@ -101,33 +152,14 @@ class Collector:
         self._predictions: list[bytes] = []
         self._alarms: list[bytes] = []
         self._arrived_ns: list[int] = []
-        self._context = Context()
-        self._context.init()
-        self._node = Node("collector", context=self._context, start_parameter_services=False)
-        self._subscriptions = [
-            self._node.create_subscription(message_type, topic, take, _DEEP_QOS, raw=True)
-            for message_type, topic, take in (
+        super().__init__(
+            "collector",
+            (
                 (Odometry, "odometry", self._odometry.append),
                 (WrenchPrediction, "prediction", self._take_prediction),
                 (ExtrapolationAlarm, "extrapolation_alarm", self._take_alarm),
-            )
-        ]
-        self._executor = EventsExecutor(context=self._context)
-        self._executor.add_node(self._node)
-
-    def __enter__(self) -> Collector:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.remove_node(self._node)
-        self._node.destroy_node()
-        self._executor.shutdown()
-        self._context.try_shutdown()
-
-    @property
-    def connected(self) -> bool:
-        """Whether every topic has a publisher."""
-        return all(subscription.get_publisher_count() for subscription in self._subscriptions)
+            ),
+        )
 
     @property
     def arrived_ns(self) -> Stamps:
@@ -149,16 +181,6 @@ class Collector:
     def alarms(self) -> messages.ReportedAlarms:
         """Every alarm message so far."""
         return messages.unpack_alarms(Payloads.join(self._alarms))
-
-    def spin_until(self, condition: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
-        """Collect until the condition holds; False if the time is over first."""
-        deadline = time.monotonic() + timeout_s
-        never = Future()
-        while not condition():
-            if time.monotonic() > deadline:
-                return False
-            self._executor.spin_until_future_complete(never, timeout_sec=_POLL_S)
-        return True
 
     def _take_prediction(self, payload: bytes) -> None:
         self._arrived_ns.append(time.monotonic_ns())

@@ -19,7 +19,7 @@ from sensor_msgs.msg import Imu
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.logs import messages
 from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
+from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.signals.odometry import FusedSample, fused_sample, with_gyro_faults
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
@@ -34,8 +34,6 @@ IMU = Source(Imu, "imu", messages.unpack_imu)
 
 _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
-# What the monitor has to hear of, though there is no state at its stamp: it reports that.
-_WITHOUT_STATE = (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET)
 _FUSED = {f"{kind} {outcome}" for kind in ("poses", "velocities") for outcome in ("used", "collected")}
 _LEVELS = {
     EstimatorStatus.INITIALISING: diagnostics.WARN,
@@ -170,7 +168,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             self._imu_health.refuse(reason)
             self.warn(f"topic {self._imu.topic}", f"sample not used: {reason}")
         if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self._ekf.initialised:
-            if self.listener and outcome in _WITHOUT_STATE:
+            if self.listener and outcome in WITHOUT_ESTIMATE:
                 self.listener.take_imu(with_gyro_faults(imu))
             return
         sample = fused_sample(self._ekf.state, self._gyro_noise)

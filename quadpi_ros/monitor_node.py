@@ -18,12 +18,12 @@ from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, WindStream
+from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, RotorSpeedStream, WindStream
 from quadpi_core.logs import messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
-from quadpi_core.monitor.pairing import JUMP_BACK_NS, TIMEOUT_S, Pairing
+from quadpi_core.monitor.pairing import TIMEOUT_S, Pairing
 from quadpi_core.signals.odometry import FusedSample, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
@@ -190,7 +190,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._advance()
 
     def _note_arrival(self, time_ns: int) -> None:
-        if time_ns < self._newest_ns - JUMP_BACK_NS:
+        if time_ns < self._newest_ns - MAX_JUMP_BACK_NS:
             self._results.monitors.reset()
             self._latency.reset()
         self._newest_ns = time_ns

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import MAX_GAP_NS, Stamps
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import (
     ATTITUDE,
@@ -40,8 +40,6 @@ _WIDEST = 10
 # Of PairingCounts.
 _PAIRED, _EARLY, _DROPPED, _DISORDERED = 0, 1, 2, 3
 _NEVER = -(2**63)
-# A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
-JUMP_BACK_NS = 1_000_000_000
 
 
 class PairedSamples(NamedTuple):
@@ -282,7 +280,7 @@ def _take_all(
         kind, row = arriving.kind[event], arriving.row[event]
         if kind == IMU:
             at_ns = arriving.imu_ns[row]
-            if newest_ns != _NEVER and at_ns < newest_ns - JUMP_BACK_NS:
+            if newest_ns != _NEVER and at_ns < newest_ns - MAX_JUMP_BACK_NS:
                 starts[set_back] = count
                 set_back += 1
             newest_ns = at_ns
@@ -303,7 +301,7 @@ def _make_room(tracks: Any, track: int, time_ns: int) -> int:
     """Where to write a sample of that stamp, which now is the newest; −1 if its stamp does not advance."""
     place, capacity = tracks.places[track], tracks.time_ns.shape[1]
     if time_ns <= place[_NEWEST_NS]:
-        if place[_NEWEST_NS] - time_ns <= JUMP_BACK_NS:
+        if place[_NEWEST_NS] - time_ns <= MAX_JUMP_BACK_NS:
             tracks.counts[_DISORDERED] += 1
             return -1
         place[_COUNT] = 0

@@ -29,7 +29,6 @@ from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
-from quadpi_core.signals.ekf_kernels import Outcome
 from quadpi_core.signals.odometry import with_gyro_faults
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
@@ -38,9 +37,6 @@ if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
 
 _Rows = TypeVar("_Rows", Predictions, Alarms)
-
-# IMU samples that the monitor gets although there is no estimate at them.
-_WITHOUT_STATE = (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET)
 
 
 @dataclass(frozen=True)
@@ -250,7 +246,7 @@ def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, OdometrySt
     rates, specific_force = imu.angular_velocity.copy(), with_gyro_faults(imu).specific_force
     rates[trace.sample] -= trace.gyro_bias
     specific_force[trace.sample] = imu.specific_force[trace.sample] - trace.accelerometer_bias
-    handed_over = np.isin(trace.imu_outcomes, _WITHOUT_STATE)
+    handed_over = np.isin(trace.imu_outcomes, ekf_kernels.WITHOUT_ESTIMATE)
     handed_over[trace.sample] = True
     sent = _published(trace)
     states = OdometryStream(

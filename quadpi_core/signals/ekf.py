@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import SignalError
-from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import ekf_buffer as buffer
 from quadpi_core.signals import ekf_kernels as kernels
@@ -97,49 +97,83 @@ class State(NamedTuple):
 
 
 @dataclass(frozen=True)
-class EkfTrace:
-    """Estimates at the stamps of IMU samples, from the initialisation on; nothing before it.
+class Estimates:
+    """Estimates at the stamps of IMU samples, of the filter or the smoother.
+
+    Attributes:
+        time_ns: (M,) stamps.
+        nominal: (M, 17) the estimates, in the order of :class:`Row`; the properties are views.
+        variance: (M, 16) diagonal of the covariance of the error state, ordered as the slices of
+            :mod:`quadpi_core.signals.ekf_kernels` (POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, …).
+    """
+
+    time_ns: Stamps
+    nominal: Array
+    variance: Array
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @property
+    def position(self) -> Array:
+        """(M, 3) m, world."""
+        return self._columns(Row.POSITION)
+
+    @property
+    def velocity(self) -> Array:
+        """(M, 3) m/s over ground, world."""
+        return self._columns(Row.VELOCITY)
+
+    @property
+    def attitude(self) -> Array:
+        """(M, 4) body to world."""
+        return self._columns(Row.ATTITUDE)
+
+    @property
+    def gyro_bias(self) -> Array:
+        """(M, 3) rad/s."""
+        return self._columns(Row.GYRO_BIAS)
+
+    @property
+    def accelerometer_bias(self) -> Array:
+        """(M, 3) m/s²."""
+        return self._columns(Row.ACCELEROMETER_BIAS)
+
+    @property
+    def delay_s(self) -> Array:
+        """(M,) of motion capture."""
+        delay: Array = self.nominal[:, Row.DELAY - Row.NOMINAL.start]
+        return delay
+
+    @property
+    def velocity_body(self) -> Array:
+        """(M, 3) m/s over ground, body axes."""
+        return rotate_world_to_body(self.attitude, self.velocity)
+
+    def _columns(self, part: slice) -> Array:
+        return self.nominal[:, part.start - Row.NOMINAL.start : part.stop - Row.NOMINAL.start]
+
+
+@dataclass(frozen=True)
+class EkfTrace(Estimates):
+    """What the filter gave from its initialisation on; nothing before it.
 
     After a pause of the IMU, or a jump back of its clock, the filter initialises anew and its stamps leave
     that time out.
 
     Attributes:
-        time_ns: (M,) stamps.
-        position, velocity: (M, 3) m and m/s, world.
-        attitude: (M, 4) body to world.
-        gyro_bias: (M, 3) rad/s.
-        accelerometer_bias: (M, 3) m/s².
-        delay_s: (M,) of motion capture.
-        variance: (M, 16) diagonal of the covariance of the error state, ordered as the slices of
-            :mod:`quadpi_core.signals.ekf_kernels` (POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, …).
         status: (M,) see :class:`EstimatorStatus`.
         sample: (M,) index of the IMU sample.
         imu_outcomes: (N,) what became of each IMU sample, values of :class:`Outcome`.
         imu_counts, pose_counts, velocity_counts: how many samples met each :class:`Outcome`.
     """
 
-    time_ns: Stamps
-    position: Array
-    velocity: Array
-    attitude: Array
-    gyro_bias: Array
-    accelerometer_bias: Array
-    delay_s: Array
-    variance: Array
     status: npt.NDArray[np.uint8]
     sample: npt.NDArray[np.int64]
     imu_outcomes: npt.NDArray[np.int64]
     imu_counts: dict[Outcome, int]
     pose_counts: dict[Outcome, int]
     velocity_counts: dict[Outcome, int]
-
-    def __len__(self) -> int:
-        return len(self.time_ns)
-
-    @property
-    def velocity_body(self) -> Array:
-        """(M, 3) m/s over ground, body axes."""
-        return rotate_world_to_body(self.attitude, self.velocity)
 
 
 class Segment(NamedTuple):
@@ -288,20 +322,9 @@ class Ekf:
             SignalError: if the recording has no motion capture, or never a second of IMU samples and that.
         """
         track, outcomes, _ = self._run(recording, journalled=False)
-        nominal = track.nominal
-        offset = Row.NOMINAL.start
-
-        def columns(part: slice) -> Array:
-            return nominal[:, part.start - offset : part.stop - offset]
-
         return EkfTrace(
             time_ns=track.time_ns,
-            position=columns(Row.POSITION),
-            velocity=columns(Row.VELOCITY),
-            attitude=columns(Row.ATTITUDE),
-            gyro_bias=columns(Row.GYRO_BIAS),
-            accelerometer_bias=columns(Row.ACCELEROMETER_BIAS),
-            delay_s=nominal[:, Row.DELAY - offset],
+            nominal=track.nominal,
             variance=track.variance,
             status=track.status,
             sample=track.sample,
@@ -412,7 +435,7 @@ class Ekf:
         if not kernels.usable_imu(sample):
             return Outcome.UNUSABLE
         last_ns = self._imu[-1][0] if self._imu else time_ns - 1
-        if not -buffer.MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
+        if not -MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
             self.reset()
         elif time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING
@@ -428,7 +451,7 @@ class Ekf:
             return Outcome.UNUSABLE
         marks = self._memory.sources[0 if kind == POSE else 1]
         last_ns = int(marks[Source.ARRIVED_NS])
-        if last_ns - buffer.MAX_JUMP_BACK_NS <= time_ns <= last_ns:
+        if last_ns - MAX_JUMP_BACK_NS <= time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING
         if time_ns <= last_ns:
             self._measurements.clear()

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import MAX_GAP_NS, Stamps
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import ekf_corrections as corrections
 from quadpi_core.signals.ekf_corrections import (
@@ -49,7 +49,6 @@ from quadpi_core.signals.ekf_kernels import (
 HOLD_NS = 10_000_000
 BUFFER_S = 0.5
 _BUFFER_NS = round(BUFFER_S * 1e9)
-MAX_JUMP_BACK_NS = 1_000_000_000
 # Measurements that wait; more than motion capture sends in the time by which it may be early.
 _HELD = 256
 

@@ -78,6 +78,10 @@ class Outcome(IntEnum):
     STAMP_JUMPED = 9  # an IMU sample far from the one before: RESET if the next one agrees with it
 
 
+# IMU samples that the monitor has to hear of, though there is no estimate at their stamps: it reports that.
+WITHOUT_ESTIMATE = (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET)
+
+
 class EstimatorStatus(IntEnum):
     """How far the estimate can be used."""
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import Recording, Stamps
-from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.frames import Array
 from quadpi_core.signals import ekf_corrections as corrections
-from quadpi_core.signals.ekf import Ekf, Segment
+from quadpi_core.signals.ekf import Ekf, Estimates, Segment
 from quadpi_core.signals.ekf_buffer import noise_of, step_between
 from quadpi_core.signals.ekf_corrections import KIND, LAG, POSE, SCALAR, VALUE, VALUES, WIDENED
 from quadpi_core.signals.ekf_kernels import (
@@ -36,34 +36,6 @@ from quadpi_core.signals.ekf_kernels import (
 CHUNK = 500
 _WIDTH = Row.WIDTH
 _STATE_BEGIN, _COVARIANCE_BEGIN = Row.NOMINAL.start, Row.COVARIANCE.start
-
-
-class Smoothed(NamedTuple):
-    """Smoothed estimates at the stamps of IMU samples.
-
-    Attributes:
-        time_ns: (M,) stamps.
-        position, velocity: (M, 3) m and m/s, world.
-        attitude: (M, 4) body to world.
-        gyro_bias: (M, 3) rad/s.
-        accelerometer_bias: (M, 3) m/s².
-        delay_s: (M,) of motion capture.
-        variance: (M, 16) diagonal of the covariance of the error state, ordered as that of the EKF.
-    """
-
-    time_ns: Stamps
-    position: Array
-    velocity: Array
-    attitude: Array
-    gyro_bias: Array
-    accelerometer_bias: Array
-    delay_s: Array
-    variance: Array
-
-    @property
-    def velocity_body(self) -> Array:
-        """(M, 3) m/s over ground, body axes."""
-        return rotate_world_to_body(self.attitude, self.velocity)
 
 
 class _Inputs(NamedTuple):
@@ -94,7 +66,7 @@ class _Tape(NamedTuple):
 _STEP, _SCALAR, _ESTIMATE = range(3)
 
 
-def smooth(recording: Recording, ekf: Ekf) -> Smoothed:
+def smooth(recording: Recording, ekf: Ekf) -> Estimates:
     """Smoothed estimates over a whole recording, at the IMU samples that a fresh EKF uses.
 
     Args:
@@ -109,20 +81,7 @@ def smooth(recording: Recording, ekf: Ekf) -> Smoothed:
     noise = np.array(ekf.noise, dtype=np.float64)
     parts = [_smooth(imu.time_ns, samples, segment, noise) for segment in ekf.segments(recording)]
     time_ns, nominal, variance = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-
-    def columns_of(part: slice) -> Array:
-        return nominal[:, part.start - _STATE_BEGIN : part.stop - _STATE_BEGIN]
-
-    return Smoothed(
-        time_ns,
-        columns_of(Row.POSITION),
-        columns_of(Row.VELOCITY),
-        columns_of(Row.ATTITUDE),
-        columns_of(Row.GYRO_BIAS),
-        columns_of(Row.ACCELEROMETER_BIAS),
-        nominal[:, Row.DELAY - _STATE_BEGIN],
-        variance,
-    )
+    return Estimates(time_ns, nominal, variance)
 
 
 def _smooth(imu_ns: Stamps, samples: Array, segment: Segment, noise: Array) -> tuple[Stamps, Array, Array]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.flight import MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.logs import messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor
@@ -19,11 +19,11 @@ from quadpi_core.monitor.alarm import CAUSES, LEVEL_OK
 from quadpi_core.monitor.events import AlarmEvent
 from quadpi_core.monitor.health import TopicHealth, TopicReport
 from quadpi_core.monitor.output import Alarms, Predictions
-from quadpi_core.monitor.pairing import JUMP_BACK_NS, PairedSamples, Pairing
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.reasons import reasons
 from quadpi_core.monitor.several import Monitors
 from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
+from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.signals.odometry import fused_sample, with_gyro_faults
 from quadpi_core.simulation.faults import Fault, Sent, apply_faults
 from quadpi_core.vehicle import Vehicle
@@ -180,7 +180,7 @@ class Onboard:
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             self._health["imu"].refuse(outcome.name)
         if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self.ekf.initialised:
-            if outcome in (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET):
+            if outcome in WITHOUT_ESTIMATE:
                 self._hand_over(with_gyro_faults(imu))
             return
         fused = fused_sample(self.ekf.state, self._gyro_noise)
@@ -200,7 +200,7 @@ class Onboard:
         self._advance()
 
     def _note(self, time_ns: int) -> None:
-        if time_ns < self._newest_ns - JUMP_BACK_NS:
+        if time_ns < self._newest_ns - MAX_JUMP_BACK_NS:
             self._judge()
             self.monitors.reset()
         self._newest_ns = time_ns
