@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -22,6 +23,11 @@ from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.spread import SpreadShape
 from quadpi_core.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from quadpi_ros.processes import Child
+
+    from .rig import Rig
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 domain_coordinator = pytest.importorskip("domain_coordinator", reason="ROS 2 is not installed")
@@ -151,3 +157,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory, hover: Recording) -> Path:
     model.save(folder / "model")
     replace(model, name="other").save(folder / "other")
     return folder
+
+
+@pytest.fixture(scope="module")
+def running(live: Child, hover: Recording) -> Iterator[Rig]:
+    """The vehicle around the nodes `live` of a module, as long as that runs."""
+    from .rig import Rig
+
+    assert not live.finished()
+    rig = Rig(hover)
+    rig.listen()
+    yield rig
+    rig.close()

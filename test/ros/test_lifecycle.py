@@ -4,229 +4,31 @@
 
 from __future__ import annotations
 
-import struct
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.logs import messages
-
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
-from nav_msgs.msg import Odometry
-from quadpi.msg import ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
+from lifecycle_msgs.srv import GetState
+from quadpi.msg import WrenchPrediction
 from quadpi.srv import LoadModel
-from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.context import Context
-from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.task import Future
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu
 
-from quadpi_ros.discovery import await_listeners
+from quadpi_core.flight import PoseStream
 from quadpi_ros.processes import Child
-from quadpi_ros.runtime import SENSOR_QOS
+
+from .rig import STARTED_S, STEP_NS, TOPICS, Rig, arguments, assert_whole, values_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
-
-IMU_HZ = 500.0
-STEP_NS = round(1e9 / IMU_HZ)
-# Beyond the second that the estimator collects before it starts.
-STARTED_S = 1.3
-DEEP = QoSProfile(depth=5000)
-TOPICS = {
-    "prediction": WrenchPrediction,
-    "prediction/other": WrenchPrediction,
-    "odometry": Odometry,
-    "extrapolation_alarm": ExtrapolationAlarm,
-}
-SENSORS = (("imu", Imu), ("rotor_speeds", RotorSpeeds), ("mocap/pose", PoseStamped))
-Change = Callable[[int, dict[str, Any]], dict[str, Any]]
-
-
-class Rig:
-    """A vehicle that hovers as long as it is asked to, and listens to what the nodes say of it."""
-
-    def __init__(self, hover: Recording) -> None:
-        self._hover = hover
-        self.now_ns = int(hover.imu.time_ns[0])
-        self.heard: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
-        self.told: list[DiagnosticStatus] = []
-        self.diagnosed_ns = 0
-        self._context = Context()
-        self._context.init()
-        self.node = Node("rig", context=self._context)
-        self._clock = self.node.create_publisher(Clock, "/clock", 10)
-        self.sim_time = False
-        self._start_sensors()
-        for topic, kind in TOPICS.items():
-            self.node.create_subscription(kind, topic, self.heard[topic].append, DEEP, raw=True)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, DEEP)
-        self._clients: dict[str, Any] = {}
-        self._executor = EventsExecutor(context=self._context)
-        self._thread: threading.Thread | None = None
-        self._closing = False
-
-    def _start_sensors(self) -> None:
-        """In a participant of their own, as a driver or a player has it; wait until the nodes hear them."""
-        self._sensors = Context()
-        self._sensors.init()
-        node = Node("sensors", context=self._sensors)
-        self._publishers = {topic: node.create_publisher(kind, topic, SENSOR_QOS) for topic, kind in SENSORS}
-        await_listeners(node, list(self._publishers.values()), ("estimator", "monitor"), 300.0)
-
-    def restart_sensors(self) -> None:
-        self._sensors.try_shutdown()
-        self._start_sensors()
-
-    def listen(self) -> None:
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        never = Future()
-        while not self._closing:
-            self._executor.spin_until_future_complete(never, timeout_sec=0.1)
-
-    def close(self) -> None:
-        self._closing = True
-        if self._thread is not None:
-            self._thread.join()
-        self._executor.remove_node(self.node)
-        self.node.destroy_node()
-        self._executor.shutdown()
-        self._context.try_shutdown()
-        self._sensors.try_shutdown()
-
-    def fly(
-        self, seconds: float, change: Change = lambda _, sample: sample, imu_hz: float = IMU_HZ
-    ) -> tuple[int, int]:
-        """Publish for so long; gives the stamps of the first and the last IMU sample."""
-        first_ns, step_ns = self.now_ns, round(1e9 / imu_hz)
-        started_s = time.monotonic()
-        for count in range(round(seconds * imu_hz)):
-            wait_s = started_s + 1e-9 * count * step_ns - time.monotonic()
-            if wait_s > 0.0:
-                time.sleep(wait_s)
-            if self.sim_time and count % 5 == 0:
-                self.tick()
-            self._publish(count, change)
-            self.now_ns += step_ns
-        last_ns = self.now_ns - step_ns
-        self._send("rotor_speeds", messages.pack_rotor_speeds(self._rotors(self.now_ns, 0)))
-        return first_ns, last_ns
-
-    def tick(self) -> None:
-        sec, nanosec = divmod(self.now_ns, 10**9)
-        self._clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
-
-    def _publish(self, count: int, change: Change) -> None:
-        index = count % 1000
-        stamp = np.array([self.now_ns])
-        imu = self._hover.imu
-        sample = change(
-            count,
-            {
-                "imu": ImuStream(stamp, imu.angular_velocity[[index]], imu.specific_force[[index]]),
-                "rotor_speeds": self._rotors(self.now_ns, index),
-                "mocap/pose": PoseStream(stamp, self._hover.pose.position[[index % 100]], np.eye(4)[:1]),
-            },
-        )
-        if count % 4 == 0:
-            self._send("mocap/pose", messages.pack_pose(sample["mocap/pose"]))
-        self._send("imu", messages.pack_imu(sample["imu"]))
-        self._send("rotor_speeds", messages.pack_rotor_speeds(sample["rotor_speeds"]))
-
-    def _rotors(self, time_ns: int, index: int) -> RotorSpeedStream:
-        return RotorSpeedStream(np.array([time_ns]), self._hover.rotor_speeds.speeds[[index]])
-
-    def _send(self, topic: str, payloads: Any) -> None:
-        self._publishers[topic].publish(payloads[0])
-
-    def stamps(self, topic: str, first_ns: int, last_ns: int) -> np.ndarray:
-        # Every message begins with its header, whose stamp follows the four bytes of the encapsulation.
-        parts = [struct.unpack_from("<iI", payload, 4) for payload in list(self.heard[topic])]
-        stamps = [10**9 * sec + nanosec for sec, nanosec in parts]
-        return np.array([stamp for stamp in stamps if first_ns <= stamp <= last_ns])
-
-    def await_stamp(self, topic: str, time_ns: int) -> None:
-        """Wait until the message of a stamp has come."""
-        self.until(lambda: len(self.stamps(topic, time_ns, time_ns)) > 0)
-
-    def until(self, condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-
-    def forget(self) -> None:
-        for heard in self.heard.values():
-            heard.clear()
-        self.told.clear()
-
-    def latest(self, name: str) -> DiagnosticStatus | None:
-        return next((status for status in reversed(list(self.told)) if status.name == name), None)
-
-    def await_status(self, name: str, level: bytes, part: str) -> DiagnosticStatus:
-        """Wait for a status of that level whose message holds `part`."""
-
-        def found() -> list[DiagnosticStatus]:
-            return [
-                status
-                for status in list(self.told)
-                if status.name == name and status.level == level and part in status.message
-            ]
-
-        self.until(lambda: bool(found()))
-        return found()[-1]
-
-    def call(self, kind: type, name: str, request: Any, timeout_s: float = 60.0) -> Any:
-        return self.call_later(kind, name, request)(timeout_s)
-
-    def call_later(self, kind: type, name: str, request: Any) -> Callable[[float], Any]:
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, name)
-        assert self._clients[name].wait_for_service(20.0)
-        answer = self._clients[name].call_async(request)
-
-        def result(timeout_s: float) -> Any:
-            self.until(answer.done, timeout_s)
-            return answer.result()
-
-        return result
-
-    def change_state(self, node: str, transition: int) -> bool:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return bool(self.call(ChangeState, f"{node}/change_state", request).success)
-
-    def set_parameter(self, name: str, value: Any, node: str = "monitor") -> Any:
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
-
-    def _take_diagnostics(self, array: DiagnosticArray) -> None:
-        self.diagnosed_ns = 10**9 * array.header.stamp.sec + array.header.stamp.nanosec
-        self.told.extend(array.status)
-
-
-def arguments(models: str) -> tuple[str, ...]:
-    settings = ("vehicle:=neurobem", f"monitor:model:={models}")
-    return ("--ros-args", *(part for setting in settings for part in ("-p", setting)))
 
 
 @pytest.fixture(scope="module")
@@ -237,37 +39,14 @@ def live(ros_domain: int, folder: Path, tmp_path_factory: pytest.TempPathFactory
         yield nodes
 
 
-@pytest.fixture(scope="module")
-def running(live: Child, hover: Recording) -> Iterator[Rig]:
-    assert not live.finished()
-    rig = Rig(hover)
-    rig.listen()
-    yield rig
-    rig.close()
-
-
 @pytest.fixture
 def rig(running: Rig, live: Child) -> Iterator[Rig]:
-    """The vehicle in the air and predicted, whatever came before."""
-    deadline = time.monotonic() + 20.0
+    """The vehicle in the air and predicted, whatever came before; nothing is queued any more."""
     running.forget()
-    while True:
-        _, last_ns = running.fly(0.1)
-        if len(running.stamps("prediction", last_ns - 50_000_000, last_ns)):
-            break
-        assert time.monotonic() < deadline
-    # Nothing is queued any more.
-    running.await_stamp("prediction", last_ns)
+    running.fly_until_heard("odometry", "prediction", "prediction/other")
     running.forget()
     yield running
     assert not live.finished()
-
-
-def assert_whole(rig: Rig, topic: str, first_ns: int, last_ns: int) -> None:
-    rig.await_stamp(topic, last_ns)
-    missing = np.setdiff1d(np.arange(first_ns, last_ns + 1, STEP_NS), rig.stamps(topic, first_ns, last_ns))
-    assert not len(missing), f"{topic} lacks {1e-9 * (missing - first_ns)} s; {rig.told[-20:]}"
-    assert np.all(np.diff(rig.stamps(topic, first_ns, last_ns)) > 0)
 
 
 def predictions(rig: Rig, topic: str = "prediction") -> list[WrenchPrediction]:
@@ -381,10 +160,6 @@ def test_diagnostics_tell_rates_latency_and_states(rig: Rig) -> None:
     assert rig.latest("estimator: state").message == "active"
     models = {item.value[:5] for item in rig.latest("monitor: alarm").values if item.key.startswith("model")}
     assert models == {"model", "other"}
-
-
-def values_of(status: DiagnosticStatus) -> dict[str, str]:
-    return {item.key: item.value for item in status.values}
 
 
 def test_latency_from_the_stamp_needs_this_computers_clock(rig: Rig) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quadpi_core.flight import Recording
 from quadpi_core.logs import messages
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.models import AerodynamicModel
@@ -34,7 +33,8 @@ from rclpy.serialization import deserialize_message
 from quadpi_ros.processes import Child
 from quadpi_ros.session import run_session
 from test.faults.onboard import Onboard, sent_by, spoilt
-from test.ros.test_lifecycle import STARTED_S, STEP_NS, Rig, arguments, assert_whole
+
+from .rig import STARTED_S, STEP_NS, Rig, arguments, assert_whole
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -58,20 +58,12 @@ def live(ros_domain: int, flying: Path, tmp_path_factory: pytest.TempPathFactory
         yield nodes
 
 
-@pytest.fixture(scope="module")
-def running(live: Child, hover: Recording) -> Iterator[Rig]:
-    assert not live.finished()
-    rig = Rig(hover)
-    rig.listen()
-    yield rig
-    rig.close()
-
-
 @pytest.fixture
 def rig(running: Rig, live: Child) -> Iterator[Rig]:
     """The vehicle in the air, ten seconds after whatever came before; the nodes outlive every test."""
     running.now_ns += 10_000_000_000
     running.fly(STARTED_S)
+    running.fly_until_heard("odometry", "prediction")
     running.forget()
     yield running
     assert not live.finished()
