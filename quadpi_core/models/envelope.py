@@ -7,12 +7,13 @@ interval width that they reached. The range of a flight runs between its 0.1 % a
 that one spike does not widen it; the envelope spans the ranges of all flights. Flights that repeat a
 trajectory still differ a little at its extremes, so the alarm allows a margin beyond the range and a
 headroom above the peaks. Here both are plain fractions, for which no rate of false alarms is claimed;
-`monitor.calibration` puts limits with a rate in their place where flights allow it.
+`monitor.calibration` puts limits with a rate in their place where flights allow it. The plain ones then go
+on as those of the warning: outside of what was flown, though flights of this kind may stray so far.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -39,13 +40,17 @@ class Envelope:
         lower, upper: (19,) range of each input over the training flights, columns as `INPUT_NAMES`.
         margin: (19,) how far outside its range an input may be before it counts as evidence, in
             :attr:`scale`.
-        leverage_limit, width_limit: (6,) leverage and relative width above which an axis counts as
-            evidence, order as `AXES`; 1 for axes that the model does not hold.
+        leverage_peak, width_peak: (6,) leverage and relative width that the training flights reached,
+            order as `AXES`; 0 for axes that the model does not hold, or without such a signal.
+        leverage_limit, width_limit: (6,) those above which an axis counts as evidence; 1 where the peak
+            is 0.
     """
 
     lower: Array
     upper: Array
     margin: Array
+    leverage_peak: Array
+    width_peak: Array
     leverage_limit: Array
     width_limit: Array
 
@@ -94,8 +99,27 @@ class Envelope:
             lower=ranges[:, 0].min(axis=0),
             upper=ranges[:, 1].max(axis=0),
             margin=np.full(len(INPUT_NAMES), MARGIN),
-            leverage_limit=np.where(leverage_peak > 0.0, LEVERAGE_HEADROOM * leverage_peak, 1.0),
-            width_limit=np.where(width_peak > 0.0, WIDTH_HEADROOM * width_peak, 1.0),
+            leverage_peak=leverage_peak,
+            width_peak=width_peak,
+            leverage_limit=cls.of_peak(leverage_peak, LEVERAGE_HEADROOM),
+            width_limit=cls.of_peak(width_peak, WIDTH_HEADROOM),
+        )
+
+    @staticmethod
+    def of_peak(peak: Array, headroom: float) -> Array:
+        """Limits (6,) of so many times the peaks (6,); 1 where the peak is 0."""
+        return np.where(peak > 0.0, headroom * peak, 1.0)
+
+    @cached_property
+    def near(self) -> Envelope:
+        """The same with the limits of the warning: the plain ones, or calibrated ones that are nearer."""
+        return replace(
+            self,
+            margin=np.minimum(self.margin, MARGIN),
+            leverage_limit=np.minimum(
+                self.leverage_limit, self.of_peak(self.leverage_peak, LEVERAGE_HEADROOM)
+            ),
+            width_limit=np.minimum(self.width_limit, self.of_peak(self.width_peak, WIDTH_HEADROOM)),
         )
 
     @staticmethod
@@ -134,6 +158,8 @@ class Envelope:
             },
             "axes": {
                 axis: {
+                    "leverage_peak": float(self.leverage_peak[i]),
+                    "width_peak": float(self.width_peak[i]),
                     "leverage_limit": float(self.leverage_limit[i]),
                     "width_limit": float(self.width_limit[i]),
                 }
@@ -162,6 +188,8 @@ class Envelope:
             lower=column("inputs", INPUT_NAMES, "lower"),
             upper=column("inputs", INPUT_NAMES, "upper"),
             margin=column("inputs", INPUT_NAMES, "margin"),
+            leverage_peak=column("axes", AXES, "leverage_peak"),
+            width_peak=column("axes", AXES, "width_peak"),
             leverage_limit=column("axes", AXES, "leverage_limit"),
             width_limit=column("axes", AXES, "width_limit"),
         )
@@ -169,4 +197,6 @@ class Envelope:
             raise ModelError("envelope: a lower bound lies above its upper bound, or a margin is negative")
         if np.any(envelope.leverage_limit <= 0.0) or np.any(envelope.width_limit <= 0.0):
             raise ModelError("envelope: limits of leverage and width must be positive")
+        if np.any(envelope.leverage_peak < 0.0) or np.any(envelope.width_peak < 0.0):
+            raise ModelError("envelope: peaks of leverage and width must not be negative")
         return envelope

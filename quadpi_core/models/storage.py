@@ -32,7 +32,7 @@ from quadpi_core.paths import require_folder, whole_output
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
-FORMAT = 4
+FORMAT = 5
 
 
 def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:

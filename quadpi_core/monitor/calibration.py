@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
 from quadpi_core.compiled import njit
@@ -128,8 +127,8 @@ def calibrate_alarm(
     calibrated = replace(
         envelope,
         margin=np.full(len(INPUT_NAMES), 0.5 * ((ratio or 1.0) - 1.0)),
-        leverage_limit=_of_peak(envelope.leverage_limit, LEVERAGE_HEADROOM, leverage, usual_axes),
-        width_limit=_of_peak(envelope.width_limit, WIDTH_HEADROOM, width, usual_axes),
+        leverage_limit=envelope.of_peak(envelope.leverage_peak, leverage or LEVERAGE_HEADROOM),
+        width_limit=envelope.of_peak(envelope.width_peak, width or WIDTH_HEADROOM),
     )
     sums = [_sums(flight.time, flight.miss, limits.allowance) for flight, _ in usual]
     misses = limits.miscoverage_s.copy()
@@ -144,11 +143,6 @@ def calibrate_alarm(
         flights=len(usual),
         hours=sum(float(time[-1] - time[0]) for time in times) / 3600.0,
     )
-
-
-def _of_peak(plain: Array, headroom: float, bound: float | None, held: npt.NDArray[np.bool_]) -> Array:
-    """Limits (6,) of `bound` times the training peaks of the axes held; the plain ones without a bound."""
-    return plain if bound is None else np.where(held, bound / headroom * plain, plain)
 
 
 def left_out(

@@ -8,7 +8,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from quadpi_core.monitor.alarm import CAUSES, LEVEL_ALARM, LEVEL_OK
+from quadpi_core.monitor.alarm import CAUSES, LEVEL_ALARM
 from quadpi_core.monitor.output import Alarms
 from quadpi_core.monitor.reasons import reasons
 
@@ -18,7 +18,7 @@ KEPT = 64
 
 @dataclass(frozen=True)
 class AlarmEvent:
-    """One cause at alarm level.
+    """One cause at alarm level; a warning is no event.
 
     Attributes:
         number: counts the events of a log from 1.
@@ -75,7 +75,7 @@ class EventLog:
                     told = reasons(alarms, row, cause)
                     self._open[cause] = AlarmEvent(self._count, cause, now, now, 0, evidence, told)
                     changed.append(self._open[cause])
-                elif event is not None and level == LEVEL_OK:
+                elif event is not None and level != LEVEL_ALARM:
                     self._closed.append(replace(self._open.pop(cause), time_ns=now, end_ns=now))
                     changed.append(self._closed[-1])
                 elif event is not None and evidence > event.peak_evidence:

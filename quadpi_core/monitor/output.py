@@ -41,6 +41,7 @@ class Alarms:
         cause_level, cause_health: (M, 3) level and health of each cause (see `monitor.alarm`).
         cause_evidence: (M, 3) largest score of the signals of each cause.
         leverage, width, miscoverage: (M, 6) scores per axis.
+        leverage_ratio, width_ratio: (M, 6) leverage and width over their peaks in training.
         miss_share: (M, 6) share of recent samples outside the model's own interval.
         input_score: (M, 19) scores of the inputs' distances from the middle of their training range.
         input_excess: (M, 19) how far each input lies outside its training range, in widths of that
@@ -55,7 +56,9 @@ class Alarms:
     cause_health: npt.NDArray[np.uint8]
     cause_evidence: Array
     leverage: Array
+    leverage_ratio: Array
     width: Array
+    width_ratio: Array
     miscoverage: Array
     miss_share: Array
     input_score: Array

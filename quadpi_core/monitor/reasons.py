@@ -8,6 +8,7 @@ import numpy as np
 
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
 from quadpi_core.monitor.faults import fault_words
 from quadpi_core.monitor.output import Alarms
@@ -24,7 +25,7 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     """Why the causes are not ok in one row, the strongest evidence first; empty where all is well.
 
     An input is told as its distance from the middle of its training range over half of that range, leverage
-    and width over their limits, miscoverage as the share of recent samples outside the interval.
+    and width over the largest in training, miscoverage as the share of recent samples outside the interval.
 
     Args:
         alarms: as the monitor gives them.
@@ -38,8 +39,13 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     if wanted & EXTRAPOLATION:
         ratio = 1.0 + 2.0 * alarms.input_excess[row]
         told += [f"{INPUT_NAMES[k]} {ratio[k]:.1f} x the training range" for k in _beyond(ratio, _OUTSIDE)]
-        for name, scores in (("leverage", alarms.leverage[row]), ("width", alarms.width[row])):
-            told += [f"{AXES[k]} {name} {scores[k]:.1f} x its limit" for k in _beyond(scores)]
+        for name, ratios, scores, headroom in (
+            ("leverage", alarms.leverage_ratio[row], alarms.leverage[row], LEVERAGE_HEADROOM),
+            ("width", alarms.width_ratio[row], alarms.width[row], WIDTH_HEADROOM),
+        ):
+            # Beyond the limit of the warning or, where that is nearer, of the alarm.
+            far = np.where((ratios > headroom) | (scores > 1.0), ratios, 0.0)
+            told += [f"{AXES[k]} {name} {far[k]:.1f} x its peak in training" for k in _beyond(far, 0.0)]
     if wanted & MISCOVERAGE:
         told += [
             f"{AXES[k]} outside its interval {100.0 * alarms.miss_share[row, k]:.0f} % of the time"
@@ -50,7 +56,7 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     return tuple(told)
 
 
-def _beyond(scores: np.ndarray, limit: float = 1.0) -> list[int]:
+def _beyond(scores: np.ndarray, limit: float) -> list[int]:
     """Places of the largest scores beyond the limit, the largest first."""
     order = np.argsort(-scores, kind="stable")[:_MOST]
     return [int(k) for k in order if scores[k] > limit]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.envelope import LEVERAGE_HEADROOM, Envelope
+from quadpi_core.models.envelope import LEVERAGE_HEADROOM, MARGIN, WIDTH_HEADROOM, Envelope
 
 SAMPLES = 3000
 U = INPUT_INDEX["u"]
@@ -74,11 +75,32 @@ def test_constant_input_is_measured_in_its_unit(training):
     assert envelope.input_excess(sample)[0, U] == pytest.approx(0.3)
 
 
+def test_the_warning_keeps_the_plain_limits_unless_others_are_nearer(training):
+    plain = Envelope.fit(**training)
+    peaks = plain.leverage_peak[0], plain.width_peak[0]
+    for name in ("margin", "leverage_limit", "width_limit"):
+        np.testing.assert_array_equal(getattr(plain.near, name), getattr(plain, name))
+
+    def with_limits(times: float) -> Envelope:
+        return replace(
+            plain,
+            margin=times * plain.margin,
+            leverage_limit=times * plain.leverage_limit,
+            width_limit=times * plain.width_limit,
+        )
+
+    for times, near in ((3.0, 1.0), (0.5, 0.5)):
+        envelope = with_limits(times).near
+        np.testing.assert_allclose(envelope.margin, near * MARGIN)
+        assert envelope.leverage_limit[0] == pytest.approx(near * LEVERAGE_HEADROOM * peaks[0])
+        assert envelope.width_limit[0] == pytest.approx(near * WIDTH_HEADROOM * peaks[1])
+
+
 def test_json_gives_the_same_envelope(training):
     envelope = Envelope.fit(**training)
     again = Envelope.from_json(json.loads(json.dumps(envelope.to_json())))
-    for name in ("lower", "upper", "margin", "leverage_limit", "width_limit"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(envelope, name))
+    for field in fields(Envelope):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(envelope, field.name))
 
 
 def _without_mu_x(data):
@@ -101,6 +123,10 @@ def _without_limit(data):
     data["axes"]["Fx"]["width_limit"] = 0.0
 
 
+def _below_nothing(data):
+    data["axes"]["Fx"]["leverage_peak"] = -0.1
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -109,6 +135,7 @@ def _without_limit(data):
         (_with_infinity, "`upper` is not finite"),
         (_turned_round, "lies above its upper bound"),
         (_without_limit, "must be positive"),
+        (_below_nothing, "must not be negative"),
     ],
 )
 def test_damaged_json_is_refused(training, damage, message):
