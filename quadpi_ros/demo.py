@@ -147,7 +147,7 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
     live = session.summary()
     console.print(
         f"{live['samples_in']} IMU samples in, {live['predictions_out']} predictions out, "
-        f"{live['dropped']} dropped; alarm for {live['alarm_fraction']:.0%} of the time; "
+        f"{live['dropped']} dropped; {_first(live)}alarm for {live['alarm_fraction']:.0%} of the time; "
         f"latency {live['latency_ms_p50']:.1f} ms median, {live['latency_ms_p99']:.1f} ms p99"
     )
 
@@ -161,6 +161,12 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
 
 def _show(console: Console, change: AlarmChange) -> None:
     console.print(Text(str(change), style=_LEVEL_STYLES[change.level]))
+
+
+def _first(live: dict[str, float | int | None]) -> str:
+    """When the first warning and the first alarm came, where one did."""
+    times = {level: live[f"{level}_first_s"] for level in ("warning", "alarm")}
+    return "".join(f"first {level} at {time:.1f} s; " for level, time in times.items() if time is not None)
 
 
 def _replay(flight: str, session: SessionResult, statistics: dict[str, float | int | None]) -> LiveReplay:

@@ -12,10 +12,10 @@ import numpy as np
 import yaml
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.flight import OdometryStream, Stamps
+from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.messages import ReportedAlarms, unpack_stamps
-from quadpi_core.monitor.alarm import alarm_time
+from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, alarm_time
 from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.ekf_initial import COLLECT_NS
 from quadpi_core.signals.resample import nominal_rate
@@ -41,13 +41,14 @@ class SessionResult:
         imu_stamps_ns: (N,) stamps of the IMU samples played.
         rotor_stamps_ns: stamps of the rotor speeds played.
         latency_ms: (P,) from publication of an IMU sample to arrival of its prediction.
-        odometry, predictions, alarms: as published.
+        odometry: messages as published.
+        predictions, alarms: as published.
     """
 
     imu_stamps_ns: Stamps
     rotor_stamps_ns: Stamps
     latency_ms: Array
-    odometry: OdometryStream
+    odometry: Payloads
     predictions: Predictions
     alarms: ReportedAlarms
 
@@ -62,13 +63,17 @@ class SessionResult:
     def summary(self) -> dict[str, float | int | None]:
         """The numbers of the session, ready for JSON; seconds count from the first IMU sample."""
         start_ns, end_ns = int(self.imu_stamps_ns[0]), int(self.imu_stamps_ns[-1])
-        alarm = alarm_time(self.alarms.time_ns, self.alarms.level, end_ns)
+        alarm, warning = (
+            alarm_time(self.alarms.time_ns, self.alarms.level, end_ns, level)
+            for level in (LEVEL_ALARM, LEVEL_WARNING)
+        )
         return {
             "samples_in": len(self.imu_stamps_ns),
             "predictions_out": len(self.predictions.time_ns),
             "dropped": self.dropped,
             "alarm_fraction": alarm.fraction,
-            "alarm_first_s": None if alarm.first_ns is None else 1e-9 * (alarm.first_ns - start_ns),
+            "alarm_first_s": alarm.first_s(start_ns),
+            "warning_first_s": warning.first_s(start_ns),
             "latency_ms_p50": float(np.percentile(self.latency_ms, 50)),
             "latency_ms_p99": float(np.percentile(self.latency_ms, 99)),
         }

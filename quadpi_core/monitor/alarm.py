@@ -253,6 +253,10 @@ class AlarmTime(NamedTuple):
     fraction: float
     first_ns: int | None
 
+    def first_s(self, start_ns: int) -> float | None:
+        """Seconds from a stamp to that row."""
+        return None if self.first_ns is None else 1e-9 * (self.first_ns - start_ns)
+
 
 def alarm_time(
     time_ns: Stamps, level: npt.NDArray[np.uint8], end_ns: int, at_least: int = LEVEL_ALARM

@@ -20,7 +20,7 @@ from quadpi_core.logs import decode_recording, messages
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.monitor import pairing
-from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
+from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, MonitorSettings, alarm_time
 from quadpi_core.monitor.events import Events
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.output import Alarms, Predictions
@@ -50,6 +50,7 @@ class ReplaySummary:
             given up by the pairing, or not plausible.
         alarm_fraction: share of the monitored time at alarm level.
         alarm_first_s: seconds from the first IMU sample to the first alarm; None without one.
+        warning_first_s: the same to the first warning, or alarm without one before.
         events: how often a cause was raised.
     """
 
@@ -58,6 +59,7 @@ class ReplaySummary:
     dropped: int
     alarm_fraction: float
     alarm_first_s: float | None
+    warning_first_s: float | None
     events: int
 
 
@@ -331,12 +333,16 @@ def _summarise(
     recording: Recording, monitored: int, predictions: int, alarms: Alarms, events: Events
 ) -> ReplaySummary:
     stamps = recording.imu.time_ns
-    alarm = alarm_time(alarms.time_ns, alarms.level, int(stamps[-1]))
+    alarm, warning = (
+        alarm_time(alarms.time_ns, alarms.level, int(stamps[-1]), level)
+        for level in (LEVEL_ALARM, LEVEL_WARNING)
+    )
     return ReplaySummary(
         samples_in=len(stamps),
         predictions_out=predictions,
         dropped=monitored - predictions,
         alarm_fraction=alarm.fraction,
-        alarm_first_s=None if alarm.first_ns is None else 1e-9 * (alarm.first_ns - int(stamps[0])),
+        alarm_first_s=alarm.first_s(int(stamps[0])),
+        warning_first_s=warning.first_s(int(stamps[0])),
         events=max((event.number for event in events), default=0),
     )

@@ -32,7 +32,7 @@ class LiveReplay:
     Attributes:
         flight: file stem of the flight.
         statistics: the `live` keys of the demo's summary: samples_in, predictions_out, dropped,
-            alarm_fraction, alarm_first_s (None without an alarm), latency_ms_p50, latency_ms_p99.
+            alarm_fraction, alarm_first_s, warning_first_s (None without one), latency_ms_p50, latency_ms_p99.
         time: (M,) seconds since the first sample of the flight.
         level: (M,) 0 ok, 1 warning, 2 alarm.
         leverage, width: (M, 6) evidence per axis over its alarm threshold.

@@ -134,9 +134,13 @@ def residuals(confidence: float) -> str:
 def live(replay: LiveReplay) -> str:
     """Statistics of the live replay and its timeline."""
     s = replay.statistics
-    first = s["alarm_first_s"]
+    first = {
+        level: "none" if (time := s[f"{level}_first_s"]) is None else f"{time:.2f} s"
+        for level in ("warning", "alarm")
+    }
     tiles = {
-        "first alarm": "none" if first is None else f"{first:.2f} s",
+        "first warning": first["warning"],
+        "first alarm": first["alarm"],
         "time in alarm": _optional(s["alarm_fraction"], percent),
         "samples in": _optional(s["samples_in"], _count),
         "predictions out": _optional(s["predictions_out"], _count),

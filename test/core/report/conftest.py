@@ -130,6 +130,7 @@ def case():
             "dropped": 0,
             "alarm_fraction": 0.25,
             "alarm_first_s": 3.25,
+            "warning_first_s": 2.0,
             "latency_ms_p50": 1.0,
             "latency_ms_p99": 4.0,
         },
