@@ -68,7 +68,7 @@ def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording
         if not ekf.initialised:
             continue
         sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
-        pairing.add_estimate(time_ns, sample.motion)
+        pairing.add_estimate(time_ns, sample.motion[0])
         pairing.add_rotor_speeds(time_ns, speeds)
         complete = pairing.take()
         assert complete

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
-from quadpi_core.flight import OdometryStream, Stamps
+from quadpi_core.flight import Stamps
 from quadpi_core.logs import messages
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
@@ -170,9 +170,9 @@ class Collector(Listener):
         """Whether the last prediction is older than that."""
         return not self._arrived_ns or time.monotonic_ns() - self._arrived_ns[-1] > 1e9 * seconds
 
-    def odometry(self) -> OdometryStream:
-        """Every state so far."""
-        return messages.unpack_odometry(Payloads.join(self._odometry))
+    def odometry(self) -> Payloads:
+        """Every state so far, as its message."""
+        return Payloads.join(self._odometry)
 
     def predictions(self) -> Predictions:
         """Every prediction so far."""

@@ -20,7 +20,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStrea
 from quadpi_core.logs import messages
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.signals.odometry import FusedSample, fused_sample, with_gyro_faults
+from quadpi_core.signals.odometry import FusedSamples, fused_sample, with_gyro_faults
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.parameters import parameter
@@ -70,7 +70,7 @@ class StateListener(Protocol):
     def take_imu(self, imu: ImuStream) -> None:
         """Take an IMU sample, corrected by the estimated biases."""
 
-    def take_estimate(self, sample: FusedSample) -> None:
+    def take_estimate(self, sample: FusedSamples) -> None:
         """Take an IMU sample, corrected, and the state at its stamp."""
 
 

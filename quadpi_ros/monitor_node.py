@@ -24,7 +24,7 @@ from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
 from quadpi_core.monitor.pairing import TIMEOUT_S, Pairing
-from quadpi_core.signals.odometry import FusedSample, with_gyro_faults
+from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.estimator_node import IMU, EstimatorNode
@@ -182,11 +182,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._pairing.add_imu(time_ns, imu.specific_force[0])
         self._advance()
 
-    def take_estimate(self, sample: FusedSample) -> None:
+    def take_estimate(self, sample: FusedSamples) -> None:
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])
         self._note_arrival(time_ns)
-        self._pairing.add_estimate(time_ns, sample.motion)
+        self._pairing.add_estimate(time_ns, sample.motion[0])
         self._advance()
 
     def _note_arrival(self, time_ns: int) -> None:

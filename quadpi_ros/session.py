@@ -15,6 +15,7 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.messages import ReportedAlarms, unpack_stamps
+from quadpi_core.logs.payloads import Payloads
 from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, alarm_time
 from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.ekf_initial import COLLECT_NS

@@ -157,7 +157,7 @@ class Pairing:
         _add_state_to(*self._tracks, time_ns, velocity, attitude, rates)
 
     def add_estimate(self, time_ns: int, motion: Array) -> None:
-        """Take an IMU sample and the state at its stamp in one: see `signals.odometry.FusedSample.motion`."""
+        """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
         _add_estimate_to(*self._tracks, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
 from quadpi_core.logs import decode_recording, messages
 from quadpi_core.logs.bags import output_topic
+from quadpi_core.logs.mcap import Topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, MonitorSettings, alarm_time
@@ -29,7 +29,7 @@ from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
-from quadpi_core.signals.odometry import with_gyro_faults
+from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
@@ -77,9 +77,9 @@ def replay(
     Samples that other commands refuse (not finite, stamps that do not rise) are followed as in flight: the
     alarm reports them.
 
-    With poses in the bag this is estimator and monitor in one process: the state comes from the causal EKF,
-    and the written odometry carries the variances of position and attitude. Else it is the monitor alone, fed
-    with the bag's odometry. Rotor speeds and wind meet the IMU samples as in
+    With motion capture in the bag this is estimator and monitor in one process: the state comes from the
+    causal EKF, and is written as odometry with its covariance. Else it is the monitor alone, fed with the
+    bag's odometry. Rotor speeds and wind meet the IMU samples as in
     :class:`quadpi_core.monitor.pairing.Pairing`.
 
     Args:
@@ -104,20 +104,7 @@ def replay(
         raise LogError(f"{recording.source}: topic imu: one sample is too few")
     rate_hz = nominal_rate(recording.imu.time_ns)
     monitor = Monitor(model, vehicle, rate_hz, confidence, settings)
-    imu = _Imu(
-        recording.imu.time_ns,
-        with_gyro_faults(recording.imu).specific_force,
-        np.arange(len(recording.imu)),
-    )
-    odometry, state_of, topics = recording.odometry, None, []
-    if recording.pose is not None or recording.twist is not None:
-        trace = Ekf(vehicle, rate_hz).run(recording)
-        imu, odometry, state_of = _estimator_output(trace, recording.imu)
-        payloads = messages.pack_odometry(odometry, _pose_covariance(trace, _published(trace)))
-        topics.append(output_topic("odometry", odometry.time_ns, payloads))
-    if odometry is None:
-        raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
-    samples = _pair(recording, imu, odometry, state_of)
+    samples, topics = _monitored(recording, vehicle, rate_hz)
     predictions, alarms, events = _watch(monitor, samples)
 
     topics.append(
@@ -140,6 +127,29 @@ def replay(
     )
     monitored = sum(len(part.time_ns) for part in samples)
     return _summarise(recording, monitored, len(predictions.time_ns), alarms, events)
+
+
+def _monitored(
+    recording: Recording, vehicle: Vehicle, rate_hz: float
+) -> tuple[list[PairedSamples], list[Topic]]:
+    """What the monitor gets, and the odometry that an estimator publishes.
+
+    All else of a long flight is let go here.
+    """
+    imu = _Imu(
+        recording.imu.time_ns,
+        with_gyro_faults(recording.imu).specific_force,
+        np.arange(len(recording.imu)),
+    )
+    odometry, state_of, topics = recording.odometry, None, []
+    if recording.pose is not None or recording.twist is not None:
+        imu, fused, state_of = _estimator_output(Ekf(vehicle, rate_hz).run(recording), recording.imu)
+        odometry = fused.odometry
+        payloads = messages.pack_odometry(odometry, fused.pose_covariance, fused.twist_covariance)
+        topics.append(output_topic("odometry", odometry.time_ns, payloads))
+    if odometry is None:
+        raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
+    return _pair(recording, imu, odometry, state_of), topics
 
 
 def _watch(monitor: Monitor, samples: Sequence[PairedSamples]) -> tuple[Predictions, Alarms, Events]:
@@ -239,43 +249,19 @@ def _replay(task: _Replay, bag: Path) -> ReplaySummary:
     return replay(task.model, task.vehicle, bag, output, confidence=task.confidence, settings=task.settings)
 
 
-def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, OdometryStream, Stamps]:
+def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, FusedSamples, Stamps]:
     """What the estimator hands to the monitor in its process: IMU samples less their biases, and states.
 
     Samples without an estimate come as they are, and while it is lost there are no states: the monitor has to
     report both. The last are the IMU samples that the states belong to.
     """
-    rates, specific_force = imu.angular_velocity.copy(), with_gyro_faults(imu).specific_force
-    rates[trace.sample] -= trace.gyro_bias
-    specific_force[trace.sample] = imu.specific_force[trace.sample] - trace.accelerometer_bias
+    specific_force = with_gyro_faults(imu).specific_force
+    specific_force[trace.sample] = trace.fused.imu.specific_force
     handed_over = np.isin(trace.imu_outcomes, ekf_kernels.WITHOUT_ESTIMATE)
     handed_over[trace.sample] = True
-    sent = _published(trace)
-    states = OdometryStream(
-        trace.time_ns[sent],
-        trace.position[sent],
-        trace.attitude[sent],
-        trace.velocity_body[sent],
-        rates[trace.sample[sent]],
-    )
-    return _Imu(imu.time_ns, specific_force, np.flatnonzero(handed_over)), states, trace.sample[sent]
-
-
-def _published(trace: EkfTrace) -> npt.NDArray[np.bool_]:
-    """Estimates (M,) that the estimator publishes: none while it is lost."""
-    published: npt.NDArray[np.bool_] = trace.status != ekf_kernels.EstimatorStatus.LOST
-    return published
-
-
-def _pose_covariance(trace: EkfTrace, rows: npt.NDArray[np.bool_]) -> Array:
-    """Covariance (K, 6, 6) of position and of rotation about the world's axes, from the variances."""
-    rotation = rotation_matrix(trace.attitude[rows])
-    variance = trace.variance[rows]
-    covariance = np.zeros((len(variance), 6, 6))
-    covariance[:, [0, 1, 2], [0, 1, 2]] = variance[:, ekf_kernels.POSITION]
-    attitude_variance = variance[:, None, ekf_kernels.ATTITUDE]
-    covariance[:, 3:, 3:] = (rotation * attitude_variance) @ rotation.swapaxes(1, 2)
-    return covariance
+    published = trace.status != ekf_kernels.EstimatorStatus.LOST
+    states = trace.fused.where(published)
+    return _Imu(imu.time_ns, specific_force, np.flatnonzero(handed_over)), states, trace.sample[published]
 
 
 class _Imu(NamedTuple):

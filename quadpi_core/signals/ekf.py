@@ -33,6 +33,7 @@ from quadpi_core.signals.ekf_initial import (
     initial_from_velocities,
 )
 from quadpi_core.signals.ekf_kernels import ERROR_STATES, EstimatorStatus, Noise, Outcome, Row
+from quadpi_core.signals.odometry import FusedSamples
 from quadpi_core.vehicle import Vehicle
 
 _COLLECTED_MAX = 8192
@@ -162,12 +163,14 @@ class EkfTrace(Estimates):
     that time out.
 
     Attributes:
+        fused: what the estimator gives to the outside at those stamps.
         status: (M,) see :class:`EstimatorStatus`.
         sample: (M,) index of the IMU sample.
         imu_outcomes: (N,) what became of each IMU sample, values of :class:`Outcome`.
         imu_counts, pose_counts, velocity_counts: how many samples met each :class:`Outcome`.
     """
 
+    fused: FusedSamples
     status: npt.NDArray[np.uint8]
     sample: npt.NDArray[np.int64]
     imu_outcomes: npt.NDArray[np.int64]
@@ -326,6 +329,7 @@ class Ekf:
             time_ns=track.time_ns,
             nominal=track.nominal,
             variance=track.variance,
+            fused=FusedSamples(track.time_ns, track.fused),
             status=track.status,
             sample=track.sample,
             imu_outcomes=outcomes,
@@ -358,7 +362,7 @@ class Ekf:
             )
         samples = np.ascontiguousarray(np.concatenate((imu.angular_velocity, imu.specific_force), axis=1))
         measurements = ekf_run.merge(recording)
-        track = ekf_run.empty_track(len(imu))
+        track = ekf_run.empty_track(len(imu), fused=not journalled)
         progress = ekf_run.Progress(*(np.zeros(size, dtype=np.int64) for size in (1, 1, 1, len(imu))))
         if journalled:
             room = len(measurements.time_ns)

@@ -12,9 +12,10 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.signals.ekf_buffer import Clock, Memory, hold, predict, release
+from quadpi_core.signals.ekf_buffer import Clock, Memory, hold, noise_of, predict, release
 from quadpi_core.signals.ekf_corrections import BODY_VELOCITY, POSE, VALUES, WORLD_VELOCITY, Count
 from quadpi_core.signals.ekf_kernels import ERROR_STATES, Outcome, Row, covariance_of
+from quadpi_core.signals.odometry import FUSED, fill_fused
 
 _HEAD, _STATUS = Clock.HEAD, Clock.STATUS
 _NOMINAL = Row.NOMINAL
@@ -42,6 +43,7 @@ class Track(NamedTuple):
     Attributes:
         nominal: (M, 17) see :class:`Row`.
         variance: (M, 16) the diagonal of the covariance.
+        fused: (M, 88) see :class:`quadpi_core.signals.odometry.FusedSamples`; (0, 88) where nobody asks.
         status: (M,) see :class:`EstimatorStatus`.
         sample: (M,) index of the IMU sample.
     """
@@ -49,13 +51,19 @@ class Track(NamedTuple):
     time_ns: Stamps
     nominal: Array
     variance: Array
+    fused: Array
     status: npt.NDArray[np.uint8]
     sample: Count
 
     def until(self, end: int) -> Track:
         """The first estimates."""
         return Track(
-            self.time_ns[:end], self.nominal[:end], self.variance[:end], self.status[:end], self.sample[:end]
+            self.time_ns[:end],
+            self.nominal[:end],
+            self.variance[:end],
+            self.fused[:end],
+            self.status[:end],
+            self.sample[:end],
         )
 
 
@@ -92,12 +100,13 @@ def merge(recording: Recording) -> Measurements:
     )
 
 
-def empty_track(samples: int) -> Track:
-    """Room for that many estimates."""
+def empty_track(samples: int, fused: bool) -> Track:
+    """Room for that many estimates, and for what the estimator gives to the outside if asked for."""
     return Track(
         np.empty(samples, dtype=np.int64),
         np.empty((samples, _NOMINAL.stop - _NOMINAL.start)),
         np.empty((samples, ERROR_STATES)),
+        np.empty((samples if fused else 0, FUSED)),
         np.empty(samples, dtype=np.uint8),
         np.empty(samples, dtype=np.int64),
     )
@@ -154,4 +163,6 @@ def record(memory: Memory, track: Track, progress: Progress, sample: int) -> Non
     covariance = covariance_of(memory.rows[head])
     for index in range(ERROR_STATES):
         track.variance[row, index] = covariance[index, index]
+    if len(track.fused) > 0:
+        fill_fused(memory.rows[head], noise_of(memory.noise).rates, track.fused[row])
     progress.recorded[0] += 1

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import (
@@ -18,8 +19,10 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
-from quadpi_core.signals.ekf import State
 from quadpi_core.signals.ekf_kernels import Row, covariance_of
+
+if TYPE_CHECKING:
+    from quadpi_core.signals.ekf import State
 
 _RATES, _FORCE, _POSITION, _VELOCITY = Row.RATES, Row.FORCE, Row.POSITION, Row.VELOCITY
 _ATTITUDE, _GYRO_BIAS, _ACCELEROMETER_BIAS = Row.ATTITUDE, Row.GYRO_BIAS, Row.ACCELEROMETER_BIAS
@@ -27,64 +30,67 @@ _ATTITUDE, _GYRO_BIAS, _ACCELEROMETER_BIAS = Row.ATTITUDE, Row.GYRO_BIAS, Row.AC
 _OUT_POSITION, _OUT_ATTITUDE, _OUT_VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
 _OUT_RATES, _OUT_FORCE = slice(10, 13), slice(13, 16)
 _OUT_POSE, _OUT_TWIST = slice(16, 52), slice(52, 88)
-_OUT = 88
+FUSED = 88
 
 
-class FusedSample(NamedTuple):
-    """One estimate.
+class FusedSamples(NamedTuple):
+    """K estimates: one live, all of a flight offline.
 
     Attributes:
-        time_ns: (1,) stamp of the last IMU sample.
-        row: (1, 88) all of it; the properties are views.
+        time_ns: (K,) stamps of IMU samples.
+        rows: (K, 88) all of them; the properties are views.
     """
 
     time_ns: Stamps
-    row: Array
+    rows: Array
 
     @property
     def odometry(self) -> OdometryStream:
-        """The state at that stamp, as a stream of one sample."""
-        row = self.row
+        """The states at those stamps."""
+        rows = self.rows
         return OdometryStream(
             self.time_ns,
-            row[:, _OUT_POSITION],
-            row[:, _OUT_ATTITUDE],
-            row[:, _OUT_VELOCITY],
-            row[:, _OUT_RATES],
+            rows[:, _OUT_POSITION],
+            rows[:, _OUT_ATTITUDE],
+            rows[:, _OUT_VELOCITY],
+            rows[:, _OUT_RATES],
         )
 
     @property
     def imu(self) -> ImuStream:
-        """The IMU sample less the estimated biases."""
-        return ImuStream(self.time_ns, self.row[:, _OUT_RATES], self.row[:, _OUT_FORCE])
+        """The IMU samples less the estimated biases."""
+        return ImuStream(self.time_ns, self.rows[:, _OUT_RATES], self.rows[:, _OUT_FORCE])
 
     @property
     def motion(self) -> Array:
-        """(13,) attitude, velocity and rates in body axes, specific force."""
-        motion: Array = self.row[0, _OUT_ATTITUDE.start : _OUT_FORCE.stop]
-        return motion
+        """(K, 13) attitude, velocity and rates in body axes, specific force."""
+        return self.rows[:, _OUT_ATTITUDE.start : _OUT_FORCE.stop]
 
     @property
     def pose_covariance(self) -> Array:
-        """(1, 6, 6) of position and of rotations about the world's axes, m² and rad²."""
-        return self.row[:, _OUT_POSE].reshape(1, 6, 6)
+        """(K, 6, 6) of position and of rotations about the world's axes, m² and rad²."""
+        return self.rows[:, _OUT_POSE].reshape(-1, 6, 6)
 
     @property
     def twist_covariance(self) -> Array:
-        """(1, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)²."""
-        return self.row[:, _OUT_TWIST].reshape(1, 6, 6)
+        """(K, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)²."""
+        return self.rows[:, _OUT_TWIST].reshape(-1, 6, 6)
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> FusedSamples:
+        """Those that a mask (K,) chooses; not copied where it chooses all."""
+        return self if chosen.all() else FusedSamples(self.time_ns[chosen], self.rows[chosen])
 
 
-def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSample:
+def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSamples:
     """The filter's state as odometry and corrected IMU; copies, so the state may go on.
 
     Args:
         state: of the filter, as :meth:`Ekf.predict` left it.
         gyro_noise_rad_s: standard deviation of a gyro sample, which adds to the covariance of the rates.
     """
-    out = np.empty((1, _OUT))
-    _fill(state.row, gyro_noise_rad_s**2, out[0])
-    return FusedSample(state.time_ns.copy(), out)
+    out = np.empty((1, FUSED))
+    fill_fused(state.row, gyro_noise_rad_s**2, out[0])
+    return FusedSamples(state.time_ns.copy(), out)
 
 
 def with_gyro_faults(imu: ImuStream) -> ImuStream:
@@ -100,8 +106,8 @@ def with_gyro_faults(imu: ImuStream) -> ImuStream:
 
 
 @njit(cache=True)
-def _fill(row: Array, gyro_variance: float, out: Array) -> None:
-    """State, and first-order propagation of the error state into pose and twist.
+def fill_fused(row: Array, gyro_variance: float, out: Array) -> None:
+    """Fill `out` (88,): state, and first-order propagation of the error state into pose and twist.
 
     With attitude error δθ in body axes, rotations about the world's axes are R δθ, and the velocity in body
     axes errs by Rᵀ δv + v × δθ.

@@ -190,7 +190,7 @@ class Onboard:
         time_ns = int(fused.time_ns[0])
         self._odometry_ns.append(time_ns)
         self._note(time_ns)
-        self.pairing.add_estimate(time_ns, fused.motion)
+        self.pairing.add_estimate(time_ns, fused.motion[0])
         self._advance()
 
     def _hand_over(self, imu: Any) -> None:

@@ -16,6 +16,7 @@ from quadpi_core.signals import ekf_kernels as kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace
 from quadpi_core.signals.ekf_buffer import step_between
 from quadpi_core.signals.ekf_kernels import TRANSITION, EstimatorStatus, Outcome
+from quadpi_core.signals.odometry import fused_sample
 from quadpi_core.vehicle import Vehicle
 
 RATE = 500.0
@@ -145,6 +146,7 @@ def test_one_by_one_equals_the_run_bit_for_bit(noisy_vehicle, simulate_flight):
                     [ekf.delay_s],
                     np.diag(state.covariance),
                     [ekf.status],
+                    fused_sample(state, noisy_vehicle.noise.gyro_noise_rad_s).rows[0],
                 )
             )
         )
@@ -159,6 +161,7 @@ def test_one_by_one_equals_the_run_bit_for_bit(noisy_vehicle, simulate_flight):
             trace.delay_s,
             trace.variance,
             trace.status,
+            trace.fused.rows,
         )
     )
     assert np.array_equal(np.array(rows), expected)
