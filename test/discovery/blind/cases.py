@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The cases of the benchmark. What is hidden in one is sealed: only flights and the seal leave this file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from blind.effects import EFFECTS, OUTSIDE, altered
+from blind.specimen import flights_of, ordinary
+from quadpi_core.flight import Flight
+from quadpi_core.simulation.noise import SensorSuite
+from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.vehicle import SimulatedVehicle
+
+VEHICLE = "bebop2"
+NOISE = "paper"
+RICH, CHECK, HOVER = "discovery", "discovery_check", "discovery_hover"
+SIZES = (1.0, 0.5, 0.25)
+PAIRS = (
+    ("rotor_drag", "ground_effect"),
+    ("wind", "payload"),
+    ("translational_lift", "rate_damping"),
+    ("gyroscopic", "body_drag"),
+    ("blade_flapping", "weak_rotor"),
+    ("spin_up", "cg_offset"),
+    ("sensor_delay", "rotor_drag"),
+    ("vortex_ring", "inertia"),
+    ("rotor_interaction", "imu_misalignment"),
+    ("tether", "thrust_coefficient"),
+)
+# Of kinds of cases: singles by their size.
+NULL, OUT, PAIR, POOR = "null", "outside", "pair", "under-excited"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is hidden in a case.
+
+    Attributes:
+        kind: NULL, "single", OUT, PAIR or POOR.
+        effects: their names.
+        size: of each, 1 being typical.
+        seed: of the vehicle, of directions and of noise.
+    """
+
+    kind: str
+    effects: tuple[str, ...]
+    size: float
+    seed: int
+
+    def sealed(self) -> str:
+        """As text that does not tell it at a glance; the scorer opens it."""
+        return json.dumps([self.kind, self.effects, self.size, self.seed]).encode().hex()
+
+    @classmethod
+    def opened(cls, seal: str) -> Truth:
+        kind, effects, size, seed = json.loads(bytes.fromhex(seal))
+        return cls(kind, tuple(effects), size, seed)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One search: flights of one vehicle, and the seal of what is hidden in them."""
+
+    seal: str
+
+    @property
+    def key(self) -> str:
+        """A name that tells nothing."""
+        return hashlib.sha256(self.seal.encode()).hexdigest()[:12]
+
+    def flights(self) -> list[Flight]:
+        """To search in."""
+        truth = Truth.opened(self.seal)
+        return _flown(truth, HOVER if truth.kind == POOR else RICH)
+
+    def checks(self) -> list[Flight]:
+        """Of the same vehicle, to check on what was found; no part of the search."""
+        return _flown(Truth.opened(self.seal), CHECK)
+
+
+def _flown(truth: Truth, scenario: str) -> list[Flight]:
+    suite = SensorSuite.load(NOISE)
+    seed = zlib.crc32(truth.sealed().encode())
+    rng = np.random.default_rng(seed)
+    specimen = ordinary(SimulatedVehicle.load(VEHICLE), rng)
+    for name in truth.effects:
+        specimen = altered(specimen, name, truth.size, rng)
+    return flights_of(specimen, _plans(scenario), suite, seed + (scenario == CHECK))
+
+
+@lru_cache
+def _plans(scenario: str) -> Sequence[FlightPlan]:
+    return load_scenario(scenario).flights
+
+
+def all_cases(*, seeds: int = 5, nulls: int = 100, sizes: Sequence[float] = SIZES) -> list[Case]:
+    """Every case; each kind in an order that a seed shuffles, so that an interrupted run is a fair sample."""
+    truths = [Truth(NULL, (), 0.0, 10_000 + seed) for seed in range(nulls)]
+    for seed in range(seeds):
+        truths += [Truth("single", (name,), size, seed) for name in EFFECTS for size in sizes]
+        truths += [Truth(OUT, (name,), 1.0, seed) for name in OUTSIDE]
+        truths += [Truth(PAIR, pair, 1.0, seed) for pair in PAIRS]
+    truths += [Truth(POOR, (name,), 1.0, 20_000) for name in EFFECTS]
+    order = np.random.default_rng(0).permutation(len(truths))
+    return [Case(truths[index].sealed()) for index in order]
