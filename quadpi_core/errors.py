@@ -35,6 +35,10 @@ class SimulationError(QuadpiError):
     """A scenario, effect or sensor suite is impossible, or a simulated vehicle cannot fly it."""
 
 
+class DiscrepancyError(QuadpiError):
+    """A simulation and flights cannot be compared, or no effect can be looked for in them."""
+
+
 class OutputError(QuadpiError):
     """A result cannot be written where it was asked for."""
 

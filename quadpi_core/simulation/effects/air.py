@@ -17,6 +17,7 @@ from quadpi_core.simulation.effects.definition import Parameter, effect
     Parameter("north_m_s", "m/s", 2.0, -30.0, 30.0),
     Parameter("east_m_s", "m/s", 0.0, -30.0, 30.0),
     Parameter("down_m_s", "m/s", 0.0, -10.0, 10.0),
+    shown_by="turns of the heading in hover and in translation",
 )
 def wind(time: Array, p: Array, rng: np.random.Generator) -> Array:  # noqa: ARG001
     """Steady wind, blowing towards north, east and down.

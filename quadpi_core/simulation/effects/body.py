@@ -10,7 +10,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.definition import Parameter, Wrench, effect, three
+from quadpi_core.simulation.effects.definition import AERODYNAMIC, Parameter, Wrench, effect, three
 from quadpi_core.simulation.effects.kernels import NO_WRENCH, world_to_body
 
 
@@ -20,6 +20,8 @@ from quadpi_core.simulation.effects.kernels import NO_WRENCH, world_to_body
     Parameter("x_n_s2_m2", "N s²/m²", 0.0015, 0.0, 0.1),
     Parameter("y_n_s2_m2", "N s²/m²", 0.0027, 0.0, 0.1),
     Parameter("z_n_s2_m2", "N s²/m²", 0.0027, 0.0, 0.1),
+    shown_by="flight above 5 m/s at two speeds, in all three directions",
+    form=AERODYNAMIC,
 )
 @njit(cache=True)
 def body_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -44,7 +46,13 @@ def cubic_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     return factor * u, factor * v, 0.0, 0.0, 0.0, 0.0
 
 
-@effect("wrench", "Mx My Mz", *three("nm_s", "Nm s", 2.3e-3, 0.1, lowest=0.0))
+@effect(
+    "wrench",
+    "Mx My Mz",
+    *three("nm_s", "Nm s", 2.3e-3, 0.1, lowest=0.0),
+    shown_by="rate doublets about every axis in hover",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     """Moment against the body rates.
@@ -62,6 +70,8 @@ def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     Parameter("north_m", "m", 0.0, -1000.0, 1000.0),
     Parameter("east_m", "m", 0.0, -1000.0, 1000.0),
     Parameter("height_m", "m", 0.0, 0.0, 1000.0),
+    shown_by="flights outward in every direction",
+    form=AERODYNAMIC,
 )
 @njit(cache=True)
 def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -79,7 +89,9 @@ def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     return fx, fy, fz, 0.0, 0.0, 0.0
 
 
-@effect("wrench", "Fx Fy Fz", *three("n", "N", 0.1, 5.0))
+@effect(
+    "wrench", "Fx Fy Fz", *three("n", "N", 0.1, 5.0), shown_by="throttle steps; hover in several headings"
+)
 @njit(cache=True)
 def force_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     """Constant force in body axes.
@@ -95,6 +107,7 @@ def force_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     Parameter("x_nm", "Nm", 0.005, -0.5, 0.5),
     Parameter("y_nm", "Nm", 0.005, -0.5, 0.5),
     Parameter("z_nm", "Nm", 0.002, -0.5, 0.5),
+    shown_by="throttle steps",
 )
 @njit(cache=True)
 def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -111,6 +124,7 @@ def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     Parameter("x_m", "m", 0.0035, -0.1, 0.1),
     Parameter("y_m", "m", 0.0035, -0.1, 0.1),
     Parameter("z_m", "m", 0.0, -0.1, 0.1),
+    shown_by="throttle steps and vertical accelerations",
 )
 @njit(cache=True)
 def cg_offset(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001

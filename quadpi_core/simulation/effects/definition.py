@@ -19,8 +19,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from quadpi_core.frames import Array
+
 # Effects that are switched on: name -> every parameter with its value, in the order of the registry.
 Effects: TypeAlias = Mapping[str, Mapping[str, float]]
+# `Effect.form` of a law of the air: two laws of the literature for one effect differ by about as much.
+AERODYNAMIC = 0.15
 Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 
 
@@ -54,6 +58,9 @@ class Effect:
         summary: one line.
         axes: those of `flight.AXES` in which it shows: for a wrench effect, all that can be non-zero.
         function: see the module.
+        shown_by: manoeuvres that tell it from others; empty for one that no search looks for.
+        inverse: of a sensor effect: the parameters that undo those given; unless given, their negative.
+        form: share by which the law may be off where the air is not as it assumes; 0 for one that is exact.
     """
 
     name: str
@@ -62,20 +69,38 @@ class Effect:
     axes: tuple[str, ...]
     parameters: tuple[Parameter, ...]
     function: Any
+    shown_by: str = ""
+    inverse: Callable[[Array], Array] | None = None
+    form: float = 0.0
+
+    def undo(self, values: Array) -> Array:
+        """Parameters that undo those given, to first order at least."""
+        return -values if self.inverse is None else self.inverse(values)
 
 
-def effect(kind: str, axes: str, *parameters: Parameter) -> Callable[[Any], Effect]:
+def effect(
+    kind: str,
+    axes: str,
+    *parameters: Parameter,
+    shown_by: str = "",
+    inverse: Callable[[Array], Array] | None = None,
+    form: float = 0.0,
+) -> Callable[[Any], Effect]:
     """Make an effect of a function: its name and the first line of its docstring are those of the effect.
 
     Args:
         kind: see the module.
         axes: names of axes with spaces between them.
         parameters: in the order in which the function takes them.
+        shown_by: see :class:`Effect`.
+        inverse: see :class:`Effect`.
+        form: see :class:`Effect`.
     """
 
     def declare(function: Any) -> Effect:
         summary = function.__doc__.partition("\n")[0].rstrip(".")
-        return Effect(function.__name__, kind, summary, tuple(axes.split()), parameters, function)
+        name = function.__name__
+        return Effect(name, kind, summary, tuple(axes.split()), parameters, function, shown_by, inverse, form)
 
     return declare
 

@@ -14,7 +14,12 @@ from quadpi_core.simulation.effects.definition import Parameter, effect
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
 
-@effect("vehicle", "Fx Fy Fz", Parameter("mass_kg", "kg", 0.05, 0.0, 5.0))
+@effect(
+    "vehicle",
+    "Fx Fy Fz",
+    Parameter("mass_kg", "kg", 0.05, 0.0, 5.0),
+    shown_by="vertical accelerations with roll and pitch pulses; weighing",
+)
 def payload(vehicle: Vehicle, p: Array) -> Vehicle:
     """A mass carried at the centre of gravity.
 
@@ -23,7 +28,12 @@ def payload(vehicle: Vehicle, p: Array) -> Vehicle:
     return replace(vehicle, mass_kg=vehicle.mass_kg + float(p[0]))
 
 
-@effect("vehicle", "Mx My Mz", *(Parameter(f"{axis}_change", "", 0.2, -0.5, 1.0) for axis in "xyz"))
+@effect(
+    "vehicle",
+    "Mx My Mz",
+    *(Parameter(f"{axis}_change", "", 0.2, -0.5, 1.0) for axis in "xyz"),
+    shown_by="attitude doublets and angular chirps about every axis",
+)
 def inertia(vehicle: Vehicle, p: Array) -> Vehicle:
     """Moments of inertia other than the file's.
 

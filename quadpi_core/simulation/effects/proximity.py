@@ -8,7 +8,7 @@ from typing import Any
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.definition import Parameter, Wrench, effect
+from quadpi_core.simulation.effects.definition import AERODYNAMIC, Parameter, Wrench, effect
 from quadpi_core.simulation.effects.kernels import NO_WRENCH, hub_height, in_plane_speed, with_hub_force
 from quadpi_core.vehicle import ROTORS
 
@@ -16,7 +16,13 @@ from quadpi_core.vehicle import ROTORS
 NEAREST = 0.5
 
 
-@effect("wrench", "Fz Mx My", Parameter("strength", "", 1.0, 0.0, 10.0))
+@effect(
+    "wrench",
+    "Fz Mx My",
+    Parameter("strength", "", 1.0, 0.0, 10.0),
+    shown_by="height sweep from one rotor radius up, in hover",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def ground_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Thrust gained near the ground, at each rotor by its own height.

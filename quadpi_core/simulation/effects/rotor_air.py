@@ -14,7 +14,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.definition import Parameter, Wrench, effect
+from quadpi_core.simulation.effects.definition import AERODYNAMIC, Parameter, Wrench, effect
 from quadpi_core.simulation.effects.kernels import NO_WRENCH, in_plane_speed, with_hub_force
 from quadpi_core.simulation.rotor_local import ADVANCE_RATIO_MAX
 from quadpi_core.vehicle import ROTORS
@@ -26,7 +26,13 @@ def _share(state: Any, vehicle: Any, rotor: int) -> float:
     return share
 
 
-@effect("wrench", "Fx Fy Mx My Mz", Parameter("drag_n_s_m", "N s/m", 0.11, -2.0, 2.0))
+@effect(
+    "wrench",
+    "Fx Fy Mx My Mz",
+    Parameter("drag_n_s_m", "N s/m", 0.11, -2.0, 2.0),
+    shown_by="fore-aft and sideways sines at two speeds",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def rotor_drag(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Drag of the rotors in their plane (H-force), with rotor speed times airspeed.
@@ -58,7 +64,13 @@ def cross_flow(state: Any, vehicle: Any, p: Array) -> Wrench:
     return wrench
 
 
-@effect("wrench", "Mx My", Parameter("moment_nm_s_m", "Nm s/m", 0.0129, -0.5, 0.5))
+@effect(
+    "wrench",
+    "Mx My",
+    Parameter("moment_nm_s_m", "Nm s/m", 0.0129, -0.5, 0.5),
+    shown_by="speed sweep with steady attitude",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def blade_flapping(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Moment at the hubs of blades that flap in translation: nose up in forward flight.
@@ -73,7 +85,13 @@ def blade_flapping(state: Any, vehicle: Any, p: Array) -> Wrench:
     return 0.0, 0.0, 0.0, mx, my, 0.0
 
 
-@effect("wrench", "Fz Mx My", Parameter("lift_n_s2_m2", "N s²/m²", 0.0058, -0.1, 0.1))
+@effect(
+    "wrench",
+    "Fz Mx My",
+    Parameter("lift_n_s2_m2", "N s²/m²", 0.0058, -0.1, 0.1),
+    shown_by="speed sweep at constant height",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def translational_lift(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Thrust gained by rotors in translation, with the square of the airspeed in their plane.
@@ -91,7 +109,13 @@ def translational_lift(state: Any, vehicle: Any, p: Array) -> Wrench:
     return wrench
 
 
-@effect("wrench", "Fz Mx My", Parameter("damping_n_s_m", "N s/m", 0.33, 0.0, 5.0))
+@effect(
+    "wrench",
+    "Fz Mx My",
+    Parameter("damping_n_s_m", "N s/m", 0.33, 0.0, 5.0),
+    shown_by="vertical sines in hover",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def inflow_damping(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Thrust lost in climb and gained in descent, by the inflow through each rotor; damps roll and pitch too.
@@ -125,7 +149,13 @@ def rotor_dissymmetry(state: Any, vehicle: Any, p: Array) -> Wrench:
     return 0.0, 0.0, 0.0, wrench[3], wrench[4], 0.0
 
 
-@effect("wrench", "Fz Mx My", Parameter("loss", "", 0.13, 0.0, 1.0))
+@effect(
+    "wrench",
+    "Fz Mx My",
+    Parameter("loss", "", 0.13, 0.0, 1.0),
+    shown_by="vertical descents at half to one and a half times the induced velocity of hover",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def vortex_ring(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Thrust lost by rotors that descend into their own wake.
@@ -143,7 +173,13 @@ def vortex_ring(state: Any, vehicle: Any, p: Array) -> Wrench:
     return wrench
 
 
-@effect("wrench", "Fz Mx My", Parameter("loss", "", 0.15, 0.0, 1.0))
+@effect(
+    "wrench",
+    "Fz Mx My",
+    Parameter("loss", "", 0.15, 0.0, 1.0),
+    shown_by="slow forward and sideways flight at several speeds",
+    form=AERODYNAMIC,
+)
 @njit(cache=True)
 def rotor_interaction(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Thrust lost by the rotors that fly in the wake of those ahead.

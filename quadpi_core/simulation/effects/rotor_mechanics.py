@@ -18,7 +18,7 @@ _WHICH = Parameter("rotor", "", 1.0, 1.0, float(ROTORS), whole=True)
 _INERTIA = Parameter("rotor_inertia_kg_m2", "kg m²", 8e-6, 0.0, 1e-3)
 
 
-@effect("wrench", "Mx My", _INERTIA)
+@effect("wrench", "Mx My", _INERTIA, shown_by="yaw with roll and pitch at once")
 @njit(cache=True)
 def gyroscopic(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Precession of the rotors when the body turns; does no work.
@@ -32,7 +32,7 @@ def gyroscopic(state: Any, vehicle: Any, p: Array) -> Wrench:
     return 0.0, 0.0, 0.0, -state.rates[1] * momentum, state.rates[0] * momentum, 0.0
 
 
-@effect("wrench", "Mz", _INERTIA)
+@effect("wrench", "Mz", _INERTIA, shown_by="yaw steps")
 @njit(cache=True)
 def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Reaction of the body to rotors that change their speed.
@@ -45,7 +45,12 @@ def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
     return 0.0, 0.0, 0.0, 0.0, 0.0, torque
 
 
-@effect("wrench", "Fz Mx My Mz", Parameter("change", "", 0.1, -0.9, 1.0))
+@effect(
+    "wrench",
+    "Fz Mx My Mz",
+    Parameter("change", "", 0.1, -0.9, 1.0),
+    shown_by="roll and pitch pulses, throttle steps",
+)
 @njit(cache=True)
 def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Another thrust and torque coefficient of all rotors, or another air density.
@@ -58,7 +63,13 @@ def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
     return wrench
 
 
-@effect("wrench", "Fz Mx My Mz", _WHICH, Parameter("loss", "", 0.1, 0.0, 1.0))
+@effect(
+    "wrench",
+    "Fz Mx My Mz",
+    _WHICH,
+    Parameter("loss", "", 0.1, 0.0, 1.0),
+    shown_by="throttle steps with yaw steps",
+)
 @njit(cache=True)
 def weak_rotor(state: Any, vehicle: Any, p: Array) -> Wrench:
     """One rotor is damaged and gives less thrust and torque than its speed promises.
@@ -80,6 +91,7 @@ def _with_share(wrench: Wrench, state: Any, vehicle: Any, rotor: int, share: flo
     _WHICH,
     Parameter("forward_deg", "deg", 1.4, -15.0, 15.0),
     Parameter("right_deg", "deg", 1.4, -15.0, 15.0),
+    shown_by="throttle steps with yaw",
 )
 @njit(cache=True)
 def rotor_tilt(state: Any, vehicle: Any, p: Array) -> Wrench:

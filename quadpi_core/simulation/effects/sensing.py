@@ -22,6 +22,11 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 _Late = TypeVar("_Late", bound=Stream)
 
 
+def _inverse_scale(p: Array) -> Array:
+    """Of :func:`rotor_speed_scale`: 1 + k is undone by its inverse."""
+    return np.array([p[0], -p[1] / (1.0 + p[1])])
+
+
 @effect("sensor", "Fx Fy Fz", *three("m", "m", 0.01, 0.2))
 def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """The IMU sits away from the centre of gravity.
@@ -33,7 +38,12 @@ def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording
     return replace(recording, imu=replace(imu, specific_force=shifted))
 
 
-@effect("sensor", "Fx Fy Fz Mx My Mz", *three("deg", "deg", 1.2, 45.0))
+@effect(
+    "sensor",
+    "Fx Fy Fz Mx My Mz",
+    *three("deg", "deg", 1.2, 45.0),
+    shown_by="vertical accelerations and throttle steps",
+)
 def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """The IMU is turned in the body: accelerometer and gyro alike.
 
@@ -84,6 +94,8 @@ def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  #
     "Fx Fy Fz Mx My Mz",
     Parameter("rotor", "", 0.0, 0.0, float(ROTORS), whole=True),
     Parameter("change", "", 0.02, -0.9, 1.0),
+    shown_by="weighing the thrust of each rotor; throttle steps with yaw",
+    inverse=_inverse_scale,
 )
 def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Scale of the measured rotor speeds, of one rotor or (rotor 0) of all.
@@ -103,6 +115,7 @@ def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recor
     "Fx Fy Fz Mx My Mz",
     Parameter("rotor_speeds_s", "s", 0.01, 0.0, 0.5),
     Parameter("mocap_s", "s", 0.01, 0.0, 0.5),
+    shown_by="fast doublets and angular chirps",
 )
 def sensor_delay(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Rotor speeds and motion capture (or a fused state) are stamped late, relative to the IMU.

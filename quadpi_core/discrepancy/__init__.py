@@ -1,0 +1,28 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where simulation and measurement disagree: find it, name the missing effect, add it, show the gap shrink.
+
+A flight beside a simulation (`contributions`, `simulations`) leaves a residual. Candidates (`candidates`)
+are effects of the simulation's registry. Their columns stand with what the simulation is uncertain in
+(`design`), white among frequencies (`whitening`); evidence chooses (`evidence`, `search`), functions that
+know no physics tell what is left (`generic`), and flights left out in turn show the gap (`gap`).
+"""
+
+from quadpi_core.discrepancy.discovery import Discovery, FoundEffect, FoundParameter, discover
+from quadpi_core.discrepancy.simulations import (
+    CallableSimulation,
+    Simulation,
+    Tolerances,
+    VehicleSimulation,
+)
+
+__all__ = [
+    "CallableSimulation",
+    "Discovery",
+    "FoundEffect",
+    "FoundParameter",
+    "Simulation",
+    "Tolerances",
+    "VehicleSimulation",
+    "discover",
+]

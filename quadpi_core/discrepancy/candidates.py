@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is looked for: the effects of the simulation's registry, as columns of wrench.
+
+A candidate is one effect with its whole-number parameters fixed, such as the rotor that is weak. Its other
+parameters are found; about a point of linearisation its contribution is a sum of columns, one for each.
+Effects that are linear in their parameters are linearised once, at none; others, such as wind, again at what
+was found.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effects import EFFECTS, Effect
+from quadpi_core.vehicle import Vehicle
+
+# Typical sizes of the registry are those of the Bebop 2.
+_TYPICAL_MASS_KG, _TYPICAL_ARM_M = 0.374, 0.1445
+# Prior standard deviation of a parameter, in typical sizes.
+_PRIOR = 1.5
+# Of a typical size: the step of a difference quotient.
+_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect to look for.
+
+    Attributes:
+        effect: of the registry.
+        start: (P,) parameters, in the order of the effect: whole numbers as they stay, others at the first
+            linearisation.
+        free: (k,) indices of the parameters to find.
+        scale: (k,) prior standard deviation of each.
+        linear: whether one linearisation will do.
+    """
+
+    effect: Effect
+    start: Array
+    free: tuple[int, ...]
+    scale: Array
+    linear: bool
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
+
+    def values(self, found: Array) -> Array:
+        """All parameters (P,) from those found (k,)."""
+        values = self.start.copy()
+        values[list(self.free)] = found
+        return values
+
+    def within_bounds(self, found: Array) -> Array:
+        """Parameters (k,) brought within the bounds of the effect."""
+        parameters = [self.effect.parameters[index] for index in self.free]
+        return np.clip(found, [p.lowest for p in parameters], [p.highest for p in parameters])
+
+
+def typical_sizes(effect: Effect, vehicle: Vehicle) -> Array:
+    """Typical size (P,) of each parameter on a vehicle; one whose default is 0 is like its neighbours.
+
+    Forces grow with mass, moments with mass times arm, as their units tell.
+    """
+    mass = vehicle.mass_kg / _TYPICAL_MASS_KG
+    arm = float(np.linalg.norm(vehicle.rotor_positions[:, :2], axis=1).mean()) / _TYPICAL_ARM_M
+    sizes = np.array([abs(parameter.default) for parameter in effect.parameters])
+    units = [parameter.unit for parameter in effect.parameters]
+    for index in map(int, np.flatnonzero(sizes == 0.0)):
+        alike = [size for size, unit in zip(sizes, units, strict=True) if unit == units[index]]
+        sizes[index] = max(alike, default=0.0) or 1.0
+    for index, unit in enumerate(units):
+        if unit == "kg m²":
+            sizes[index] *= mass * arm * arm
+        elif unit.startswith("Nm"):
+            sizes[index] *= mass * arm
+        elif unit.startswith(("N", "kg")):
+            sizes[index] *= mass
+    if effect.name == "cg_offset":
+        sizes *= arm
+    return sizes
+
+
+def candidates(vehicle: Vehicle, names: Sequence[str] | None = None) -> list[Candidate]:
+    """The candidates for a vehicle, in the order of the registry.
+
+    Args:
+        vehicle: whose size tells what is typical.
+        names: of effects; unless given, all that a search looks for.
+
+    Raises:
+        DiscrepancyError: for a name that no effect has.
+    """
+    if names is not None:
+        for name in names:
+            if name not in EFFECTS:
+                raise DiscrepancyError(f"unknown effect `{name}`; known: {', '.join(EFFECTS)}")
+    found = []
+    for effect in EFFECTS.values():
+        if effect.shown_by and (names is None or effect.name in names):
+            found += _variants(effect, vehicle)
+    return found
+
+
+def _variants(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
+    sizes = typical_sizes(effect, vehicle)
+    free = tuple(index for index, parameter in enumerate(effect.parameters) if not parameter.whole)
+    choices = [range(int(p.lowest), int(p.highest) + 1) if p.whole else (0.0,) for p in effect.parameters]
+    return [
+        Candidate(
+            effect=effect,
+            start=np.array(start, dtype=float),
+            free=free,
+            scale=_PRIOR * sizes[list(free)],
+            linear=effect.kind in ("wrench", "vehicle") and effect.name != "tether",
+        )
+        for start in itertools.product(*choices)
+    ]
+
+
+def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> list[tuple[Array, Array]]:
+    """Contribution and columns of a candidate for each flight.
+
+    Args:
+        candidate: to linearise.
+        flights: F flights.
+        at: (k,) free parameters.
+
+    Returns:
+        Per flight the contribution (M, 6) at that point, and columns (M, 6, k): what one prior standard
+        deviation of each parameter adds to first order.
+    """
+    result = []
+    for flight in flights:
+        here = flight.added(candidate.effect, candidate.values(at))
+        columns = np.empty((*here.shape, len(at)))
+        for index, scale in enumerate(candidate.scale):
+            ahead = at.copy()
+            ahead[index] += _STEP * scale
+            columns[:, :, index] = (flight.added(candidate.effect, candidate.values(ahead)) - here) / _STEP
+        result.append((here, columns))
+    return result

@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect adds to the residual of a flight: the difference that undoing it would make.
+
+The residual is the measured wrench less the simulated one. An effect can hide in either: a force that the
+simulation lacks, a mass that the vehicle file has wrong, wind that nothing measured, a sensor that reports
+what did not happen. All are brought to one form, the residual as it is less the residual with the effect
+undone, so that one search treats them alike.
+
+Accelerations that an effect is proportional to are those that the simulation predicts. The measured ones
+carry the noise of the residual itself: a vehicle of no mass in no air would fit every flight to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.discrepancy.simulations import Column, Simulation
+from quadpi_core.errors import SimulationError
+from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.frames import Array
+from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.simulation.effects import EFFECTS, Effect, effect_wrench
+from quadpi_core.vehicle import ROTORS
+
+# Content of a flight above a quarter of this is not looked at: see `whitening.BAND_HZ`.
+RATE_HZ = 125.0
+_NO_NUMBERS = np.random.default_rng(0)
+
+
+class Compared:
+    """A flight beside a simulation.
+
+    Columns and residuals are of every `step`-th sample: the low-pass that a flight has passed leaves
+    nothing that needs more.
+
+    Attributes:
+        flight: at its own rate.
+        simulation: that it is compared with.
+        thinned: the flight at about RATE_HZ.
+    """
+
+    def __init__(self, flight: Flight, simulation: Simulation) -> None:
+        self.flight, self.simulation = flight, simulation
+        self.step = max(1, int(flight.rate_hz / RATE_HZ + 0.5))
+        self.thinned = flight.slice(slice(None, None, self.step))
+
+    @cached_property
+    def simulated(self) -> Array:
+        """Wrench (M, 6) of the simulation, thinned."""
+        return self.simulation.wrench(self.flight)[:: self.step]
+
+    @cached_property
+    def measured(self) -> Array:
+        """Measured wrench (M, 6), thinned."""
+        return measured_wrench(self.thinned, self.simulation.vehicle)
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated wrench (M, 6), thinned."""
+        return self.measured - self.simulated
+
+    @cached_property
+    def expected(self) -> Flight:
+        """The flight, at its own rate, with the accelerations that the simulation predicts of it."""
+        vehicle = self.simulation.vehicle
+        wrench = self.simulation.wrench(self.flight)
+        momentum = self.flight.rates @ vehicle.inertia
+        moment = wrench[:, 3:] - np.cross(self.flight.rates, momentum)
+        return replace(
+            self.flight,
+            specific_force=wrench[:, :3] / vehicle.mass_kg,
+            angular_acceleration=moment @ np.linalg.inv(vehicle.inertia),
+        )
+
+    @cached_property
+    def states(self) -> npt.NDArray[np.void]:
+        """Records (M,) that wrench effects look at, thinned."""
+        return self.simulation.states(self.flight)[:: self.step].copy()
+
+    def uncertain(self) -> list[Column]:
+        """What tolerances allow, a column (M, 6) each."""
+        tolerances = self.simulation.tolerances
+        columns = [
+            Column(name, wrench[:: self.step]) for name, wrench in self.simulation.uncertain(self.flight)
+        ]
+        weak = EFFECTS["weak_rotor"]
+        for rotor in range(ROTORS):
+            values = np.array([rotor + 1.0, tolerances.thrust])
+            columns.append(Column(f"thrust of rotor {rotor + 1}", self.added(weak, values)))
+        for name, share in (("inertia", tolerances.inertia), ("cg_offset", tolerances.cg_m)):
+            effect = EFFECTS[name]
+            for index, parameter in enumerate(effect.parameters):
+                values = np.zeros(len(effect.parameters))
+                values[index] = share
+                columns.append(Column(parameter.name, self.added(effect, values)))
+        return columns
+
+    def added(self, effect: Effect, values: Array) -> Array:
+        """What an effect adds to the residual (M, 6).
+
+        Args:
+            effect: of any kind.
+            values: of its parameters, in their order, within their bounds or not.
+        """
+        return _KINDS[effect.kind](self, effect, values)
+
+
+def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
+    parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
+    return effect_wrench(effect.name, parameters, compared.states, compared.simulation.record())
+
+
+def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
+    nominal = compared.simulation.vehicle
+    flight = compared.expected.slice(slice(None, None, compared.step))
+    try:
+        share, vehicle = 1.0, effect.function(nominal, values)
+    except SimulationError:
+        # No such body exists: to first order the effect goes on beyond the last one that does.
+        share, vehicle = 10.0, effect.function(nominal, 0.1 * values)
+    return share * (measured_wrench(flight, nominal) - measured_wrench(flight, vehicle))
+
+
+def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
+    flight = compared.flight
+    wind = flight.wind + effect.function(flight.time, values, _NO_NUMBERS)
+    windy = compared.simulation.wrench(replace(flight, wind=wind))[:: compared.step]
+    return windy - compared.simulated
+
+
+def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
+    simulation, flight = compared.simulation, compared.expected
+
+    def residual(flight: Flight) -> Array:
+        measured = measured_wrench(flight, simulation.vehicle)
+        return (measured - simulation.wrench(flight))[:: compared.step]
+
+    return residual(flight) - residual(_undone(flight, effect, simulation, values))
+
+
+def _undone(flight: Flight, effect: Effect, simulation: Simulation, values: Array) -> Flight:
+    """The flight as sensors without this effect would have given it."""
+    time_ns = np.round(1e9 * flight.time).astype(np.int64)
+    recording = Recording(
+        name=flight.name,
+        vehicle=flight.vehicle,
+        source=flight.source,
+        imu=ImuStream(time_ns, flight.rates, flight.specific_force),
+        rotor_speeds=RotorSpeedStream(time_ns, flight.rotor_speeds),
+        pose=PoseStream(time_ns, flight.position, flight.attitude),
+    )
+    altered = effect.function(recording, simulation.vehicle, effect.undo(values))
+    rotors, pose = altered.rotor_speeds, altered.pose
+    rates = altered.imu.angular_velocity
+    acceleration = flight.angular_acceleration
+    if rates is not flight.rates:
+        # The derivative belongs to the rates as they were filtered: turn it as they are turned.
+        turned = replace(recording, imu=ImuStream(time_ns, acceleration, flight.specific_force))
+        acceleration = effect.function(turned, simulation.vehicle, effect.undo(values)).imu.angular_velocity
+
+    def shifted(values: Array, delay_s: float) -> Array:
+        return values if delay_s == 0.0 else _delayed(flight.time, values, delay_s)
+
+    rotor_delay = 1e-9 * float(rotors.time_ns[0] - time_ns[0])
+    pose_delay = 1e-9 * float(pose.time_ns[0] - time_ns[0])
+    return replace(
+        flight,
+        rates=rates,
+        angular_acceleration=acceleration,
+        specific_force=altered.imu.specific_force,
+        rotor_speeds=shifted(rotors.speeds, rotor_delay),
+        position=shifted(pose.position, pose_delay),
+        attitude=shifted(pose.attitude, pose_delay),
+        velocity=shifted(flight.velocity, pose_delay),
+    )
+
+
+def _delayed(time: Array, values: Array, delay_s: float) -> Array:
+    """Values (N, C) that come later by a delay; the first and the last hold beyond the ends."""
+    at = time - delay_s
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+_Added: TypeAlias = Callable[[Compared, Effect, Array], Array]
+_KINDS: dict[str, _Added] = {"wrench": _wrench, "vehicle": _vehicle, "wind": _wind, "sensor": _sensor}

@@ -1,0 +1,182 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where simulation and measurement disagree, by which effect, and how far the effect closes the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.gap import Gap, gap
+from quadpi_core.discrepancy.search import UNEXPLAINED_SHARE, Found, search
+from quadpi_core.discrepancy.simulations import Simulation
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.flight import AXES, Flight
+
+_INTERVAL = 1.96
+# Of the noise: a share of its squares that makes the difference of a percent or two in the gap.
+_MATTERS = 0.04
+_FEWEST_FLIGHTS = 2
+
+
+@dataclass(frozen=True)
+class FoundParameter:
+    """A parameter of an effect, with the 95 % interval of its posterior."""
+
+    name: str
+    unit: str
+    value: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that was named.
+
+    Attributes:
+        name: in the registry.
+        probability: against every other effect in its place, and none.
+        parameters: all that the effect takes.
+        axes: in which it shows.
+        rivals: effects that do about as well in its place.
+        shown_by: what to fly to tell them apart.
+    """
+
+    name: str
+    probability: float
+    parameters: tuple[FoundParameter, ...]
+    axes: tuple[str, ...]
+    rivals: tuple[str, ...]
+    shown_by: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """The whole result.
+
+    Attributes:
+        verdict: "none", "effects" or "unknown".
+        effects: that were named, largest first.
+        unexplained: share of the discrepancy that can be predicted but has no name.
+        unexplained_by: per axis that matters, what predicts it.
+        gap: before and after.
+        found: the search behind it.
+    """
+
+    verdict: str
+    effects: tuple[FoundEffect, ...]
+    unexplained: float
+    unexplained_by: dict[str, list[str]]
+    gap: Gap
+    found: Found
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON can hold it."""
+        return {
+            "verdict": self.verdict,
+            "effects": [
+                {
+                    "name": effect.name,
+                    "probability": effect.probability,
+                    "parameters": {
+                        p.name: {"value": p.value, "lower": p.lower, "upper": p.upper, "unit": p.unit}
+                        for p in effect.parameters
+                    },
+                    "axes": list(effect.axes),
+                    "shown_by": list(effect.shown_by),
+                }
+                for effect in self.effects
+            ],
+            "ambiguous": [[effect.name, *effect.rivals] for effect in self.effects if effect.rivals],
+            "gap": {
+                **{
+                    axis: {
+                        "before": float(self.gap.before[i]),
+                        "after": float(self.gap.after[i]),
+                        "floor": float(self.gap.floor[i]),
+                    }
+                    for i, axis in enumerate(AXES)
+                },
+                "reduction": self.gap.reduction,
+            },
+            "unexplained": {"share": self.unexplained, "by": self.unexplained_by},
+        }
+
+
+def discover(
+    simulation: Simulation,
+    flights: Sequence[Flight],
+    *,
+    names: Sequence[str] | None = None,
+    seed: int = 0,
+) -> Discovery:
+    """Find where a simulation and flights disagree, and which effects explain it.
+
+    Args:
+        simulation: to compare with.
+        flights: fused and in the air, of the simulation's vehicle; two at least.
+        names: of effects to look for; unless given, all.
+        seed: of the calibration.
+
+    Raises:
+        DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
+    """
+    if len(flights) < _FEWEST_FLIGHTS:
+        raise DiscrepancyError(
+            f"{len(flights)} flight: what is found on some flights is tested on others; "
+            f"{_FEWEST_FLIGHTS} are the least"
+        )
+    for flight in flights:
+        if flight.vehicle and flight.vehicle != simulation.vehicle.name:
+            raise DiscrepancyError(
+                f"{flight.source}: flown by vehicle {flight.vehicle}, "
+                f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
+            )
+    compared = [Compared(flight, simulation) for flight in flights]
+    found = search(compared, candidates(simulation.vehicle, names), seed)
+    design = found.design
+    rows = sum(flight.rows.shape[1] for flight in design.spectra())
+    matters = found.left.gain > _MATTERS * rows
+    predictable = float(found.left.gain[matters].sum())
+    share = predictable / (predictable + max(found.explained, 0.0)) if predictable > 0.0 else 0.0
+    unknown = share > UNEXPLAINED_SHARE
+    reported = design.fit(found.chosen, form=False) or found.fit
+    effects = [_effect(found, index, reported) for index in found.chosen]
+    return Discovery(
+        verdict="unknown" if unknown else "effects" if effects else "none",
+        effects=tuple(effects),
+        unexplained=share,
+        unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if matters[i]},
+        gap=gap(design, found.chosen),
+        found=found,
+    )
+
+
+def _effect(found: Found, index: int, reported: Fit) -> FoundEffect:
+    design, candidate = found.design, found.design.candidates[index]
+    block = design.blocks[index]
+    values = candidate.values(candidate.within_bounds(design.parameters(index, reported)))
+    deviation = np.zeros(len(values))
+    deviation[list(candidate.free)] = found.fit.deviation(block.parameters) * candidate.scale
+    rivals = found.rivals[index]
+    odds = sum(np.exp(-behind) for _, behind in rivals)
+    names = tuple(dict.fromkeys(design.candidates[rival].name for rival, _ in rivals))
+    manoeuvres = (candidate.effect.shown_by, *(design.candidates[r].effect.shown_by for r, _ in rivals))
+    return FoundEffect(
+        name=candidate.name,
+        probability=float(1.0 / (1.0 + odds)),
+        parameters=tuple(
+            FoundParameter(p.name, p.unit, float(v), float(v - _INTERVAL * d), float(v + _INTERVAL * d))
+            for p, v, d in zip(candidate.effect.parameters, values, deviation, strict=True)
+        ),
+        axes=candidate.effect.axes,
+        rivals=names,
+        shown_by=tuple(dict.fromkeys(manoeuvres)),
+    )

@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bayesian evidence for sets of effects, from Gram matrices alone.
+
+For columns X with prior N(0, 1) on every coefficient and white noise of unit variance, the evidence of a
+residual r is, up to a constant, ln p = −½ (r·r − bᵀA⁻¹b) − ½ ln det A with A = XᵀX + 1 and b = Xᵀr. What the
+simulation is uncertain in takes part in every set, so that an effect has to explain what no coefficient
+within its tolerance can. An effect of the library is no exact law either: its form takes part as columns of
+its own, in proportion to its size, once the effect does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.frames import Array
+
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Block:
+    """The columns of one candidate.
+
+    Attributes:
+        parameters: indices of its k columns of parameters.
+        form: indices of the columns that its form allows.
+        offset: index of what its linearisation adds to the residual; none for a linear effect.
+        lowest, highest: (k,) bounds of the parameters, in prior standard deviations.
+    """
+
+    parameters: Indices
+    form: Indices
+    offset: int | None
+    lowest: Array
+    highest: Array
+
+
+class Fit(NamedTuple):
+    """A set of effects, fitted.
+
+    Attributes:
+        log_evidence: relative to other fits on the same Gram matrix.
+        columns: (c,) indices of the columns that took part.
+        coefficients: (c,) their posterior mean.
+        covariance: (c, c) of the posterior.
+    """
+
+    log_evidence: float
+    columns: Indices
+    coefficients: Array
+    covariance: Array
+
+    def of(self, wanted: Indices) -> Array:
+        """Coefficients of some columns; 0 for those that a bound took out."""
+        found = np.zeros(len(wanted))
+        for place, index in enumerate(wanted):
+            at = np.flatnonzero(self.columns == index)
+            if len(at):
+                found[place] = self.coefficients[at[0]]
+        return found
+
+    def deviation(self, wanted: Indices) -> Array:
+        """Posterior standard deviation of some columns; 0 for those that a bound took out."""
+        found = np.zeros(len(wanted))
+        for place, index in enumerate(wanted):
+            at = np.flatnonzero(self.columns == index)
+            if len(at):
+                found[place] = np.sqrt(self.covariance[at[0], at[0]])
+        return found
+
+
+def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None:
+    """Fit tolerances and a set of effects; None where bounds leave nothing of an effect.
+
+    A parameter whose mean lies beyond its bounds is held at none, which stands for the bound next to it.
+
+    Args:
+        gram: (K, K); column 0 is the residual.
+        tolerances: indices of the columns of the simulation's tolerances.
+        blocks: of the effects.
+    """
+    weights = np.zeros(len(gram))
+    weights[0] = 1.0
+    for block in blocks:
+        if block.offset is not None:
+            weights[block.offset] = 1.0
+    out: set[int] = set()
+    while True:
+        kept = [[i for i in block.parameters if i not in out] for block in blocks]
+        if any(len(own) == 0 for own in kept):
+            return None
+        columns = np.concatenate(
+            [tolerances, *(np.r_[own, block.form] for own, block in zip(kept, blocks, strict=True))]
+        ).astype(np.intp)
+        found = _evidence(gram, columns, weights)
+        beyond = _beyond_bounds(found, blocks) - out
+        if not beyond:
+            return found
+        out |= beyond
+
+
+def _evidence(gram: Array, columns: Indices, weights: Array) -> Fit:
+    matrix = gram[np.ix_(columns, columns)] + np.eye(len(columns))
+    lower = np.linalg.cholesky(matrix)
+    projected = gram[columns] @ weights
+    half = np.linalg.solve(lower, projected)
+    coefficients = np.linalg.solve(lower.T, half)
+    inverse = np.linalg.solve(lower, np.eye(len(columns)))
+    log_evidence = -0.5 * float(weights @ gram @ weights - half @ half) - float(np.log(np.diag(lower)).sum())
+    return Fit(log_evidence, columns, coefficients, inverse.T @ inverse)
+
+
+def _beyond_bounds(found: Fit, blocks: Sequence[Block]) -> set[int]:
+    beyond: set[int] = set()
+    for block in blocks:
+        values = found.of(block.parameters)
+        outside = (values < block.lowest) | (values > block.highest)
+        beyond |= {int(i) for i in block.parameters[outside] if i in found.columns}
+    return beyond
+
+
+def null_gains(
+    gram: Array, tolerances: Indices, blocks: Sequence[Block], draws: int, rng: np.random.Generator
+) -> Array:
+    """Largest gain (draws,) in evidence of any single effect where there is none.
+
+    Coefficients are drawn within their tolerances and noise with the autocorrelation of the residual, on the
+    very flights: both are one normal distribution of the projections of the residual on the columns.
+
+    Args:
+        gram: (K, K).
+        tolerances: see :func:`fit`.
+        blocks: of the candidates, each alone.
+        draws: number of draws.
+        rng: source of the draws.
+    """
+    wanted = np.unique(np.concatenate([tolerances, *(block.parameters for block in blocks)]))
+    own = gram[np.ix_(wanted, wanted)]
+    values, vectors = np.linalg.eigh(own)
+    root = vectors * np.sqrt(np.clip(values, 0.0, None))
+    projected = root @ rng.standard_normal((len(wanted), draws))
+    projected += gram[np.ix_(wanted, tolerances)] @ rng.standard_normal((len(tolerances), draws))
+
+    def score(columns: Indices) -> Array:
+        at = np.searchsorted(wanted, columns)
+        matrix = own[np.ix_(at, at)] + np.eye(len(at))
+        lower = np.linalg.cholesky(matrix)
+        half = np.linalg.solve(lower, projected[at])
+        gains: Array = 0.5 * np.sum(half * half, axis=0) - np.log(np.diag(lower)).sum()
+        return gains
+
+    none = score(np.asarray(tolerances))
+    gains = np.full(draws, -np.inf)
+    for block in blocks:
+        gains = np.maximum(gains, score(np.concatenate((tolerances, block.parameters))) - none)
+    return gains

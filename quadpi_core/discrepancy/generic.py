@@ -1,0 +1,152 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What no effect of the library explains: is there anything left that one flight tells of another?
+
+Noise cannot be predicted. So what the effects leave is given to many functions of motion, rotors, place,
+heading and time that know no physics; if coefficients found on all other flights predict a flight, something
+is there that has no name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.discrepancy.whitening import Spectrum, spectrum
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array, rotation_matrix
+
+_LAGS_S = (0.1, 0.4)
+_RIDGE = (1.0, 10.0, 100.0, 1e3)
+
+
+class Left(NamedTuple):
+    """What generic functions predict of flights that they were not fitted on.
+
+    Attributes:
+        gain: (6,) share of whitened squares, as a sum over flights, that prediction takes away; in
+            variances of the noise.
+        functions: per axis, names of those that predict most, best first.
+    """
+
+    gain: Array
+    functions: list[list[str]]
+
+
+def functions(compared: Compared) -> tuple[list[str], Array]:
+    """Names and values (M, J) of the generic functions for one flight."""
+    flight = compared.expected.slice(slice(None, None, compared.step))
+    states = compared.states
+    vehicle = compared.simulation.vehicle
+    hover = compared.simulation.hover_rotor_speed
+    velocity = states["velocity_air"] / vehicle.hover_induced_velocity
+    u, v, w = velocity.T
+    p, q, r = (states["rates"] / 3.0).T
+    speed = np.linalg.norm(velocity, axis=1)
+    loads = np.square(flight.rotor_speeds / hover)
+    load = loads.mean(axis=1)
+    rotation = rotation_matrix(flight.attitude)
+    height = np.maximum(-flight.position[:, 2], vehicle.rotor_radius_m)
+    named: dict[str, Array] = {
+        "u": u, "v": v, "w": w, "|V|u": speed * u, "|V|v": speed * v, "|V|w": speed * w,
+        "|u|": np.abs(u), "|v|": np.abs(v), "|w|": np.abs(w), "u²": u * u, "v²": v * v, "w²": w * w,
+        "uv": u * v, "uw": u * w, "vw": v * w, "u³": u**3, "v³": v**3, "w³": w**3,
+        "p": p, "q": q, "r": r, "|p|p": np.abs(p) * p, "|q|q": np.abs(q) * q, "|r|r": np.abs(r) * r,
+        "pq": p * q, "qr": q * r, "pr": p * r, "qu": q * u, "pv": p * v, "ru": r * u, "rv": r * v,
+        "load": load, "load·u": load * u, "load·v": load * v, "load·w": load * w,
+        "load·|V|": load * speed, "load·speed²": load * speed**2,
+        "1/height": vehicle.rotor_radius_m / height, "1/height²": (vehicle.rotor_radius_m / height) ** 2,
+        "time": flight.time / 20.0, "load·time": load * flight.time / 20.0,
+    }  # fmt: skip
+    for rotor in range(4):
+        named[f"load {rotor + 1}"] = loads[:, rotor] - load
+        named[f"spin-up {rotor + 1}"] = states["rotor_accelerations"][:, rotor] / (10.0 * hover)
+    for axis, name in enumerate(("north", "east", "down")):
+        for body, letter in enumerate("xyz"):
+            named[f"{name} along {letter}"] = rotation[:, axis, body]
+            place = flight.position[:, axis] / 3.0
+            named[f"{name} place along {letter}"] = rotation[:, axis, body] * place
+        named[f"place {name}"] = flight.position[:, axis] / 3.0
+        named[f"place {name} squared"] = np.square(flight.position[:, axis] / 3.0)
+    heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    for name, turned in (("cos", np.cos(heading)), ("sin", np.sin(heading))):
+        named[f"{name} heading"] = turned
+        for letter, moved in (("u", u), ("v", v), ("|V|", speed)):
+            named[f"{name} heading·{letter}"] = turned * moved
+    jerk = np.gradient(flight.specific_force, flight.time, axis=0) / (10.0 * vehicle.gravity_m_s2)
+    for body, letter in enumerate("xyz"):
+        named[f"force {letter}"] = flight.specific_force[:, body] / vehicle.gravity_m_s2
+        named[f"jerk {letter}"] = jerk[:, body]
+        named[f"turning {letter}"] = flight.angular_acceleration[:, body] / 50.0
+    for lag in _LAGS_S:
+        keep = np.exp(-1.0 / (lag * flight.rate_hz))
+        for name in ("u", "v", "w", "load"):
+            start = [keep * named[name][0]]
+            named[f"{name} {lag:g} s ago"] = lfilter([1.0 - keep], [1.0, -keep], named[name], zi=start)[0]
+    return list(named), np.stack(list(named.values()), axis=1)
+
+
+def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectrum]]:
+    """Names of the functions and their spectra for each flight: rows (1, B, J)."""
+    names: list[str] = []
+    spectra = []
+    for flight in flights:
+        names, values = functions(flight)
+        spectra.append(spectrum(values[:, None, :], flight.thinned.rate_hz))
+    return names, spectra
+
+
+def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], noise: Array, names: list[str]) -> Left:
+    """What the functions predict of each flight from the others.
+
+    Args:
+        left: per flight, rows (6, B) that effects leave of the residual.
+        spectra: of the functions, see :func:`generic_spectra`.
+        noise: (6, BANDS).
+        names: of the functions.
+    """
+    gain, best = np.zeros(len(AXES)), []
+    for axis in range(len(AXES)):
+        grams, projections = axis_projections(axis, left, spectra, noise)
+        gain[axis], coefficients = left_out_gain(grams, projections)
+        size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams))
+        best.append([names[index] for index in np.argsort(-size)[:3]])
+    return Left(gain, best)
+
+
+def axis_projections(
+    axis: int, left: Sequence[Array], spectra: Sequence[Spectrum], noise: Array
+) -> tuple[Array, Array]:
+    """Gram matrices (F, J, J) of the functions and projections (F, J) of what is left, whitened."""
+    grams, projections = [], []
+    for rows, flight in zip(left, spectra, strict=True):
+        weights = 1.0 / np.sqrt(noise[axis, flight.band])
+        functions_ = flight.rows[0] * weights[:, None]
+        grams.append(functions_.T @ functions_)
+        projections.append(functions_.T @ (rows[axis] * weights))
+    return np.array(grams), np.array(projections)
+
+
+def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
+    """Squares that prediction takes from flights left out in turn, and coefficients, with the best ridge.
+
+    Args:
+        grams: (F, J, J).
+        projections: (F, J), or (F, J, D) for D draws.
+    """
+    total, aim = grams.sum(axis=0), projections.sum(axis=0)
+    scale = np.sqrt(np.diag(total)) + np.finfo(float).tiny
+    best, kept = -np.inf, np.zeros(len(total))
+    for ridge in _RIDGE:
+        penalty = np.diag(ridge * 1e-4 * scale**2)
+        gain = 0.0
+        for own, projection in zip(grams, projections, strict=True):
+            coefficients = np.linalg.solve(total - own + penalty, aim - projection)
+            gain += float(2.0 * coefficients @ projection - coefficients @ own @ coefficients)
+        if gain > best:
+            best, kept = gain, np.linalg.solve(total + penalty, aim)
+    return best, kept
