@@ -37,19 +37,19 @@ _NO_NUMBERS = np.random.default_rng(0)
 class Compared:
     """A flight beside a simulation.
 
-    Columns and residuals are of every `step`-th sample: the low-pass that a flight has passed leaves
-    nothing that needs more.
+    Columns and residuals are thinned: the low-pass that a flight has passed leaves nothing that needs more.
 
     Attributes:
-        flight: at its own rate.
+        flight: that the simulation is asked for: at its own rate, or thinned where that makes no difference.
         simulation: that it is compared with.
         thinned: the flight at about RATE_HZ.
     """
 
     def __init__(self, flight: Flight, simulation: Simulation) -> None:
-        self.flight, self.simulation = flight, simulation
-        self.step = max(1, int(flight.rate_hz / RATE_HZ + 0.5))
-        self.thinned = flight.slice(slice(None, None, self.step))
+        self.simulation = simulation
+        step = max(1, int(flight.rate_hz / RATE_HZ + 0.5))
+        self.thinned = _every(flight, step)
+        self.flight, self.step = (self.thinned, 1) if simulation.memoryless else (flight, step)
 
     @cached_property
     def simulated(self) -> Array:
@@ -68,7 +68,7 @@ class Compared:
 
     @cached_property
     def expected(self) -> Flight:
-        """The flight, at its own rate, with the accelerations that the simulation predicts of it."""
+        """The flight, with the accelerations that the simulation predicts of it."""
         vehicle = self.simulation.vehicle
         wrench = self.simulation.wrench(self.flight)
         momentum = self.flight.rates @ vehicle.inertia
@@ -112,6 +112,13 @@ class Compared:
         return _KINDS[effect.kind](self, effect, values)
 
 
+def _every(flight: Flight, step: int) -> Flight:
+    """Every `step`-th sample, side by side in memory as the kernels want them."""
+    taken = flight.slice(slice(None, None, step))
+    arrays = {name: value for name, value in vars(taken).items() if isinstance(value, np.ndarray)}
+    return replace(taken, **{name: np.ascontiguousarray(value) for name, value in arrays.items()})
+
+
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
     parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
     return effect_wrench(effect.name, parameters, compared.states, compared.simulation.record())
@@ -119,7 +126,7 @@ def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
 
 def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
     nominal = compared.simulation.vehicle
-    flight = compared.expected.slice(slice(None, None, compared.step))
+    flight = _every(compared.expected, compared.step)
     try:
         share, vehicle = 1.0, effect.function(nominal, values)
     except SimulationError:
@@ -136,13 +143,10 @@ def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
 
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
-    simulation, flight = compared.simulation, compared.expected
-
-    def residual(flight: Flight) -> Array:
-        measured = measured_wrench(flight, simulation.vehicle)
-        return (measured - simulation.wrench(flight))[:: compared.step]
-
-    return residual(flight) - residual(_undone(flight, effect, simulation, values))
+    simulation = compared.simulation
+    undone = _undone(compared.expected, effect, simulation, values)
+    # As expected, measured and simulated wrench are the same.
+    return (simulation.wrench(undone) - measured_wrench(undone, simulation.vehicle))[:: compared.step]
 
 
 def _undone(flight: Flight, effect: Effect, simulation: Simulation, values: Array) -> Flight:

@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from quadpi_core.discrepancy.candidates import Candidate, linearise
 from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit
-from quadpi_core.discrepancy.whitening import Spectrum, estimate_noise, grams, spectrum
+from quadpi_core.discrepancy.whitening import Spectrum, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
@@ -21,44 +21,51 @@ _AXES_OVER_FORM = 1.5
 _NONE: Indices = np.empty(0, dtype=np.intp)
 
 
-@dataclass
 class Design:
     """Columns of all flights, one block per candidate.
 
-    Column 0 is the residual, then come the tolerances, then the blocks.
+    Column 0 is the residual, then come the tolerances, then the blocks. A block that is made anew about
+    another point stands behind those that are there; its old columns are left where they are.
 
     Attributes:
         flights: F flights.
         candidates: that blocks belong to.
         points: per candidate, the free parameters that it is linearised at.
+        blocks: per candidate, its columns.
+        tolerance_names, tolerances: names and indices of the columns of tolerances.
+        noise: (6, BANDS) variance of the noise.
+        per_flight: (F, K, K) Gram matrices of the columns, whitened.
     """
 
-    flights: Sequence[Compared]
-    candidates: Sequence[Candidate]
-    points: list[Array] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._modulators = _modulators(self.flights)
-        uncertain = [flight.uncertain() for flight in self.flights]
-        self.tolerance_names = [column.name for column in uncertain[0]]
-        self._spectra: list[list[Array]] = []
+    def __init__(self, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> None:
+        self.flights, self.candidates = flights, candidates
+        self._modulators = _modulators(flights)
+        self._spectra: list[list[Array]] = [[] for _ in flights]
         self._bands = []
-        for flight, columns in zip(self.flights, uncertain, strict=True):
-            table = np.stack((flight.residual, *(column.wrench for column in columns)), axis=2)
-            found = spectrum(table, flight.thinned.rate_hz)
-            self._spectra.append([found.rows])
-            self._bands.append(found.band)
-        self.tolerances: Indices = np.arange(1, 1 + len(self.tolerance_names))
+        self.points: list[Array] = []
         self.blocks: list[Block] = []
-        for candidate in self.candidates:
-            start = (
-                np.zeros(len(candidate.free)) if candidate.linear else candidate.start[list(candidate.free)]
-            )
-            self.blocks.append(self._add(candidate, start, form=False))
-            self.points.append(start)
+        # Per candidate whose form may be off, its columns in time.
+        self._in_time: dict[int, list[Array]] = {}
+        uncertain = [flight.uncertain() for flight in flights]
+        self.tolerance_names = [column.name for column in uncertain[0]]
+        self.tolerances: Indices = np.arange(1, 1 + len(self.tolerance_names))
+        for place, (flight, columns) in enumerate(zip(flights, uncertain, strict=True)):
+            table = np.stack((flight.residual, *(column.wrench for column in columns)), axis=2)
+            self._bands.append(self._append(place, table))
+        for index, candidate in enumerate(candidates):
+            zero = np.zeros(len(candidate.free))
+            self.points.append(zero if candidate.linear else candidate.start[list(candidate.free)])
+            self.blocks.append(self._linearised(index))
         linear = [block.parameters for block in self.blocks if block.offset is None]
         self.noise = estimate_noise(self.spectra(), np.concatenate([self.tolerances, *linear]))
-        self._weigh()
+        self.per_flight = np.zeros((len(flights), 0, 0))
+        self._weighted: list[list[Array]] = [[] for _ in flights]
+        self.refresh()
+
+    @property
+    def gram(self) -> Array:
+        """Gram matrix (K, K) of all flights."""
+        return self._gram
 
     def spectra(self) -> list[Spectrum]:
         """All columns of each flight."""
@@ -67,36 +74,71 @@ class Design:
             for rows, band in zip(self._spectra, self._bands, strict=True)
         ]
 
-    def _weigh(self) -> None:
-        self.per_flight = grams(self.spectra(), self.noise)
-        self.gram = self.per_flight.sum(axis=0)
+    def refresh(self) -> None:
+        """Bring the Gram matrices up to date with columns that were added."""
+        known = self.per_flight.shape[1]
+        width = self._width
+        grown = np.zeros((len(self.flights), width, width))
+        grown[:, :known, :known] = self.per_flight
+        for place, band in enumerate(self._bands):
+            weights = 1.0 / np.sqrt(self.noise[:, band])
+            done = self._weighted[place]
+            fresh = [rows * weights[:, :, None] for rows in self._spectra[place][len(done) :]]
+            added = np.concatenate(fresh, axis=2)
+            for first, rows in zip(_starts(done), done, strict=True):
+                block = cross_gram(rows, added)
+                grown[place, first : first + rows.shape[2], known:] = block
+                grown[place, known:, first : first + rows.shape[2]] = block.T
+            grown[place, known:, known:] = cross_gram(added, added)
+            done.extend(fresh)
+        self.per_flight = grown
+        self._gram: Array = grown.sum(axis=0)
 
     @property
     def _width(self) -> int:
         return sum(rows.shape[2] for rows in self._spectra[0])
 
-    def _add(self, candidate: Candidate, at: Array, *, form: bool) -> Block:
-        """Append the columns of a candidate, linearised at a point."""
-        first, count = self._width, len(at)
-        linear = candidate.linear
-        formed = form and candidate.effect.form > 0.0
-        for place, (here, columns) in enumerate(linearise(candidate, self.flights, at)):
-            added = [columns]
-            if not linear:
-                added.append((columns @ (at / candidate.scale) - here)[:, :, None])
-            if formed:
-                added.append(self._form(candidate, here, place))
-            table = np.concatenate(added, axis=2)
-            self._spectra[place].append(spectrum(table, self.flights[place].thinned.rate_hz).rows)
-        after = first + count + (not linear)
-        bounds = [candidate.effect.parameters[index] for index in candidate.free]
+    def _append(self, place: int, table: Array) -> Indices:
+        """Append columns (M, 6, K) of a flight; gives the band of each row."""
+        found = spectrum(table, self.flights[place].thinned.rate_hz)
+        self._spectra[place].append(found.rows)
+        return found.band
+
+    def _linearised(self, index: int) -> Block:
+        """Append the columns of a candidate about its point."""
+        candidate, at, first = self.candidates[index], self.points[index], self._width
+        found = linearise(candidate, self.flights, at)
+        if candidate.linear and candidate.effect.form > 0.0:
+            self._in_time[index] = [columns for _, columns in found]
+        for place, (here, columns) in enumerate(found):
+            offset = columns @ (at / candidate.scale) - here
+            added = [columns] if candidate.linear else [columns, offset[:, :, None]]
+            self._append(place, np.concatenate(added, axis=2))
+        bounds = [candidate.effect.parameters[free] for free in candidate.free]
         return Block(
-            parameters=np.arange(first, first + count),
-            form=np.arange(after, self._width),
-            offset=None if linear else first + count,
+            parameters=np.arange(first, first + len(at)),
+            form=_NONE,
+            offset=None if candidate.linear else first + len(at),
             lowest=np.array([p.lowest for p in bounds]) / candidate.scale,
             highest=np.array([p.highest for p in bounds]) / candidate.scale,
         )
+
+    def move(self, index: int, at: Array) -> None:
+        """Linearise a candidate about a point and let its form differ in proportion to its size there."""
+        self.points[index] = at
+        candidate = self.candidates[index]
+        if not candidate.linear:
+            self.blocks[index] = self._linearised(index)
+        if candidate.effect.form == 0.0:
+            return
+        first = self._width
+        for place, flight in enumerate(self.flights):
+            if candidate.linear:
+                here = self._in_time[index][place] @ (at / candidate.scale)
+            else:
+                here = flight.added(candidate.effect, candidate.values(at))
+            self._append(place, self._form(candidate, here, place))
+        self.blocks[index] = replace(self.blocks[index], form=np.arange(first, self._width))
 
     def _form(self, candidate: Candidate, here: Array, place: int) -> Array:
         """Columns (M, 6, C): how the contribution of an effect may differ from its law."""
@@ -110,15 +152,6 @@ class Design:
         columns += [share * here * modulator[:, None] for modulator in self._modulators[place]]
         return np.stack(columns, axis=2)
 
-    def relinearise(self, index: int, at: Array) -> None:
-        """Give a candidate other columns: about a point, and those of its form."""
-        self.points[index] = at
-        self.blocks[index] = self._add(self.candidates[index], at, form=True)
-
-    def refresh(self) -> None:
-        """Bring the Gram matrices up to date after :meth:`relinearise`."""
-        self._weigh()
-
     def fit(self, chosen: Sequence[int], gram: Array | None = None, *, form: bool = True) -> Fit | None:
         """Fit a set of candidates, by their indices, with or without the columns of their form.
 
@@ -129,7 +162,7 @@ class Design:
 
     def weights(self, found: Fit) -> Array:
         """Weight (K,) of each column in what a fit leaves of the residual."""
-        weights = np.zeros(self.gram.shape[0])
+        weights = np.zeros(len(self.gram))
         weights[0] = 1.0
         weights[found.columns] -= found.coefficients
         for block in self.blocks:
@@ -145,6 +178,10 @@ class Design:
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""
         return found.of(self.blocks[index].parameters) * self.candidates[index].scale
+
+
+def _starts(rows: Sequence[Array]) -> list[int]:
+    return [0, *np.cumsum([table.shape[2] for table in rows])[:-1].tolist()] if rows else []
 
 
 def _modulators(flights: Sequence[Compared]) -> list[Array]:

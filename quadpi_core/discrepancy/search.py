@@ -20,7 +20,7 @@ _BEAM = 8
 _DRAWS = 1000
 # Share of searches on flights without any effect that may name one.
 FALSE_ALARMS = 0.01
-_ROUNDS = 3
+_ROUNDS = 2
 # A set is named alone where its evidence exceeds that of every other by this: odds of about a hundred.
 NAMED_ALONE = 4.6
 # Of the typical size: what is smaller is no finding, however certain.
@@ -112,7 +112,7 @@ def _settle(design: Design) -> None:
         if found is not None:
             at[index] = candidate.within_bounds(design.parameters(index, found))
     for index in range(len(design.candidates)):
-        design.relinearise(index, at[index])
+        design.move(index, at[index])
     design.refresh()
 
 
@@ -147,7 +147,7 @@ def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> tuple[tuple[
             break
         for index in chosen:
             candidate = design.candidates[index]
-            design.relinearise(index, candidate.within_bounds(design.parameters(index, found)))
+            design.move(index, candidate.within_bounds(design.parameters(index, found)))
         design.refresh()
         found = _require(design.fit(chosen))
     return chosen, found

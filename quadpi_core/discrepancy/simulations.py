@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -66,11 +66,13 @@ class Simulation(ABC):
         name: for people.
         vehicle: as the simulation has it.
         tolerances: what it is known to be uncertain in.
+        memoryless: whether the wrench at an instant depends on that instant alone.
     """
 
     name: str
     vehicle: Vehicle
     tolerances: Tolerances
+    memoryless: ClassVar[bool] = False
 
     @abstractmethod
     def wrench(self, flight: Flight) -> Array:
@@ -137,6 +139,7 @@ class VehicleSimulation(Simulation):
 
     model: RotorLocalModel
     tolerances: Tolerances = Tolerances()
+    memoryless: ClassVar[bool] = True
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> VehicleSimulation:
@@ -172,7 +175,7 @@ class VehicleSimulation(Simulation):
         return states["thrusts"].copy(), states["torques"].copy()
 
     def uncertain(self, flight: Flight) -> list[Column]:
-        """One factor on each kind of coefficient; thrust and torque at rest apart from what airflow changes."""
+        """One factor on each kind of coefficient; thrust and torque at rest have one of their own."""
         base = self.wrench(flight)
         tolerances, coefficients = self.tolerances, self.model.coefficients
 

@@ -68,21 +68,10 @@ def _taper(samples: int, rate_hz: float) -> Array:
     return taper
 
 
-def grams(spectra: Sequence[Spectrum], noise: Array) -> Array:
-    """Gram matrices (F, K, K) of the columns of each flight, weighted by the noise.
-
-    Args:
-        spectra: of F flights.
-        noise: (6, BANDS) variance of the noise of each axis and band.
-    """
-    return np.array([sum(axis_grams(flight, noise)) for flight in spectra])
-
-
-def axis_grams(flight: Spectrum, noise: Array) -> list[Array]:
-    """Gram matrix (K, K) of each axis of one flight, weighted by the noise."""
-    weights = 1.0 / np.sqrt(noise[:, flight.band])
-    weighted = flight.rows * weights[:, :, None]
-    return [rows.T @ rows for rows in weighted]
+def cross_gram(first: Array, second: Array) -> Array:
+    """Sum over axes and rows (6, B, ·) of the products of two tables of weighted columns."""
+    total: Array = sum(one.T @ other for one, other in zip(first, second, strict=True))
+    return total
 
 
 def estimate_noise(spectra: Sequence[Spectrum], columns: npt.NDArray[np.intp]) -> Array:
@@ -103,7 +92,10 @@ def estimate_noise(spectra: Sequence[Spectrum], columns: npt.NDArray[np.intp]) -
         highest = np.concatenate([flight.rows[axis, flight.band == BANDS - 1, 0] for flight in spectra])
         noise[axis] = max(np.mean(np.square(highest)), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
-        gram = grams(spectra, noise).sum(axis=0)
+        gram = np.zeros((len(taken), len(taken)))
+        for flight in spectra:
+            weighted = flight.rows / np.sqrt(noise[:, flight.band])[:, :, None]
+            gram += cross_gram(weighted, weighted)
         lower = cholesky(gram[1:, 1:] + np.eye(len(gram) - 1), lower=True)
         fit = cho_solve((lower, True), gram[1:, 0])
         for axis in range(len(AXES)):
