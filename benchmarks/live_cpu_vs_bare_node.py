@@ -75,7 +75,7 @@ def measure(module: str, parameters: tuple[str, ...], bag: Path) -> Run:
             await_start(nodes, collector)
             before_s = nodes.cpu_seconds()
             managed = () if module == BARE else ("estimator", "monitor")
-            imu_sent = play(bag, TOPICS, 1.0, folder, nodes, collector, managed)
+            imu_sent = play(bag, TOPICS, 1.0, folder, nodes, collector, managed)["imu"]
             cpu_s = nodes.cpu_seconds() - before_s
         predicted_ns, arrived_ns = collector.predictions().time_ns, collector.arrived_ns
     stamps_ns, sent_ns = imu_sent.T

@@ -102,10 +102,10 @@ class Listener:
         self._context = Context()
         self._context.init()
         self._node = Node(name, context=self._context, start_parameter_services=False)
-        self._subscriptions = [
-            self._node.create_subscription(message_type, topic, take, _DEEP_QOS, raw=True)
+        self._subscriptions = {
+            topic: self._node.create_subscription(message_type, topic, take, _DEEP_QOS, raw=True)
             for message_type, topic, take in topics
-        ]
+        }
         self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self._node)
 
@@ -121,7 +121,11 @@ class Listener:
     @property
     def connected(self) -> bool:
         """Whether every topic has a publisher."""
-        return all(subscription.get_publisher_count() for subscription in self._subscriptions)
+        return all(map(self.hears, self._subscriptions))
+
+    def hears(self, topic: str) -> bool:
+        """Whether that topic has a publisher."""
+        return bool(self._subscriptions[topic].get_publisher_count() > 0)
 
     def spin(self, seconds: float) -> None:
         """Listen for so long."""

@@ -129,7 +129,7 @@ def run_session(
         with Child("quadpi_ros.live", ("--ros-args", "--params-file", str(parameter_file)), folder) as live:
             await_start(live, collector)
             sent = play(bag, played, rate, folder, live, collector)
-        return _result(bag, collector, sent, stamps[rotor_topic])
+        return _result(bag, collector, sent["imu"], stamps[rotor_topic])
 
 
 def await_start(nodes: Child, collector: Collector) -> None:
@@ -152,13 +152,14 @@ def play(
     nodes: Child,
     collector: Collector,
     managed: Sequence[str] = ("estimator", "monitor"),
-) -> Stamps:
+) -> dict[str, Stamps]:
     """Play topics of a bag through running nodes and collect until they fall silent.
 
     The player waits until the `managed` nodes are active.
 
     Returns:
-        (N, 2) nanoseconds: stamp of each IMU sample, and when it was published by the monotonic clock.
+        Of each standard topic (N, 2) nanoseconds: the stamp of each message, and when it was published by the
+        monotonic clock.
 
     Raises:
         SessionError: if the nodes end before the bag does.
@@ -175,8 +176,7 @@ def play(
     if nodes.finished():
         raise SessionError("the live nodes ended before the flight did")
     with np.load(sent_file) as sent:
-        imu_sent: Stamps = sent["imu"]
-    return imu_sent
+        return dict(sent)
 
 
 def _result(bag: Path, collector: Collector, imu_sent: Stamps, rotor_stamps_ns: Stamps) -> SessionResult:

@@ -10,17 +10,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
-from quadpi_core.flight import Recording
+from quadpi_core.flight import ImuStream, Recording
 from quadpi_core.logs import messages, read_recording
+from quadpi_core.logs.adapters import ADAPTERS
 from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor.replay import replay
@@ -29,99 +32,166 @@ from quadpi_ros.adapters import AdapterError
 from quadpi_ros.collector import Collector
 from quadpi_ros.player import playable
 from quadpi_ros.processes import Child, isolated_domain
-from quadpi_ros.session import await_start, play
+from quadpi_ros.session import play
 from quadpi_ros.sources import AdaptedSources
 
 from ..core.logs.adapters.conftest import DEFINITIONS, Messages
-from ..core.logs.adapters.test_poses import frame
-from ..core.logs.adapters.test_rotors import mavros_status
+from ..core.logs.adapters.test_poses import frame, px4_odometry
+from ..core.logs.adapters.test_rotors import mavros_status, mavros_telemetry, px4_status
 
 VEHICLE = "neurobem"
 RAD_S_TO_RPM = 60.0 / (2.0 * np.pi)
-FIELDS = {
-    "mavros_msgs": {
-        "ESCStatusItem": {
-            "header": "std_msgs/Header",
-            "rpm": "int32",
-            "voltage": "float",
-            "current": "float",
-        },
-        "ESCStatus": {"header": "std_msgs/Header", "esc_status": "sequence<mavros_msgs/ESCStatusItem>"},
-    },
-    "motion_capture_tracking_interfaces": {
-        "NamedPose": {"name": "string", "pose": "geometry_msgs/Pose"},
-        "NamedPoseArray": {
-            "header": "std_msgs/Header",
-            "poses": "sequence<motion_capture_tracking_interfaces/NamedPose>",
-        },
-    },
+SETTINGS = {
+    "rotor_speeds": "{rotors: [4, 3, 2, 1], unit: rpm}",
+    "mocap": "{body: quad, frames: flu-enu}",
+    "imu": "{}",
+    "odometry": "{}",
 }
-SETTINGS = """
-rotor_speeds: {rotors: [4, 3, 2, 1], unit: rpm}
-mocap: {body: quad, frames: flu-enu}
-"""
+TOPICS = {name: f"/vehicle/{adapter.topic}" for name, adapter in ADAPTERS.items()}
+KINDS = {"float32": "float", "float64": "double"}
+
+
+@pytest.fixture(scope="module")
+def vendor() -> Messages:
+    return Messages(DEFINITIONS)
+
+
+def kind_of(field: Any) -> str:
+    """The type of a field, from rosbags' description of it to the words of generated message classes."""
+    node, about = field
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        item, length = about
+        return f"sequence<{kind_of(item)}>" if node == Nodetype.SEQUENCE else f"{kind_of(item)}[{length}]"
+    return about.replace("/msg/", "/") if node == Nodetype.NAME else KINDS.get(about[0], about[0])
 
 
 @pytest.fixture
-def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def packages(vendor: Messages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The packages, importable here and in child processes."""
-    for package, kinds in FIELDS.items():
+    names = {name.partition("/")[0] for name in DEFINITIONS}
+    for package in names:
         folder = tmp_path / "packages" / package / "msg"
         folder.mkdir(parents=True)
         (folder.parent / "__init__.py").touch()
         lines = ["from std_msgs.msg import String"]
-        for name, columns in kinds.items():
+        for type_name in filter(lambda one: one.startswith(f"{package}/"), DEFINITIONS):
+            columns = {name: kind_of(field) for name, field in vendor.store.fielddefs[type_name][1]}
             lines += [
-                f"class {name}(String):",
+                f"class {type_name.rpartition('/')[2]}(String):",
                 "    @classmethod",
                 "    def get_fields_and_field_types(cls):",
+                f"        return {columns!r}",
             ]
-            lines += [f"        return {columns!r}"]
         (folder / "__init__.py").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(str(tmp_path / "packages"))
     paths = (str(tmp_path / "packages"), os.environ.get("PYTHONPATH", ""))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
     yield
-    for name in [name for name in sys.modules if name.partition(".")[0] in FIELDS]:
+    for name in [name for name in sys.modules if name.partition(".")[0] in names]:
         del sys.modules[name]
 
 
-@pytest.fixture(scope="module")
-def bag(hover: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The flight with speeds of ESCs in another order, and poses of two bodies; no standard topic but imu."""
-    vendor = Messages(DEFINITIONS)
+def rotor_messages(vendor: Messages, name: str, hover: Recording) -> list[bytes]:
+    """Speeds of ESCs in another order than the vehicle's rotors."""
     rpm = np.rint(hover.rotor_speeds.speeds[:, ::-1] * RAD_S_TO_RPM)
-    escs = [mavros_status(vendor, *row) for row in zip(hover.rotor_speeds.time_ns, rpm, strict=True)]
-    poses = []
+    rows = enumerate(zip(hover.rotor_speeds.time_ns.tolist(), rpm, strict=True))
+    if name == "mavros_telemetry":
+        return [mavros_telemetry(vendor, time_ns, row, [count % 2**16] * 4) for count, (time_ns, row) in rows]
+    make = mavros_status if name == "mavros_status" else px4_status
+    return [make(vendor, time_ns, row) for _, (time_ns, row) in rows]
+
+
+def pose_messages(vendor: Messages, name: str, hover: Recording) -> list[bytes]:
+    """Poses of two bodies."""
+    found = []
     for payload in messages.pack_pose(hover.pose):
         message = vendor.store.deserialize_cdr(payload, messages.POSE)
         p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
         bodies = [("wand", [0, 0, 0], [0, 0, 0, 1]), ("quad", [p.x, p.y, p.z], [q.x, q.y, q.z, q.w])]
-        poses.append(frame(vendor, "named_poses", 10**9 * stamp.sec + stamp.nanosec, bodies))
-    topics = {
-        "/imu": (messages.IMU, hover.imu.time_ns, list(messages.pack_imu(hover.imu))),
-        "/mavros/esc_status/status": ("mavros_msgs/msg/ESCStatus", hover.rotor_speeds.time_ns, escs),
-        "/poses": (
-            "motion_capture_tracking_interfaces/msg/NamedPoseArray",
-            hover.pose.time_ns,
-            poses,
-        ),
-    }
-    path = tmp_path_factory.mktemp("adapted") / "adapted"
+        found.append(frame(vendor, name, 10**9 * stamp.sec + stamp.nanosec, bodies))
+    return found
+
+
+def imu_messages(vendor: Messages, hover: Recording) -> list[bytes]:
+    imu = hover.imu
+    return [
+        vendor.bytes(
+            vendor.make(
+                "px4_msgs/msg/SensorCombined",
+                timestamp=int(time_ns) // 1000,
+                gyro_rad=rates.astype(np.float32),
+                accelerometer_m_s2=force.astype(np.float32),
+            )
+        )
+        for time_ns, rates, force in zip(imu.time_ns, imu.angular_velocity, imu.specific_force, strict=True)
+    ]
+
+
+def state_messages(vendor: Messages, imu: ImuStream) -> list[bytes]:
+    """An autopilot's estimate of a vehicle that hovers."""
+    rng = np.random.default_rng(4)
+    return [
+        px4_odometry(
+            vendor,
+            timestamp_sample=int(time_ns) // 1000,
+            q=[1.0, 0.0, 0.0, 0.0],
+            velocity=0.05 * rng.standard_normal(3),
+            angular_velocity=rates,
+        )
+        for time_ns, rates in zip(imu.time_ns, imu.angular_velocity, strict=True)
+    ]
+
+
+def write_vendor_bag(vendor: Messages, path: Path, names: Sequence[str], hover: Recording) -> Path:
+    """The flight in messages of those adapters; the standard topic imu where none gives it."""
+    # At 100 Hz, the most that PX4 exports.
+    sampled = ImuStream(
+        hover.imu.time_ns[::5], hover.imu.angular_velocity[::5], hover.imu.specific_force[::5]
+    )
+    made = {"imu": ("/imu", messages.IMU, imu.time_ns, list(messages.pack_imu(imu)))}
+    for name in names:
+        kind = ADAPTERS[name].kind
+        made.pop(kind, None)
+        stream, payloads = {
+            "rotor_speeds": lambda name=name: (hover.rotor_speeds, rotor_messages(vendor, name, hover)),
+            "mocap": lambda name=name: (hover.pose, pose_messages(vendor, name, hover)),
+            "imu": lambda: (imu, imu_messages(vendor, hover)),
+            "odometry": lambda: (sampled, state_messages(vendor, sampled)),
+        }[kind]()
+        made[kind] = (TOPICS[name], ADAPTERS[name].type_name, stream.time_ns, payloads)
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for name, (type_name, log_times, payloads) in topics.items():
-            connection = writer.add_connection(name, type_name, typestore=vendor.store)
+        for topic, type_name, log_times, payloads in made.values():
+            connection = writer.add_connection(topic, type_name, typestore=vendor.store)
             for time_ns, payload in zip(log_times, payloads, strict=True):
                 writer.write(connection, int(time_ns), payload)
     return path
 
 
+@pytest.fixture(scope="module")
+def bag(vendor: Messages, hover: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """No standard topic but imu."""
+    folder = tmp_path_factory.mktemp("adapted")
+    return write_vendor_bag(vendor, folder / "adapted", ("mavros_status", "named_poses"), hover)
+
+
 @pytest.mark.usefixtures("packages")
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("mavros_status", "named_poses"),
+        ("mavros_telemetry", "mocap4r2", "px4_imu"),
+        ("px4_status", "px4_imu", "px4_odometry"),
+    ],
+    ids=" ".join,
+)
 def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
-    bag: Path, folder: Path, tmp_path: Path
+    names: tuple[str, ...], vendor: Messages, hover: Recording, folder: Path, tmp_path: Path
 ) -> None:
+    """Each adapter feeds the nodes; with a state from the autopilot that is the monitor alone."""
     settings = tmp_path / "field.yaml"
-    settings.write_text(SETTINGS)
+    kinds = {ADAPTERS[name].kind for name in names}
+    settings.write_text("".join(f"{kind}: {SETTINGS[kind]}\n" for kind in sorted(kinds)))
+    bag = write_vendor_bag(vendor, tmp_path / "adapted", names, hover)
     vehicle = Vehicle.load(VEHICLE)
     recording = read_recording(bag, vehicle, settings)
     write_bag(tmp_path / "standard.mcap", recording)
@@ -129,15 +199,20 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
     replay(AerodynamicModel.load(model), vehicle, tmp_path / "standard.mcap", tmp_path / "replayed.mcap")
     expected, _ = read_outputs(tmp_path / "replayed.mcap")
 
-    given = {"vehicle": VEHICLE, "model": model, "adapters": settings}
-    given |= {"rotor_topic": "mavros_status", "mocap_topic": "named_poses"}
+    by_kind = {ADAPTERS[name].kind: name for name in names}
+    given = {"vehicle": VEHICLE, "model": model, "adapters": settings, "rotor_topic": by_kind["rotor_speeds"]}
+    nodes, managed = "monitor_node", ("monitor",)
+    if "mocap" in by_kind:
+        given["mocap_topic"] = by_kind["mocap"]
+        nodes, managed = "live", ("estimator", "monitor")
     arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
-    assert playable(bag) == ["imu", "mavros_status", "named_poses"]
+    assert set(playable(bag)) == set(names) | ({"imu"} - kinds)
     with isolated_domain() as scratch, Collector(int(recording.imu.time_ns[0])) as collector:
-        with Child("quadpi_ros.live", ("--ros-args", *arguments), scratch) as live:
-            await_start(live, collector)
-            play(bag, playable(bag), 1.0, scratch, live, collector)
+        with Child(f"quadpi_ros.{nodes}", ("--ros-args", *arguments), scratch) as live:
+            collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
+            play(bag, playable(bag), 1.0, scratch, live, collector, managed)
         predictions = collector.predictions()
+    assert len(predictions.time_ns) > 900
     np.testing.assert_array_equal(predictions.time_ns, expected.time_ns)
     for name in ("predicted", "lower", "upper", "measured"):
         live_values, replayed = getattr(predictions, name), getattr(expected, name)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream
@@ -20,8 +21,7 @@ from quadpi_core.logs.cdr import Columns
 from quadpi_core.logs.conversion import NORM_TOLERANCE
 from quadpi_core.logs.stamps import microsecond_stamps
 
-_POSE_FRAMES = (1, 2)
-_BODY = 3
+_NED, _FRD, _BODY = 1, 2, 3
 
 
 class OdometryReader:
@@ -49,26 +49,17 @@ class OdometryReader:
             columns[name].astype(np.float64) for name in ("position", "q", "velocity", "angular_velocity")
         )
         norm = np.linalg.norm(attitude, axis=1)
-        problem = np.select(
-            [
-                ~(np.abs(norm - 1.0) <= NORM_TOLERANCE),
-                ~np.isfinite(position).all(axis=1),
-                ~np.isfinite(velocity).all(axis=1),
-                ~np.isfinite(rates).all(axis=1),
-            ],
-            [
-                "the attitude is not known",
-                "the position is not known",
-                "the velocity is not known",
-                "the rates are not known",
-            ],
-            default="",
-        )
-        kept = problem == ""
-        self.dropped.update(problem[~kept].tolist())
+        known = {
+            "the attitude is not known": np.abs(norm - 1.0) <= NORM_TOLERANCE,
+            "the position is not known": np.isfinite(position).all(axis=1),
+            "the velocity is not known": np.isfinite(velocity).all(axis=1),
+            "the rates are not known": np.isfinite(rates).all(axis=1),
+        }
+        kept = self._all_of(known)
         pose_frame, velocity_frame = columns["pose_frame"], columns["velocity_frame"]
         in_body = velocity_frame == _BODY
-        wrong = kept & ~(np.isin(pose_frame, _POSE_FRAMES) & (in_body | (velocity_frame == pose_frame)))
+        in_world = (pose_frame == _NED) | (pose_frame == _FRD)
+        wrong = kept & ~(in_world & (in_body | (velocity_frame == pose_frame)))
         if wrong.any():
             sample = int(np.argmax(wrong))
             raise LogError(
@@ -84,6 +75,17 @@ class OdometryReader:
             velocity=np.where(in_body[kept, np.newaxis], velocity[kept], turned),
             rates=rates[kept],
         )
+
+    def _all_of(self, known: dict[str, npt.NDArray[np.bool_]]) -> npt.NDArray[np.bool_]:
+        """Messages (N,) of which all is known; counts the others by the first reason that they meet."""
+        kept: npt.NDArray[np.bool_] = np.logical_and.reduce(list(known.values()))
+        if not kept.all():
+            left = np.ones_like(kept)
+            for reason, mask in known.items():
+                self.dropped[reason] += int(np.sum(left & ~mask))
+                left &= mask
+            self.dropped = +self.dropped
+        return kept
 
 
 def read_sensor_combined(columns: Columns) -> ImuStream:
