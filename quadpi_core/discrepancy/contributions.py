@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSp
 from quadpi_core.frames import Array
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effects import EFFECTS, Effect, effect_wrench
-from quadpi_core.vehicle import ROTORS
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 # Content of a flight above a quarter of this is not looked at: see `whitening.BAND_HZ`.
 RATE_HZ = 125.0
@@ -69,15 +69,7 @@ class Compared:
     @cached_property
     def expected(self) -> Flight:
         """The flight, with the accelerations that the simulation predicts of it."""
-        vehicle = self.simulation.vehicle
-        wrench = self.simulation.wrench(self.flight)
-        momentum = self.flight.rates @ vehicle.inertia
-        moment = wrench[:, 3:] - np.cross(self.flight.rates, momentum)
-        return replace(
-            self.flight,
-            specific_force=wrench[:, :3] / vehicle.mass_kg,
-            angular_acceleration=moment @ np.linalg.inv(vehicle.inertia),
-        )
+        return expected(self.flight, self.simulation)
 
     @cached_property
     def states(self) -> npt.NDArray[np.void]:
@@ -112,11 +104,24 @@ class Compared:
         return _KINDS[effect.kind](self, effect, values)
 
 
+def expected(flight: Flight, simulation: Simulation) -> Flight:
+    """A flight with the accelerations that a simulation predicts of it."""
+    vehicle = simulation.vehicle
+    wrench = simulation.wrench(flight)
+    momentum = flight.rates @ vehicle.inertia
+    moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
+    return replace(
+        flight,
+        specific_force=wrench[:, :3] / vehicle.mass_kg,
+        angular_acceleration=moment @ np.linalg.inv(vehicle.inertia),
+    )
+
+
 def _every(flight: Flight, step: int) -> Flight:
     """Every `step`-th sample, side by side in memory as the kernels want them."""
     taken = flight.slice(slice(None, None, step))
-    arrays = {name: value for name, value in vars(taken).items() if isinstance(value, np.ndarray)}
-    return replace(taken, **{name: np.ascontiguousarray(value) for name, value in arrays.items()})
+    changes: Any = {n: np.ascontiguousarray(v) for n, v in vars(taken).items() if isinstance(v, np.ndarray)}
+    return replace(taken, **changes)
 
 
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
@@ -144,12 +149,12 @@ def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
     simulation = compared.simulation
-    undone = _undone(compared.expected, effect, simulation, values)
+    corrected = undone(compared.expected, effect, simulation.vehicle, values)
     # As expected, measured and simulated wrench are the same.
-    return (simulation.wrench(undone) - measured_wrench(undone, simulation.vehicle))[:: compared.step]
+    return (simulation.wrench(corrected) - measured_wrench(corrected, simulation.vehicle))[:: compared.step]
 
 
-def _undone(flight: Flight, effect: Effect, simulation: Simulation, values: Array) -> Flight:
+def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> Flight:
     """The flight as sensors without this effect would have given it."""
     time_ns = np.round(1e9 * flight.time).astype(np.int64)
     recording = Recording(
@@ -160,14 +165,14 @@ def _undone(flight: Flight, effect: Effect, simulation: Simulation, values: Arra
         rotor_speeds=RotorSpeedStream(time_ns, flight.rotor_speeds),
         pose=PoseStream(time_ns, flight.position, flight.attitude),
     )
-    altered = effect.function(recording, simulation.vehicle, effect.undo(values))
+    altered = effect.function(recording, vehicle, effect.undo(values))
     rotors, pose = altered.rotor_speeds, altered.pose
     rates = altered.imu.angular_velocity
     acceleration = flight.angular_acceleration
     if rates is not flight.rates:
         # The derivative belongs to the rates as they were filtered: turn it as they are turned.
         turned = replace(recording, imu=ImuStream(time_ns, acceleration, flight.specific_force))
-        acceleration = effect.function(turned, simulation.vehicle, effect.undo(values)).imu.angular_velocity
+        acceleration = effect.function(turned, vehicle, effect.undo(values)).imu.angular_velocity
 
     def shifted(values: Array, delay_s: float) -> Array:
         return values if delay_s == 0.0 else _delayed(flight.time, values, delay_s)
