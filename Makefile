@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test lint format bench tables golden environment clean
+.PHONY: help demo test lint format bench tables alarm discovery golden environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -36,6 +36,13 @@ bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=
 tables: ## renew docs/paper-tables.md (TABLES_ARGS="--only tunnel --data FOLDER")
 	@sh tools/bootstrap.sh --train
 	@$(BIN)/python tools/paper_tables.py $(TABLES_ARGS)
+
+discovery: environment ## renew docs/discovery.md: searches for hidden effects, scored (DISCOVERY_ARGS="--short")
+	@$(BIN)/python tools/discovery.py $(DISCOVERY_ARGS)
+
+alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 2 --data FOLDER")
+	@sh tools/bootstrap.sh --train
+	@$(BIN)/python tools/alarm_tables.py $(ALARM_ARGS)
 
 golden: environment ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
 	@$(BIN)/python tools/golden_trace.py $(GOLDEN_ARGS)

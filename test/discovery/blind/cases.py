@@ -37,16 +37,16 @@ PAIRS = (
     ("rotor_interaction", "imu_misalignment"),
     ("tether", "thrust_coefficient"),
 )
-# Of kinds of cases: singles by their size.
-NULL, OUT, PAIR, POOR = "null", "outside", "pair", "under-excited"
+# Kinds of cases.
+NULL, SINGLE, OUT, PAIR, POOR = "null", "single", "outside", "pair", "under-excited"
 
 
 @dataclass(frozen=True)
-class Truth:
+class Hidden:
     """What is hidden in a case.
 
     Attributes:
-        kind: NULL, "single", OUT, PAIR or POOR.
+        kind: NULL, SINGLE, OUT, PAIR or POOR.
         effects: their names.
         size: of each, 1 being typical.
         seed: of the vehicle, of directions and of noise.
@@ -62,7 +62,7 @@ class Truth:
         return json.dumps([self.kind, self.effects, self.size, self.seed]).encode().hex()
 
     @classmethod
-    def opened(cls, seal: str) -> Truth:
+    def opened(cls, seal: str) -> Hidden:
         kind, effects, size, seed = json.loads(bytes.fromhex(seal))
         return cls(kind, tuple(effects), size, seed)
 
@@ -80,21 +80,21 @@ class Case:
 
     def flights(self) -> list[Flight]:
         """To search in."""
-        truth = Truth.opened(self.seal)
-        return _flown(truth, HOVER if truth.kind == POOR else RICH)
+        hidden = Hidden.opened(self.seal)
+        return _flown(hidden, HOVER if hidden.kind == POOR else RICH)
 
     def checks(self) -> list[Flight]:
         """Of the same vehicle, to check on what was found; no part of the search."""
-        return _flown(Truth.opened(self.seal), CHECK)
+        return _flown(Hidden.opened(self.seal), CHECK)
 
 
-def _flown(truth: Truth, scenario: str) -> list[Flight]:
+def _flown(hidden: Hidden, scenario: str) -> list[Flight]:
     suite = SensorSuite.load(NOISE)
-    seed = zlib.crc32(truth.sealed().encode())
+    seed = zlib.crc32(hidden.sealed().encode())
     rng = np.random.default_rng(seed)
     specimen = ordinary(SimulatedVehicle.load(VEHICLE), rng)
-    for name in truth.effects:
-        specimen = altered(specimen, name, truth.size, rng)
+    for name in hidden.effects:
+        specimen = altered(specimen, name, hidden.size, rng)
     return flights_of(specimen, _plans(scenario), suite, seed + (scenario == CHECK))
 
 
@@ -104,12 +104,26 @@ def _plans(scenario: str) -> Sequence[FlightPlan]:
 
 
 def all_cases(*, seeds: int = 5, nulls: int = 100, sizes: Sequence[float] = SIZES) -> list[Case]:
-    """Every case; each kind in an order that a seed shuffles, so that an interrupted run is a fair sample."""
-    truths = [Truth(NULL, (), 0.0, 10_000 + seed) for seed in range(nulls)]
+    """Every case, in an order that a seed shuffles: the first of them are a fair sample."""
+    truths = [Hidden(NULL, (), 0.0, 10_000 + seed) for seed in range(nulls)]
     for seed in range(seeds):
-        truths += [Truth("single", (name,), size, seed) for name in EFFECTS for size in sizes]
-        truths += [Truth(OUT, (name,), 1.0, seed) for name in OUTSIDE]
-        truths += [Truth(PAIR, pair, 1.0, seed) for pair in PAIRS]
-    truths += [Truth(POOR, (name,), 1.0, 20_000) for name in EFFECTS]
+        truths += [Hidden(SINGLE, (name,), size, seed) for name in EFFECTS for size in sizes]
+        truths += [Hidden(OUT, (name,), 1.0, seed) for name in OUTSIDE]
+        truths += [Hidden(PAIR, pair, 1.0, seed) for pair in PAIRS]
+    truths += [Hidden(POOR, (name,), 1.0, 20_000) for name in EFFECTS]
+    return _sealed(truths)
+
+
+def short_cases() -> list[Case]:
+    """A dozen, of every kind."""
+    plain = ("rotor_drag", "ground_effect", "thrust_coefficient", "weak_rotor", "spin_up", "wind")
+    truths = [Hidden(NULL, (), 0.0, 30_000 + seed) for seed in range(3)]
+    truths += [Hidden(SINGLE, (name,), 1.0, 30_000) for name in plain]
+    truths += [Hidden(OUT, ("thrust_fade",), 1.0, 30_000), Hidden(PAIR, PAIRS[0], 1.0, 30_000)]
+    truths += [Hidden(POOR, ("thrust_coefficient",), 1.0, 30_000)]
+    return _sealed(truths)
+
+
+def _sealed(truths: Sequence[Hidden]) -> list[Case]:
     order = np.random.default_rng(0).permutation(len(truths))
     return [Case(truths[index].sealed()) for index in order]

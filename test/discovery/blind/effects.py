@@ -158,6 +158,9 @@ EFFECTS: dict[str, Alter] = {
     )
 }
 
+# That take a second linearisation, hence a larger gap left.
+LATE = frozenset({"sensor_delay", "wind"})
+
 # Of no library: as large as the effects that are in it.
 OUTSIDE: dict[str, Sequence[float]] = {
     "beat_vibration": (0.25, 0.006),

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Opens the seals: what searches said against what was hidden, in figures and a confusion matrix."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from blind.cases import NULL, OUT, PAIR, POOR, SINGLE, Hidden
+from blind.effects import LATE
+
+# Of the normal distribution, for intervals of 95 %.
+_Z = 1.959964
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was hidden in a case, and what a search of its flights said.
+
+    Attributes:
+        verdict: "none", "effects" or "unknown".
+        named: names of the effects, as found.
+        sets: of names that the search says it cannot tell apart.
+        left: share of the removable gap that is left on flights that were not searched; None without any.
+    """
+
+    hidden: Hidden
+    verdict: str
+    named: tuple[str, ...]
+    sets: tuple[tuple[str, ...], ...]
+    left: float | None
+
+    @classmethod
+    def of(cls, seal: str, result: Mapping[str, Any], left: float | None) -> Answer:
+        return cls(
+            hidden=Hidden.opened(seal),
+            verdict=result["verdict"],
+            named=tuple(effect["name"] for effect in result["effects"]),
+            sets=tuple(map(tuple, result["ambiguous"])),
+            left=left,
+        )
+
+    @property
+    def right(self) -> bool:
+        """Exactly the hidden effects are named; where none is hidden, none."""
+        verdict = "effects" if self.hidden.effects else "none"
+        return self.verdict == verdict and sorted(self.named) == sorted(self.hidden.effects)
+
+    @property
+    def in_set(self) -> bool:
+        """As many effects as are hidden, each named or in the set that a name stands for."""
+        return self.verdict == "effects" and len(self.named) == len(self.hidden.effects) and not self.wrong
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Names of the verdict "effects" that are not hidden, nor in one set with an effect that is."""
+        if self.verdict != "effects":
+            return ()
+        hidden = set(self.hidden.effects)
+        excused = {name for names in self.sets if hidden & set(names) for name in names}
+        return tuple(name for name in self.named if name not in hidden | excused)
+
+    @property
+    def reported(self) -> frozenset[str]:
+        """All that the search named or held for possible."""
+        return frozenset((*self.named, *(name for names in self.sets for name in names)))
+
+    @property
+    def words(self) -> str:
+        """What the search said, for people."""
+        names = ", ".join(
+            " or ".join(next((s for s in self.sets if s[0] == name), (name,))) for name in self.named
+        )
+        return f"{self.verdict}: {names}" if names else self.verdict
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A share with its interval of 95 % (Wilson) beside what it has to reach."""
+
+    name: str
+    hits: int
+    of: int
+    goal: float
+    at_most: bool = False
+
+    @property
+    def share(self) -> float:
+        return self.hits / self.of if self.of else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        return wilson(self.hits, self.of)
+
+    @property
+    def reached(self) -> bool:
+        return self.share <= self.goal if self.at_most else self.share >= self.goal
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """Interval of 95 % of a share."""
+    if of == 0:
+        return math.nan, math.nan
+    share, spread = hits / of, _Z * _Z / of
+    middle = (share + 0.5 * spread) / (1.0 + spread)
+    half = _Z * math.sqrt(share * (1.0 - share) / of + 0.25 * spread / of) / (1.0 + spread)
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def figures(answers: Sequence[Answer]) -> list[Figure]:
+    """Every share of the figures to reach, over the answers that it is about."""
+
+    def over(kind: str, size: float | None = None) -> list[Answer]:
+        return [
+            answer for answer in answers if answer.hidden.kind == kind and size in (None, answer.hidden.size)
+        ]
+
+    def figure(name: str, hits: Iterable[bool], goal: float, *, at_most: bool = False) -> Figure:
+        hits = list(hits)
+        return Figure(name, sum(hits), len(hits), goal, at_most)
+
+    singles, full, half = over(SINGLE), over(SINGLE, 1.0), over(SINGLE, 0.5)
+    pairs, told = over(PAIR), [answer for answer in over(POOR) if answer.verdict != "none"]
+    closed = [answer for answer in (*full, *pairs) if answer.in_set and answer.left is not None]
+    late = [answer for answer in closed if LATE & set(answer.hidden.effects)]
+    additive = [answer for answer in closed if answer not in late]
+    return [
+        figure("nulls: false alarms", (not a.right for a in over(NULL)), 0.02, at_most=True),
+        figure("single effects, full size: named", (a.right for a in full), 0.95),
+        figure("… or one of the set that is reported", (a.in_set for a in full), 0.95),
+        figure("single effects, half size: named", (a.right for a in half), 0.45),
+        figure("… or one of the set that is reported", (a.in_set for a in half), 0.45),
+        figure("single effects, any size: wrong name", (bool(a.wrong) for a in singles), 0.01, at_most=True),
+        figure("outside the library: unknown", (a.verdict == "unknown" for a in over(OUT)), 0.95),
+        figure("pairs: exactly right", (a.right for a in pairs), 0.85),
+        figure("… or of the sets that are reported", (a.in_set for a in pairs), 0.85),
+        figure("pairs: a spurious extra", (bool(a.wrong) for a in pairs), 0.03, at_most=True),
+        figure(
+            "under-excited: the truth among what is reported",
+            (set(a.hidden.effects) <= a.reported for a in told),
+            0.98,
+        ),
+        figure(
+            "gap left by effects rightly found: at most 2 %",
+            (a.left is not None and a.left <= 0.02 for a in additive),
+            0.95,
+        ),
+        figure(
+            "gap left by delay and wind rightly found: at most 5 %",
+            (a.left is not None and a.left <= 0.05 for a in late),
+            0.95,
+        ),
+    ]
+
+
+def confusion(answers: Sequence[Answer], size: float) -> dict[str, Counter[str]]:
+    """What was said of each hidden effect at a size, in the words of :func:`told`."""
+    rows: dict[str, Counter[str]] = {}
+    for answer in answers:
+        if answer.hidden.kind == SINGLE and answer.hidden.size == size:
+            rows.setdefault(answer.hidden.effects[0], Counter())[told(answer)] += 1
+    return dict(sorted(rows.items()))
+
+
+def told(answer: Answer) -> str:
+    """In a word what became of a hidden effect."""
+    if answer.right:
+        return "right"
+    if answer.in_set:
+        return "in the set"
+    if answer.verdict == "effects":
+        return " + ".join(sorted(answer.named))
+    return answer.verdict
+
+
+def failures(answers: Sequence[Answer]) -> list[Answer]:
+    """Answers that count against a figure: not what was hidden, where it was to be found."""
+
+    def fails(answer: Answer) -> bool:
+        kind, size = answer.hidden.kind, answer.hidden.size
+        if kind == OUT:
+            return answer.verdict != "unknown"
+        if kind == POOR:
+            return answer.verdict != "none" and not set(answer.hidden.effects) <= answer.reported
+        if kind == SINGLE and size < 1.0:
+            return bool(answer.wrong)
+        return not (answer.right or answer.in_set)
+
+    def order(answer: Answer) -> tuple[str, float, tuple[str, ...], int]:
+        return answer.hidden.kind, -answer.hidden.size, answer.hidden.effects, answer.hidden.seed
+
+    return sorted(filter(fails, answers), key=order)

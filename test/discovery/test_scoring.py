@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scorer, on answers whose worth is plain."""
+
+from __future__ import annotations
+
+import pytest
+from blind.cases import NULL, OUT, PAIR, POOR, SINGLE, Hidden
+from blind.scoring import Answer, confusion, failures, figures, wilson
+
+DRAG = Hidden(SINGLE, ("rotor_drag",), 1.0, 0)
+
+
+def answer(hidden, verdict, *named, sets=(), left=0.01):
+    return Answer(hidden, verdict, named, sets, left)
+
+
+def test_wilson_interval():
+    assert wilson(0, 100) == pytest.approx((0.0, 0.0370), abs=1e-4)
+    assert wilson(95, 100) == pytest.approx((0.8882, 0.9785), abs=1e-4)
+    assert wilson(10, 10)[1] == pytest.approx(1.0)
+
+
+def test_right_in_a_set_and_wrong():
+    right = answer(DRAG, "effects", "rotor_drag")
+    in_set = answer(DRAG, "effects", "body_drag", sets=(("body_drag", "rotor_drag"),))
+    wrong = answer(DRAG, "effects", "body_drag", sets=(("body_drag", "tether"),))
+    extra = answer(DRAG, "effects", "rotor_drag", "tether")
+    unknown = answer(DRAG, "unknown", "tether")
+    assert (right.right, right.in_set, right.wrong) == (True, True, ())
+    assert (in_set.right, in_set.in_set, in_set.wrong) == (False, True, ())
+    assert (wrong.right, wrong.in_set, wrong.wrong) == (False, False, ("body_drag",))
+    assert (extra.right, extra.in_set, extra.wrong) == (False, False, ("tether",))
+    assert (unknown.right, unknown.in_set, unknown.wrong) == (False, False, ())
+    assert in_set.words == "effects: body_drag or rotor_drag"
+
+
+def test_a_null_is_right_only_with_no_verdict():
+    nothing = Hidden(NULL, (), 0.0, 0)
+    assert answer(nothing, "none").right
+    assert not answer(nothing, "unknown").right
+    assert not answer(nothing, "effects", "tether").right
+
+
+def test_figures_count_what_they_are_about():
+    half = Hidden(SINGLE, ("wind",), 0.5, 0)
+    pair = Hidden(PAIR, ("wind", "payload"), 1.0, 0)
+    answers = [
+        answer(Hidden(NULL, (), 0.0, 0), "none"),
+        answer(Hidden(NULL, (), 0.0, 1), "unknown"),
+        answer(DRAG, "effects", "rotor_drag"),
+        answer(half, "none"),
+        answer(half, "effects", "tether"),
+        answer(Hidden(OUT, ("magnet",), 1.0, 0), "unknown"),
+        answer(pair, "effects", "payload", "wind", left=0.03),
+        answer(pair, "effects", "payload", "wind", "inertia"),
+        answer(Hidden(POOR, ("wind",), 1.0, 0), "effects", "tether", sets=(("tether", "wind"),)),
+        answer(Hidden(POOR, ("wind",), 1.0, 1), "none"),
+    ]
+    found = {figure.name: (figure.hits, figure.of, figure.reached) for figure in figures(answers)}
+    assert found["nulls: false alarms"] == (1, 2, False)
+    assert found["single effects, full size: named"] == (1, 1, True)
+    assert found["single effects, half size: named"] == (0, 2, False)
+    assert found["single effects, any size: wrong name"] == (1, 3, False)
+    assert found["outside the library: unknown"] == (1, 1, True)
+    assert found["pairs: exactly right"] == (1, 2, False)
+    assert found["pairs: a spurious extra"] == (1, 2, False)
+    assert found["under-excited: the truth among what is reported"] == (1, 1, True)
+    assert found["gap left by effects rightly found: at most 2 %"] == (1, 1, True)
+    assert found["gap left by delay and wind rightly found: at most 5 %"] == (1, 1, True)
+    assert confusion(answers, 0.5) == {"wind": {"none": 1, "tether": 1}}
+    assert len(failures(answers)) == 3

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The blind benchmark of `quadpi discrepancy`: fly vehicles with hidden effects, search, score.
+
+Each case is flown, searched and kept as it comes: a run that was interrupted goes on where it stopped, as
+long as code and configuration stay the same. A whole run renews docs/discovery.md, which is its own template,
+as the page of `paper_tables`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "discovery.md"
+# Sealed cases and their formulas live with the tests, out of the library's reach.
+sys.path.insert(0, str(ROOT / "test" / "discovery"))
+sys.path.append(str(ROOT / "tools"))
+
+from blind.cases import SINGLE, SIZES, Case, Hidden, all_cases, short_cases  # noqa: E402
+from blind.scoring import Answer, confusion, failures, figures  # noqa: E402
+from blind.searching import searched  # noqa: E402
+from paper_tables import replaced, stamp  # noqa: E402
+
+from quadpi_core.parallel import map_tasks  # noqa: E402
+from quadpi_core.paths import whole_output  # noqa: E402
+from quadpi_core.report.markdown import table  # noqa: E402
+
+_SOURCES = ("quadpi_core/**/*.py", "config/**/*.yaml", "test/discovery/blind/*.py")
+
+
+def fingerprint() -> str:
+    """Of all that results depend on."""
+    digest = hashlib.sha256()
+    for path in sorted(path for pattern in _SOURCES for path in ROOT.glob(pattern)):
+        digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def run(cases: Sequence[Case], folder: Path, workers: int | None) -> list[dict[str, Any]]:
+    """Search every case that the folder does not hold yet."""
+    folder.mkdir(parents=True, exist_ok=True)
+    places = [folder / f"{case.key}.json" for case in cases]
+    todo = [index for index, place in enumerate(places) if not place.exists()]
+    print(f"{len(cases)} cases, {len(todo)} to search", flush=True)
+    finished = 0
+
+    def keep(index: int, found: dict[str, Any]) -> None:
+        nonlocal finished
+        finished += 1
+        with whole_output(places[todo[index]]) as temporary:
+            temporary.write_text(json.dumps(found), encoding="utf-8")
+        print(f"{finished} of {len(todo)}", flush=True)
+
+    map_tasks(searched, [cases[index] for index in todo], shared=None, workers=workers, done=keep)
+    return [json.loads(place.read_text(encoding="utf-8")) for place in places]
+
+
+def scored(results: Iterable[dict[str, Any]]) -> list[Answer]:
+    """The seals opened."""
+    answers = []
+    for found in results:
+        closed = found["result"]["gap"]["reduction"]
+        answers.append(Answer.of(found["seal"], found["result"], None if closed is None else 1.0 - closed))
+    return answers
+
+
+def figures_table(answers: Sequence[Answer]) -> str:
+    """Figures to reach, with what was reached."""
+    rows = []
+    for figure in figures(answers):
+        low, high = figure.interval
+        goal = f"{'≤' if figure.at_most else '≥'} {100 * figure.goal:.0f}"
+        share = f"{100 * figure.share:.1f}" if figure.of else "–"
+        interval = f"{100 * low:.1f} – {100 * high:.1f}" if figure.of else "–"
+        reached = "–" if not figure.of else "yes" if figure.reached else "**no**"
+        rows.append([figure.name, f"{figure.hits} / {figure.of}", share, interval, goal, reached])
+    return table(["", "cases", "%", "95 % interval", "goal", "reached"], rows)
+
+
+def confusion_table(answers: Sequence[Answer]) -> str:
+    """Of each effect at each size what became of it."""
+    by_size = {size: confusion(answers, size) for size in SIZES}
+    names = sorted({name for rows in by_size.values() for name in rows})
+    rows = []
+    for name in names:
+        cells = [
+            ", ".join(f"{count} {word}" for word, count in by_size[size].get(name, {}).items()) or "–"
+            for size in SIZES
+        ]
+        rows.append([f"`{name}`", *cells])
+    return table(["hidden", "full size", "half", "quarter"], rows, texts=range(4))
+
+
+def failures_table(answers: Sequence[Answer]) -> str:
+    """Every failure by itself."""
+    rows = []
+    for answer in failures(answers):
+        hidden = answer.hidden
+        size = f"{hidden.size:g}" if hidden.kind == SINGLE else ""
+        rows.append(
+            [hidden.kind, " + ".join(hidden.effects) or "nothing", size, str(hidden.seed), answer.words]
+        )
+    return table(["kind", "hidden", "size", "seed", "found"], rows, texts=(0, 1, 4))
+
+
+def summary(results: Sequence[dict[str, Any]]) -> str:
+    """How many cases, and how long a search takes."""
+    kinds = [Hidden.opened(found["seal"]).kind for found in results]
+    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(sorted(kinds)))
+    seconds = median(found["seconds"] for found in results)
+    return f"{len(results)} cases: {counts}. A search of 8 flights takes {seconds:.0f} s (median)."
+
+
+def as_json(results: Sequence[dict[str, Any]], answers: Sequence[Answer]) -> dict[str, Any]:
+    """All of it for a program."""
+    return {
+        "figures": [
+            {
+                "name": figure.name,
+                "hits": figure.hits,
+                "of": figure.of,
+                "interval": figure.interval,
+                "goal": figure.goal,
+                "at_most": figure.at_most,
+            }
+            for figure in figures(answers)
+        ],
+        "confusion": {f"{size:g}": confusion(answers, size) for size in SIZES},
+        "cases": [
+            {
+                "kind": answer.hidden.kind,
+                "hidden": answer.hidden.effects,
+                "size": answer.hidden.size,
+                "seed": answer.hidden.seed,
+                "left": answer.left,
+                "seconds": found["seconds"],
+                "result": found["result"],
+            }
+            for found, answer in zip(results, answers, strict=True)
+        ],
+    }
+
+
+def main() -> None:
+    """Run, print the figures, write out/discovery.json and the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--short", action="store_true", help="a dozen cases; the page stays as it is")
+    parser.add_argument("--cases", type=int, help="so many of all, evenly mixed; the page stays as it is")
+    parser.add_argument("--workers", type=int, help="processes; default: one per core")
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "discovery", help="for results by case")
+    parser.add_argument("--json", type=Path, default=ROOT / "out" / "discovery.json")
+    parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
+    options = parser.parse_args()
+    cases = short_cases() if options.short else all_cases()[: options.cases]
+    results = run(cases, options.work / fingerprint(), options.workers)
+    answers = scored(results)
+    tables = {
+        "summary": summary(results),
+        "figures": figures_table(answers),
+        "confusion": confusion_table(answers),
+        "failures": failures_table(answers),
+    }
+    print("\n\n".join(tables.values()))
+    with whole_output(options.json) as temporary:
+        temporary.write_text(json.dumps(as_json(results, answers), indent=1), encoding="utf-8")
+    if options.short or options.cases:
+        return
+    page = options.page.read_text(encoding="utf-8")
+    for name, content in tables.items():
+        page = replaced(page, name, f"{content}\n\n*{stamp()}*" if name == "figures" else content)
+    with whole_output(options.page) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
