@@ -126,6 +126,14 @@ class WindStream(Stream):
 
 
 @dataclass(frozen=True)
+class WrenchStream(Stream):
+    """wrench (N, 6) N and Nm in body axes, gravity not included, that a simulation gave for this flight."""
+
+    topic: ClassVar[str] = "simulation/wrench"
+    wrench: Array
+
+
+@dataclass(frozen=True)
 class Recording:
     """What one log holds, topic by topic; None where the log has no such topic.
 
@@ -146,6 +154,7 @@ class Recording:
     twist: TwistStream | None = None
     odometry: OdometryStream | None = None
     wind: WindStream | None = None
+    simulated: WrenchStream | None = None
     battery_v: tuple[Stamps, Array] | None = None
     arrivals: Mapping[str, Stamps] = field(default_factory=dict)
 
@@ -161,7 +170,10 @@ class Recording:
 
     def streams(self) -> list[Stream]:
         """The streams that are present."""
-        candidates = (self.imu, self.rotor_speeds, self.pose, self.twist, self.odometry, self.wind)
+        candidates = (
+            *(self.imu, self.rotor_speeds, self.pose, self.twist, self.odometry, self.wind),
+            self.simulated,
+        )
         return [stream for stream in candidates if stream is not None]
 
     def check(self) -> None:

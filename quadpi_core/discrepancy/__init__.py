@@ -8,7 +8,9 @@ are effects of the simulation's registry. Their columns stand with what the simu
 know no physics tell what is left (`generic`), and flights left out in turn show the gap (`gap`).
 """
 
+from quadpi_core.discrepancy.augmented import AugmentedSimulation
 from quadpi_core.discrepancy.discovery import Discovery, FoundEffect, FoundParameter, discover
+from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.simulations import (
     CallableSimulation,
     Simulation,
@@ -17,6 +19,7 @@ from quadpi_core.discrepancy.simulations import (
 )
 
 __all__ = [
+    "AugmentedSimulation",
     "CallableSimulation",
     "Discovery",
     "FoundEffect",
@@ -25,4 +28,5 @@ __all__ = [
     "Tolerances",
     "VehicleSimulation",
     "discover",
+    "load_simulation",
 ]

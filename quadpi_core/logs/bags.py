@@ -36,6 +36,7 @@ TOPIC_TYPES = {
     "mocap/twist": messages.TWIST,
     "odometry": messages.ODOMETRY,
     "wind": messages.WIND,
+    "simulation/wrench": messages.WRENCH,
     "prediction": messages.PREDICTION,
     "extrapolation_alarm": messages.ALARM,
     "alarm_log": messages.EVENT,
@@ -48,7 +49,7 @@ TOPIC_TYPES = {
 }
 # Motion capture in its forms: of several in one bag the first counts, as a node listens to one of them.
 _MOCAP = ("mocap/pose", "mocap/odometry", "mocap/twist")
-_RECORDED = ("imu", "erpm", "rotor_speeds", *_MOCAP, "odometry", "wind")
+_RECORDED = ("imu", "erpm", "rotor_speeds", *_MOCAP, "odometry", "wind", "simulation/wrench")
 # Kinds of streams that messages of other packages give, by the standard topics they stand in for.
 _KINDS = {
     "imu": "imu",
@@ -149,6 +150,7 @@ def read_bag(
             "twist": twist,
             "odometry": unpacked("odometry", messages.unpack_odometry),
             "wind": unpacked("wind", messages.unpack_wind),
+            "simulated": unpacked("simulation/wrench", messages.unpack_simulated),
             **streams,
         },
         arrivals=_arrivals(names, topics),
@@ -220,6 +222,10 @@ def write_bag(
         topics.append(output_topic("odometry", odometry.time_ns, messages.pack_odometry(odometry)))
     if recording.wind is not None:
         topics.append(output_topic("wind", recording.wind.time_ns, messages.pack_wind(recording.wind)))
+    if recording.simulated is not None:
+        simulated = recording.simulated
+        payloads = messages.pack_body_vectors(simulated.time_ns, simulated.wrench, messages.WRENCH)
+        topics.append(output_topic("simulation/wrench", simulated.time_ns, payloads))
     entries = {"vehicle": recording.vehicle, "version": __version__, **_provenance(Path(recording.source))}
     write_mcap(Path(path), [*topics, *extra], {**entries, **(metadata or {})})
 

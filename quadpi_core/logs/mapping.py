@@ -41,6 +41,8 @@ UNITS: MappingProxyType[str, dict[str, float]] = MappingProxyType(
         "mocap_attitude": _ANGLE,
         "wind": _SPEED,
         "battery": {"V": 1.0, "mV": 1e-3},
+        "simulated_force": {"N": 1.0, "mN": 1e-3},
+        "simulated_moment": {"Nm": 1.0, "mNm": 1e-3},
     }
 )
 _COLUMN_COUNT = MappingProxyType({"time": 1, "rotor_speeds": 4, "battery": 1})

@@ -9,6 +9,7 @@ no message of its type; values are not judged here (see `Recording.check`), exce
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -27,6 +28,7 @@ from quadpi_core.flight import (
     Stamps,
     TwistStream,
     WindStream,
+    WrenchStream,
 )
 from quadpi_core.frames import (
     Array,
@@ -267,6 +269,11 @@ def unpack_body_vectors(payloads: Payloads | bytes, type_name: str) -> tuple[Sta
     return header_stamps(columns), _mirrored(np.concatenate((linear, angular), axis=1))
 
 
+def unpack_simulated(payloads: Payloads | bytes) -> WrenchStream:
+    """Decode the wrench of a simulation, :data:`WRENCH`."""
+    return WrenchStream(*unpack_body_vectors(payloads, WRENCH))
+
+
 def pack_body_vectors(
     time_ns: Stamps, vectors: Array, type_name: str, frame_id: str = BODY_FRAME
 ) -> Payloads:
@@ -464,7 +471,7 @@ def _attitude(orientation_xyzw: Array) -> Array:
     attitude = np.empty(orientation_xyzw.shape)
     sample = attitude_values(orientation_xyzw, attitude)
     if sample >= 0:
-        norm = np.linalg.norm(orientation_xyzw[sample])
+        norm = math.hypot(*orientation_xyzw[sample])
         raise LogError(f"sample {sample}: the orientation is no unit quaternion (norm {norm:.3g})")
     return attitude
 

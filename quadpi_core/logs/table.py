@@ -27,6 +27,7 @@ from quadpi_core.flight import (
     Stamps,
     Stream,
     WindStream,
+    WrenchStream,
 )
 from quadpi_core.frames import (
     Array,
@@ -51,7 +52,7 @@ def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping) -> Recordi
 
     imu needs `angular_velocity` and `acceleration`; rotor_speeds `rotor_speeds`; odometry `position`,
     `attitude`, `velocity` and `angular_velocity`; mocap/pose `mocap_position` and `mocap_attitude`; wind
-    `wind`.
+    `wind`; simulation/wrench `simulated_force` and `simulated_moment`.
 
     Raises:
         LogError: naming file, topic and sample, for columns that are missing or not numeric, and values
@@ -81,6 +82,7 @@ class _TableReader:
             pose=self._pose() if self._has("mocap_position", "mocap_attitude") else None,
             odometry=self._odometry() if self._has("position", "attitude", "velocity") else None,
             wind=self._wind() if self._has("wind") else None,
+            simulated=self._simulated() if self._has("simulated_force", "simulated_moment") else None,
             battery_v=self._battery() if self._has("battery") else None,
         )
 
@@ -113,6 +115,12 @@ class _TableReader:
         wind = self._position("wind")
         keep = self._complete(WindStream, wind, of=("wind",))
         return WindStream(self.time_ns[keep], wind[keep])
+
+    def _simulated(self) -> WrenchStream:
+        of = ("simulated_force", "simulated_moment")
+        wrench = np.hstack([self._to_frd(self._scaled(name)) for name in of])
+        keep = self._complete(WrenchStream, wrench, of=of)
+        return WrenchStream(self.time_ns[keep], wrench[keep])
 
     def _battery(self) -> tuple[Stamps, Array]:
         volts = self._scaled("battery")[:, 0]

@@ -48,7 +48,7 @@ def simulate_flight(
         vehicle: to fly.
         reference: N instants at STEP_HZ; the flight lasts (N - 1) / STEP_HZ seconds.
         known_wind: (3,) m/s of the world, steady, that an anemometer measures; None for still air.
-        effects: switched on; those of kind "sensor" do not alter the flight.
+        effects: switched on beside the vehicle's own; those of kind "sensor" do not alter the flight.
         extra: further wrench functions with their parameters, see `effects.compose`.
         seed: of gusts.
         done: (1,) written with the number of steps flown, for a progress bar in another thread.
@@ -63,6 +63,7 @@ def simulate_flight(
     if samples < 2:
         raise SimulationError(f"flight {name}: lasts no longer than one sample")
     time = np.arange(steps) / STEP_HZ
+    effects = vehicle.with_own(effects)
     still = np.zeros(3) if known_wind is None else known_wind
     wind = still + added_wind(effects, time, generator(seed, "air"))
     flown = vehicle.altered(altered_vehicle(effects, vehicle.vehicle))

@@ -96,7 +96,7 @@ def _one(
         done=done,
     )
     bag = folder / f"{plan.name}.mcap"
-    sensed = sense(truth, vehicle.vehicle, suite, plan.effects, plan.faults, plan.seed)
+    sensed = sense(truth, vehicle.vehicle, suite, vehicle.with_own(plan.effects), plan.faults, plan.seed)
     write_simulated_bag(bag, plan, truth, sensed)
     return SimulatedFlight(plan, truth, bag)
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,12 @@ import numpy.typing as npt
 
 from quadpi_core.config import nearest, read_config
 from quadpi_core.errors import VehicleError
+from quadpi_core.simulation.effects import Effects, read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.vehicle import Vehicle
 
-_KNOWN = ("motor_time_constant_s", "rotor_local")
+# `tolerances` are read where simulations are compared with flights.
+_KNOWN = ("motor_time_constant_s", "rotor_local", "effects", "tolerances")
 
 
 @dataclass(frozen=True)
@@ -25,10 +27,12 @@ class SimulatedVehicle:
     Attributes:
         aerodynamics: its rotor-local model; holds the vehicle.
         motor_time_constant: s, of the first-order answer of a rotor's speed to its command.
+        effects: that the vehicle always has.
     """
 
     aerodynamics: RotorLocalModel
     motor_time_constant: float
+    effects: Effects = field(default_factory=dict)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> SimulatedVehicle:
@@ -36,6 +40,7 @@ class SimulatedVehicle:
 
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
+            SimulationError: likewise, of effects.
         """
         path, data = read_config("vehicle", name_or_path, VehicleError)
         aerodynamics = RotorLocalModel.load(path)
@@ -50,7 +55,7 @@ class SimulatedVehicle:
                 f"{path}: `simulation.motor_time_constant_s` must be a time from 0.001 to 1 s, "
                 f"found {time_constant!r}"
             )
-        return cls(aerodynamics, float(time_constant))
+        return cls(aerodynamics, float(time_constant), own_effects(path))
 
     @property
     def vehicle(self) -> Vehicle:
@@ -64,6 +69,10 @@ class SimulatedVehicle:
         ratio = vehicle.rotor_speed_max_rad_s / self.aerodynamics.hover_rotor_speed
         return float(vehicle.mass_kg * vehicle.gravity_m_s2 * ratio**2)
 
+    def with_own(self, effects: Effects) -> Effects:
+        """Effects of a flight and the vehicle's own; of the same name those of the flight count."""
+        return {**self.effects, **effects}
+
     def altered(self, vehicle: Vehicle) -> SimulatedVehicle:
         """The same aerodynamics and motors under another mass and inertia."""
         return replace(self, aerodynamics=replace(self.aerodynamics, vehicle=vehicle))
@@ -71,3 +80,15 @@ class SimulatedVehicle:
     def record(self) -> npt.NDArray[np.void]:
         """Record VEHICLE (1,) for the compiled physics."""
         return self.aerodynamics.record(self.motor_time_constant)
+
+
+def own_effects(name_or_path: str | Path) -> Effects:
+    """The effects that a vehicle file says the vehicle always has: its mapping `simulation.effects`.
+
+    Raises:
+        VehicleError: if there is no such file.
+        SimulationError: naming the effect or parameter that is unknown or out of bounds.
+    """
+    path, data = read_config("vehicle", name_or_path, VehicleError)
+    section = data.get("simulation") or {}
+    return read_effects(section.get("effects"), f"{path}: simulation.effects")

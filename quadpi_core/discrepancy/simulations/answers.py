@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import ROTORS, Vehicle
+
+_HOVER_ROUNDS = 10
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,7 @@ class CallableSimulation(Simulation):
     vehicle: Vehicle
     function: Callable[[Flight], Array]
     tolerances: Tolerances = field(default_factory=Tolerances)
+    vehicle_file: str = ""
 
     def wrench(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""
@@ -49,15 +53,23 @@ class CallableSimulation(Simulation):
             raise DiscrepancyError(f"{self.name}: flight {flight.name}: sample {sample}: not finite")
         return wrench
 
-    @property
+    @cached_property
     def hover_rotor_speed(self) -> float:
-        """See :class:`Simulation`: from the answer to a hover at the vehicle's largest rotor speed."""
+        """See :class:`Simulation`: from its answers to hovers, thrust being about quadratic in the speed."""
         vehicle = self.vehicle
-        speed = 0.5 * vehicle.rotor_speed_max_rad_s
-        thrust = -self.wrench(_hover(vehicle, speed))[0, 2]
-        if thrust <= 0.0:
-            raise DiscrepancyError(f"{self.name}: gives no thrust at rotor speeds of {speed:.0f} rad/s")
-        return float(speed * np.sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / thrust))
+        weight = vehicle.mass_kg * vehicle.gravity_m_s2
+        speed = self._about_hover
+        for _ in range(_HOVER_ROUNDS):
+            thrust = -float(self.wrench(_hover(vehicle, speed))[0, 2])
+            if thrust <= 0.0:
+                raise DiscrepancyError(f"{self.name}: gives no thrust at rotor speeds of {speed:.0f} rad/s")
+            speed *= np.sqrt(weight / thrust)
+        return float(speed)
+
+    @property
+    def _about_hover(self) -> float:
+        """Rotor speed [rad/s] that the search for hover starts from."""
+        return 0.5 * self.vehicle.rotor_speed_max_rad_s
 
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """See :class:`Simulation`: what it says of hover, shared among the rotors by their speeds squared."""

@@ -10,19 +10,22 @@ standard deviation of a coefficient makes. A discrepancy is what these cannot ex
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import DiscrepancyError
+from quadpi_core.config import read_config
+from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.simulation.linear import inverse
 from quadpi_core.simulation.records import STATE, VEHICLE
 from quadpi_core.simulation.rotor_local import airframe_area
+from quadpi_core.simulation.section import Section
 from quadpi_core.vehicle import Vehicle
 
 
@@ -48,6 +51,20 @@ class Tolerances:
                 raise DiscrepancyError(f"tolerance `{name}` must not be negative, found {value}")
 
 
+def read_tolerances(vehicle: str | Path) -> Tolerances:
+    """Tolerances of a vehicle file, its mapping `simulation.tolerances`; the usual ones where it has none.
+
+    Raises:
+        VehicleError: if there is no such file.
+        SimulationError: naming the file and the key that is unknown or impossible.
+    """
+    path, data = read_config("vehicle", vehicle, VehicleError)
+    given = (data.get("simulation") or {}).get("tolerances") or {} if isinstance(data, dict) else {}
+    known = [column.name for column in fields(Tolerances)]
+    section = Section(given, f"{path}: simulation.tolerances", known)
+    return Tolerances(**{key: section.number(key, highest=1.0) for key in known if key in section})
+
+
 class Column(NamedTuple):
     """Wrench (N, 6) that one standard deviation of a named uncertainty adds."""
 
@@ -61,12 +78,14 @@ class Simulation(ABC):
     Attributes:
         name: for people.
         vehicle: as the simulation has it.
+        vehicle_file: name or path that the vehicle was read from; empty where it was not.
         tolerances: what it is known to be uncertain in.
         memoryless: whether the wrench at an instant depends on that instant alone.
     """
 
     name: str
     vehicle: Vehicle
+    vehicle_file: str = ""
     tolerances: Tolerances
     memoryless: ClassVar[bool] = False
 

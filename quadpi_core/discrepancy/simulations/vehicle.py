@@ -11,7 +11,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from quadpi_core.discrepancy.simulations.base import Column, Simulation, Tolerances, airspeed
+from quadpi_core.discrepancy.simulations.base import (
+    Column,
+    Simulation,
+    Tolerances,
+    airspeed,
+    read_tolerances,
+)
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients, RotorLocalModel
@@ -36,20 +42,23 @@ _SCALED = {
 
 @dataclass(frozen=True)
 class VehicleSimulation(Simulation):
-    """quadpi's own simulation: rotor-local aerodynamics of a vehicle file."""
+    """quadpi's own simulation: rotor-local aerodynamics of a vehicle file, without effects."""
 
     model: RotorLocalModel
     tolerances: Tolerances = field(default_factory=Tolerances)
+    vehicle_file: str = ""
     memoryless: ClassVar[bool] = True
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> VehicleSimulation:
-        """Read a vehicle file with the section `simulation`.
+        """Read a vehicle file with the section `simulation`; its effects are left to `load_simulation`.
 
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
+            SimulationError: likewise, of tolerances.
         """
-        return cls(RotorLocalModel.load(name_or_path))
+        model, tolerances = RotorLocalModel.load(name_or_path), read_tolerances(name_or_path)
+        return cls(model, tolerances, str(name_or_path))
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulations as they are named on the command line."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from quadpi_core.config import is_config_path, nearest
+from quadpi_core.discrepancy.augmented import AugmentedSimulation
+from quadpi_core.discrepancy.simulations import CallableSimulation, Simulation, VehicleSimulation
+from quadpi_core.discrepancy.simulations.base import read_tolerances
+from quadpi_core.discrepancy.simulations.model import ModelSimulation
+from quadpi_core.discrepancy.simulations.recorded import RecordedSimulation
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.paths import config_directory
+from quadpi_core.simulation.effects import read_effects
+from quadpi_core.simulation.section import Section
+from quadpi_core.simulation.vehicle import own_effects
+from quadpi_core.vehicle import Vehicle
+
+RECORDED = "recorded"
+_ADDITION_KEYS = ("simulation", "vehicle", "effects", "adjusted", "version")
+
+
+def load_simulation(text: str, vehicle: str | Path | None = None, bags: Sequence[Path] = ()) -> Simulation:
+    """A simulation by what names it.
+
+    Args:
+        text: name or path of a vehicle file that can be simulated; folder of an identified model;
+            `module:function` of Python, found from the working directory or installed; `recorded`, a wrench
+            that stands in the bags; or an `addition.json` that an earlier search wrote.
+        vehicle: name or path of the vehicle file, for those that do not name one.
+        bags: that a recorded wrench is read from.
+
+    Raises:
+        DiscrepancyError: for what names no simulation, a function that cannot be imported, a vehicle that is
+            missing, and an addition that is not understood.
+        QuadpiError: of vehicle files, models and bags that cannot be read.
+    """
+    path = Path(text)
+    if text == RECORDED:
+        return RecordedSimulation.load(_required(text, vehicle), bags)
+    if path.suffix == ".json":
+        return _addition(path, vehicle, bags)
+    if path.is_dir():
+        return ModelSimulation.load(path, vehicle)
+    if ":" in text and not is_config_path(path):
+        return _callable(text, _required(text, vehicle))
+    if not is_config_path(path) and not (config_directory() / "vehicles" / f"{text}.yaml").is_file():
+        known = sorted(file.stem for file in (config_directory() / "vehicles").glob("*.yaml"))
+        raise DiscrepancyError(
+            f"{text}: no simulation: neither a vehicle ({', '.join(known)}, or a .yaml file), nor the "
+            f"folder of a model, module:function, `{RECORDED}` or an addition.json{nearest(text, known)}"
+        )
+    simulation = VehicleSimulation.load(text)
+    if vehicle is not None and Vehicle.load(vehicle).fingerprint != simulation.vehicle.fingerprint:
+        raise DiscrepancyError(f"{text}: another vehicle than {vehicle}: mass, inertia or rotors differ")
+    effects = own_effects(text)
+    return AugmentedSimulation(simulation, effects) if effects else simulation
+
+
+def _required(text: str, vehicle: str | Path | None) -> str:
+    if vehicle is None:
+        raise DiscrepancyError(f"{text}: names no vehicle: give it with --vehicle")
+    return str(vehicle)
+
+
+def _callable(text: str, vehicle: str) -> CallableSimulation:
+    module, _, name = text.partition(":")
+    # As for `python -m`: what stands in the working directory can be imported.
+    sys.path.insert(0, str(Path.cwd()))
+    try:
+        function = getattr(importlib.import_module(module), name)
+    except Exception as error:  # importing runs the user's code, which may raise anything
+        raise DiscrepancyError(f"{text}: cannot be imported: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.pop(0)
+    if not callable(function):
+        raise DiscrepancyError(f"{text}: is {type(function).__name__}, not a function")
+    return CallableSimulation(text, Vehicle.load(vehicle), function, read_tolerances(vehicle), vehicle)
+
+
+def _addition(path: Path, vehicle: str | Path | None, bags: Sequence[Path]) -> AugmentedSimulation:
+    try:
+        data: Any = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise DiscrepancyError(f"{path}: not a readable JSON file: {error}") from error
+    section = Section(data, str(path), _ADDITION_KEYS)
+    base = load_simulation(section.text("simulation"), vehicle or section.text("vehicle"), bags)
+    adjusted = section.get("adjusted", {})
+    multiples = Section(adjusted, f"{path}: adjusted", tuple(adjusted))
+    return AugmentedSimulation(
+        base,
+        read_effects(section.get("effects", {}), str(path)),
+        {name: multiples.number(name, lowest=-_MOST, highest=_MOST) for name in adjusted},
+    )
+
+
+# Tolerances: what is further off is no adjustment.
+_MOST = 10.0
