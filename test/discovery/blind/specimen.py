@@ -94,7 +94,7 @@ class Specimen:
         about_centre = self.with_vehicle(rotor_positions=self.vehicle.rotor_positions - self.centre).flown
         torque = self.coefficients.torque * self.yaw_authority
         believed = replace(self, flown=about_centre).with_coefficients(torque=torque).flown
-        steered = _Steered(believed.aerodynamics, believed.motor_time_constant, about_centre)
+        steered = _Steered(believed.aerodynamics, believed.motor_time_constant, true=about_centre)
         return simulate_flight(plan.name, steered, plan.reference(STEP_HZ), extra=[(hidden, row(formulas))])
 
     def _at_nominal_centre(self, truth: Truth) -> Truth:
@@ -102,7 +102,7 @@ class Specimen:
         return replace(truth, position=truth.position + rotate_body_to_world(truth.attitude, arm))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Steered(SimulatedVehicle):
     """As the controller believes; `true` is what flies."""
 
