@@ -15,10 +15,10 @@ from scipy.stats import chi2
 from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.ekf_corrections import NIS
-from quadpi_core.signals.ekf_kernels import Outcome
+from quadpi_core.signals.ekf_kernels import ACCELEROMETER_BIAS, DELAY, GYRO_BIAS, Outcome
 from quadpi_core.signals.smoother import smooth
 from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.noise import SensorSuite
+from quadpi_core.simulation.noise import InertialSensor, SensorSuite, generator, inertial_samples
 from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensors import sense
@@ -34,6 +34,12 @@ DELAY_STD_S, DELAY_WALK_S = 0.03, 1e-4
 # Instants at which the errors of all flights are compared with their covariances, s.
 INSTANTS = np.arange(4.0, SECONDS, 2.5)
 STATES = 9
+PARTS = {
+    "state": slice(0, STATES),
+    "gyro bias": GYRO_BIAS,
+    "accelerometer bias": ACCELEROMETER_BIAS,
+    "delay": slice(DELAY, DELAY + 1),
+}
 
 
 @dataclass(frozen=True)
@@ -77,18 +83,37 @@ def dash():
     return Dash(truth, replace(simulated.vehicle, noise=noise), suite)
 
 
-def flown(dash: Dash, seed: int):
-    """What the sensors send of a flight, and how late motion capture's stamps are at each pose."""
-    sensed = sense(dash.truth, dash.vehicle, dash.suite, {}, (), seed)
-    pose = sensed.recording.pose
+def delay_of(seed: int, pose_ns):
+    """How late motion capture's stamps are [s] at poses (N,) taken at `pose_ns`."""
     rng = np.random.default_rng(seed)
-    steps = DELAY_WALK_S * np.sqrt(1e-9 * np.diff(pose.time_ns, prepend=pose.time_ns[0]))
-    delay = rng.normal(scale=DELAY_STD_S) + np.cumsum(steps * rng.standard_normal(len(pose)))
+    steps = DELAY_WALK_S * np.sqrt(1e-9 * np.diff(pose_ns, prepend=pose_ns[0]))
+    return rng.normal(scale=DELAY_STD_S) + np.cumsum(steps * rng.standard_normal(len(pose_ns)))
+
+
+def bias_of(sensor: InertialSensor, name: str, seed: int, count: int):
+    """Bias (N, 3) that a sensor of the flight has: what it sends of nothing, less its white noise."""
+    quiet = replace(sensor, noise=0.0, noise_density=0.0)
+    return inertial_samples(np.zeros((count, 3)), quiet, RATE, generator(seed, name))
+
+
+def flown(dash: Dash, seed: int):
+    """What the sensors send of a flight, and the biases (N, 3) and delay (N,) at the stamps of its IMU."""
+    sensed = sense(dash.truth, dash.vehicle, dash.suite, {}, (), seed)
+    imu, pose = sensed.recording.imu, sensed.recording.pose
+    delay = delay_of(seed, pose.time_ns)
     stamped_ns = pose.time_ns + np.rint(1e9 * delay).astype(np.int64)
     arrival_ns = sensed.arrival_ns["mocap/pose"] + round(3e9 * DELAY_STD_S)
-    after = np.searchsorted(sensed.recording.imu.time_ns, arrival_ns, side="right")
+    after = np.searchsorted(imu.time_ns, arrival_ns, side="right")
     late = replace(pose, time_ns=stamped_ns)
-    return replace(sensed.recording, pose=late, arrivals={pose.topic: after})
+    hidden = np.concatenate(
+        (
+            bias_of(dash.suite.imu.gyro, "gyro", seed, len(imu)),
+            bias_of(dash.suite.imu.accelerometer, "accelerometer", seed, len(imu)),
+            np.interp(imu.time_ns, pose.time_ns, delay)[:, None],
+        ),
+        axis=1,
+    )
+    return replace(sensed.recording, pose=late, arrivals={pose.topic: after}), hidden
 
 
 def error_of(state_position, state_velocity, state_attitude, dash: Dash, index):
@@ -108,9 +133,9 @@ def error_of(state_position, state_velocity, state_attitude, dash: Dash, index):
 
 
 class Flown(NamedTuple):
-    """Of all flights: NEES (S, T), NIS by instant (S, T), errors of 12 m/s and more, and rejections."""
+    """Of all flights: NEES by part and NIS (S, T), errors of 12 m/s and more, and rejections."""
 
-    nees: np.ndarray
+    nees: dict[str, np.ndarray]
     nis: np.ndarray
     attitude_rms_deg: float
     velocity_rms_m_s: float
@@ -124,7 +149,7 @@ def flights(dash):
     fast = np.linalg.norm(dash.velocity, axis=1) > 12.0
     nees, nis, squares, rejected, used = [], [], [], 0, 0
     for seed in range(SEEDS):
-        recording = flown(dash, seed)
+        recording, hidden = flown(dash, seed)
         imu, pose = recording.imu, recording.pose
         after = recording.arrivals_of(pose)
         ekf, row, begin_ns = Ekf(dash.vehicle, RATE), [], 0
@@ -142,8 +167,10 @@ def flights(dash):
             index = np.searchsorted(dash.truth.time_ns, trace.time_ns)
             error = error_of(trace.position, trace.velocity, trace.attitude, dash, index)
             squares.append(error[fast[index], 3:] ** 2)
-            covariance = ekf.state.covariance[:STATES, :STATES]
-            row.append(error[-1] @ np.linalg.solve(covariance, error[-1]))
+            estimated = (trace.gyro_bias[-1], trace.accelerometer_bias[-1], trace.delay_s[-1:])
+            at = np.searchsorted(imu.time_ns, trace.time_ns[-1])
+            whole = np.concatenate((error[-1], hidden[at] - np.concatenate(estimated)))
+            row.append([nees_of(whole, ekf.state.covariance, part) for part in PARTS.values()])
             begin_ns = end_ns
         nees.append(row)
         (segment,) = Ekf(dash.vehicle, RATE).segments(recording)
@@ -153,7 +180,7 @@ def flights(dash):
         used += ekf.pose_counts[Outcome.USED]
     mean = np.concatenate(squares).mean(axis=0)
     return Flown(
-        np.array(nees),
+        dict(zip(PARTS, np.moveaxis(nees, -1, 0), strict=True)),
         np.array(nis),
         float(np.degrees(np.sqrt(mean[3:].sum()))),
         float(np.sqrt(mean[:3].sum())),
@@ -161,20 +188,38 @@ def flights(dash):
     )
 
 
+def nees_of(error, covariance, part):
+    """Squared error (16,) of some states in units of their covariance."""
+    return error[part] @ np.linalg.solve(covariance[part, part], error[part])
+
+
 def taken(stream, keep):
     return replace(stream, **{column.name: getattr(stream, column.name)[keep] for column in fields(stream)})
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "freedom"), [("nees", STATES), ("nis", 6)])
+@pytest.mark.parametrize(
+    ("name", "freedom"), [("state", STATES), ("gyro bias", 3), ("accelerometer bias", 3), ("nis", 6)]
+)
 def test_errors_and_innovations_are_within_their_bounds_over_50_flights(flights, name, freedom):
-    of_flights = getattr(flights, name)
+    of_flights = flights.nis if name == "nis" else flights.nees[name]
     per_instant = of_flights.mean(axis=0)
     low, high = chi2.ppf([0.025, 0.975], SEEDS * freedom) / SEEDS
     print(name, per_instant.round(2), "within", (low, high), "mean", per_instant.mean())
     inside = (per_instant > low) & (per_instant < high)
     assert inside.sum() >= len(inside) - 1, per_instant
     assert low < per_instant.mean() < high
+
+
+@pytest.mark.slow
+def test_the_error_of_the_delay_is_within_its_bounds_once_it_has_shown_for_a_while(flights):
+    """A delay of two standard deviations or more is beyond the linear model, in the first seconds."""
+    per_instant = flights.nees["delay"].mean(axis=0)
+    low, high = chi2.ppf([0.025, 0.975], SEEDS) / SEEDS
+    print("delay", per_instant.round(2), "within", (low, high))
+    late = per_instant[INSTANTS >= 9.0]
+    assert np.all((late > low) & (late < high))
+    assert np.all(per_instant < 2.0)
 
 
 @pytest.mark.slow
@@ -190,7 +235,7 @@ def test_errors_at_14_m_s_are_small_with_a_fifth_of_the_poses_lost(dash, flights
 def test_smoothed_errors_are_smaller_than_filtered_ones_and_as_stated(dash):
     filtered, smoothed, scaled = [], [], []
     for seed in range(10):
-        recording = flown(dash, seed)
+        recording, _ = flown(dash, seed)
         for estimate, squares in (
             (Ekf(dash.vehicle, RATE).run(recording), filtered),
             (smooth(recording, Ekf(dash.vehicle, RATE)), smoothed),
