@@ -4,7 +4,8 @@
 
 Numba renews a cached kernel when the kernel's own file changes, not when another file does whose kernels or
 constants it uses. So each file with kernels has a cache folder of its own, named after the content of the
-file and of all files of this package that it imports, directly or through others.
+file and of all files of this package that it imports, directly or through others. Files that
+:func:`modules_beside` imports count.
 """
 
 from __future__ import annotations
@@ -12,21 +13,22 @@ from __future__ import annotations
 import atexit
 import functools
 import hashlib
+import importlib
 import os
 import re
 import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any, TypeVar
 
 import numba
 from numba import config
 
-__all__ = ["njit", "once"]
+__all__ = ["modules_beside", "njit", "once"]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -57,6 +59,19 @@ def njit(*signatures: Any, **options: Any) -> Callable[[Kernel], Kernel]:
             config.CACHE_DIR = before  # type: ignore[attr-defined]
 
     return compiled
+
+
+def modules_beside(file: str, but: Collection[str]) -> list[ModuleType]:
+    """Import the other modules in the folder of a file of this package: kernels of the file rest on them.
+
+    Args:
+        file: that asks: its `__file__`, by this name.
+        but: names of modules that are left out.
+    """
+    folder = Path(file).resolve().parent
+    package = ".".join((_PACKAGE.name, *folder.relative_to(_PACKAGE).parts))
+    names = sorted({path.stem for path in folder.glob("*.py")} - {"__init__", *but})
+    return [importlib.import_module(f"{package}.{name}") for name in names]
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -130,4 +145,6 @@ def _read(path: Path) -> tuple[bytes, frozenset[Path]]:
         dotted = [module or package, *(f"{package}.{name}" for name in re.findall(r"\w+", names))]
         for place in (_PACKAGE.parent.joinpath(*name.split(".")) for name in dotted):
             imported |= {place.with_suffix(".py"), place / "__init__.py"}
+    if b"modules_beside(__file__" in content and path != Path(__file__).resolve():
+        imported |= set(path.parent.glob("*.py"))
     return hashlib.sha256(content).digest(), frozenset(path for path in imported if path.is_file())

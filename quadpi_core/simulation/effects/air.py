@@ -18,6 +18,8 @@ from quadpi_core.simulation.effects.definition import Parameter, effect
     Parameter("east_m_s", "m/s", 0.0, -30.0, 30.0),
     Parameter("down_m_s", "m/s", 0.0, -10.0, 10.0),
     shown_by="turns of the heading in hover and in translation",
+    formula=r"V = V_g - R_{BE}\,(w_N,\ w_E,\ w_D)",
+    symbols="w_N w_E w_D",
 )
 def wind(time: Array, p: Array, rng: np.random.Generator) -> Array:  # noqa: ARG001
     """Steady wind, blowing towards north, east and down.
@@ -32,6 +34,8 @@ def wind(time: Array, p: Array, rng: np.random.Generator) -> Array:  # noqa: ARG
     "Fx Fy Fz Mx My Mz",
     Parameter("intensity_m_s", "m/s", 1.2, 0.0, 10.0),
     Parameter("time_s", "s", 1.0, 0.01, 100.0),
+    formula=r"S_w(\omega) \propto \frac{\sigma^2\,\tau}{1 + (\omega\tau)^2}",
+    symbols=r"\sigma \tau",
 )
 def gust(time: Array, p: Array, rng: np.random.Generator) -> Array:
     """Gusts: coloured noise of the wind in all three directions.

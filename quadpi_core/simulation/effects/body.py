@@ -22,6 +22,8 @@ from quadpi_core.simulation.effects.kernels import NO_WRENCH, world_to_body
     Parameter("z_n_s2_m2", "N s²/m²", 0.0027, 0.0, 0.1),
     shown_by="flight above 5 m/s at two speeds, in all three directions",
     form=AERODYNAMIC,
+    formula=r"F = -|V|\,(k_x u,\ k_y v,\ k_z w)",
+    symbols="k_x k_y k_z",
 )
 @njit(cache=True)
 def body_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -34,7 +36,13 @@ def body_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     return -p[0] * airspeed * u, -p[1] * airspeed * v, -p[2] * airspeed * w, 0.0, 0.0, 0.0
 
 
-@effect("wrench", "Fx Fy", Parameter("drag_n_s3_m3", "N s³/m³", 7.5e-5, 0.0, 0.01))
+@effect(
+    "wrench",
+    "Fx Fy",
+    Parameter("drag_n_s3_m3", "N s³/m³", 7.5e-5, 0.0, 0.01),
+    formula=r"(F_x, F_y) = -k\,|V|^2\,(u,\ v)",
+    symbols="k",
+)
 @njit(cache=True)
 def cubic_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     """In-plane drag with the cube of the airspeed, as where induced and profile power grow in a dash.
@@ -52,6 +60,8 @@ def cubic_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     *three("nm_s", "Nm s", 2.3e-3, 0.1, lowest=0.0),
     shown_by="rate doublets about every axis in hover",
     form=AERODYNAMIC,
+    formula=r"M = -(k_x p,\ k_y q,\ k_z r)",
+    symbols="k_x k_y k_z",
 )
 @njit(cache=True)
 def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -72,6 +82,8 @@ def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     Parameter("height_m", "m", 0.0, 0.0, 1000.0),
     shown_by="flights outward in every direction",
     form=AERODYNAMIC,
+    formula=r"F = -k\,\max(L - L_0,\ 0)\,R_{BE}\,n,\quad L\,n = x - (a_N,\ a_E,\ -a_h)",
+    symbols="k L_0 a_N a_E a_h",
 )
 @njit(cache=True)
 def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -90,7 +102,12 @@ def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
 
 
 @effect(
-    "wrench", "Fx Fy Fz", *three("n", "N", 0.1, 5.0), shown_by="throttle steps; hover in several headings"
+    "wrench",
+    "Fx Fy Fz",
+    *three("n", "N", 0.1, 5.0),
+    shown_by="throttle steps; hover in several headings",
+    formula=r"F = (b_x,\ b_y,\ b_z)",
+    symbols="b_x b_y b_z",
 )
 @njit(cache=True)
 def force_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -108,6 +125,8 @@ def force_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     Parameter("y_nm", "Nm", 0.005, -0.5, 0.5),
     Parameter("z_nm", "Nm", 0.002, -0.5, 0.5),
     shown_by="throttle steps",
+    formula=r"M = (b_x,\ b_y,\ b_z)",
+    symbols="b_x b_y b_z",
 )
 @njit(cache=True)
 def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
@@ -125,6 +144,10 @@ def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     Parameter("y_m", "m", 0.0035, -0.1, 0.1),
     Parameter("z_m", "m", 0.0, -0.1, 0.1),
     shown_by="throttle steps and vertical accelerations",
+    # After every other force, whose moment it changes.
+    last=True,
+    formula=r"M = -(d_x,\ d_y,\ d_z) \times F",
+    symbols="d_x d_y d_z",
 )
 @njit(cache=True)
 def cg_offset(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001

@@ -61,6 +61,9 @@ class Effect:
         shown_by: manoeuvres that tell it from others; empty for one that no search looks for.
         inverse: of a sensor effect: the parameters that undo those given; unless given, their negative.
         form: share by which the law may be off where the air is not as it assumes; 0 for one that is exact.
+        formula: in LaTeX, the parameters by their symbols.
+        symbols: of the parameters, in LaTeX.
+        last: whether it acts after every other effect of its kind.
     """
 
     name: str
@@ -72,6 +75,9 @@ class Effect:
     shown_by: str = ""
     inverse: Callable[[Array], Array] | None = None
     form: float = 0.0
+    formula: str = ""
+    symbols: tuple[str, ...] = ()
+    last: bool = False
 
     def undo(self, values: Array) -> Array:
         """Parameters that undo those given, to first order at least."""
@@ -85,6 +91,9 @@ def effect(
     shown_by: str = "",
     inverse: Callable[[Array], Array] | None = None,
     form: float = 0.0,
+    formula: str = "",
+    symbols: str = "",
+    last: bool = False,
 ) -> Callable[[Any], Effect]:
     """Make an effect of a function: its name and the first line of its docstring are those of the effect.
 
@@ -95,12 +104,18 @@ def effect(
         shown_by: see :class:`Effect`.
         inverse: see :class:`Effect`.
         form: see :class:`Effect`.
+        formula: see :class:`Effect`.
+        symbols: with spaces between them, see :class:`Effect`.
+        last: see :class:`Effect`.
     """
 
     def declare(function: Any) -> Effect:
         summary = function.__doc__.partition("\n")[0].rstrip(".")
         name = function.__name__
-        return Effect(name, kind, summary, tuple(axes.split()), parameters, function, shown_by, inverse, form)
+        return Effect(
+            *(name, kind, summary, tuple(axes.split()), parameters, function, shown_by, inverse, form),
+            *(formula, tuple(symbols.split()), last),
+        )
 
     return declare
 

@@ -19,6 +19,8 @@ from quadpi_core.vehicle import Vehicle, is_rigid_body
     "Fx Fy Fz",
     Parameter("mass_kg", "kg", 0.05, 0.0, 5.0),
     shown_by="vertical accelerations with roll and pitch pulses; weighing",
+    formula="m = m_0 + m_L",
+    symbols="m_L",
 )
 def payload(vehicle: Vehicle, p: Array) -> Vehicle:
     """A mass carried at the centre of gravity.
@@ -33,6 +35,8 @@ def payload(vehicle: Vehicle, p: Array) -> Vehicle:
     "Mx My Mz",
     *(Parameter(f"{axis}_change", "", 0.2, -0.5, 1.0) for axis in "xyz"),
     shown_by="attitude doublets and angular chirps about every axis",
+    formula=r"I_{ij} = I_{0,ij}\sqrt{(1 + k_i)(1 + k_j)},\quad k = (k_x, k_y, k_z)",
+    symbols="k_x k_y k_z",
 )
 def inertia(vehicle: Vehicle, p: Array) -> Vehicle:
     """Moments of inertia other than the file's.

@@ -22,6 +22,12 @@ NEAREST = 0.5
     Parameter("strength", "", 1.0, 0.0, 10.0),
     shown_by="height sweep from one rotor radius up, in hover",
     form=AERODYNAMIC,
+    formula=(
+        r"\Delta T_i = k\,T_i"
+        r"\left[\left(1 - \frac{(R/4h_i)^2}{1 + (u_i^2 + v_i^2)/v_h^2}\right)^{-1} - 1\right],"
+        r"\quad h_i \ge R/2"
+    ),
+    symbols="k",
 )
 @njit(cache=True)
 def ground_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -46,6 +52,8 @@ def ground_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
     "Fz Mx My",
     Parameter("strength", "", 0.2, 0.0, 1.0),
     Parameter("ceiling_m", "m", 4.0, 0.1, 1000.0),
+    formula=r"\Delta T_i = k\,T_i\left(\frac{R}{d_i}\right)^2,\quad d_i = \max(d - h_i,\ R/2)",
+    symbols="k d",
 )
 @njit(cache=True)
 def ceiling_effect(state: Any, vehicle: Any, p: Array) -> Wrench:

@@ -1,61 +1,47 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The effects there are, in the order in which they act.
+"""The effects there are, in the order in which they act: whatever the files of this folder declare.
 
-A new effect is one function in a file of this folder and one line here.
+Kind after kind; within one, file after file by name, and as they stand in the file. One that has to act after
+all others of its kind, whatever they are, says so itself (`last`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from numba import literal_unroll
 
-from quadpi_core.compiled import njit
+from quadpi_core.compiled import modules_beside, njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects import air, body, mass, proximity, rotor_air, rotor_mechanics, sensing
 from quadpi_core.simulation.effects.definition import Effect, Wrench
 from quadpi_core.simulation.effects.kernels import NO_WRENCH
 
-_ORDER = (
-    rotor_air.rotor_drag,
-    rotor_air.cross_flow,
-    rotor_air.blade_flapping,
-    rotor_air.translational_lift,
-    rotor_air.inflow_damping,
-    rotor_air.rotor_dissymmetry,
-    rotor_air.vortex_ring,
-    rotor_air.rotor_interaction,
-    proximity.ground_effect,
-    proximity.ceiling_effect,
-    body.body_drag,
-    body.cubic_drag,
-    body.rate_damping,
-    rotor_mechanics.gyroscopic,
-    rotor_mechanics.spin_up,
-    rotor_mechanics.thrust_coefficient,
-    rotor_mechanics.rotor_tilt,
-    rotor_mechanics.weak_rotor,
-    body.tether,
-    body.force_bias,
-    body.moment_bias,
-    # After every other force, whose moment it changes.
-    body.cg_offset,
-    mass.payload,
-    mass.inertia,
-    air.wind,
-    air.gust,
-    sensing.imu_lever_arm,
-    sensing.imu_misalignment,
-    sensing.accelerometer_scale,
-    sensing.accelerometer_bias,
-    sensing.gyro_bias,
-    sensing.rotor_speed_scale,
-    sensing.sensor_delay,
-)
-EFFECTS: dict[str, Effect] = {effect.name: effect for effect in _ORDER}
+_KINDS = ("wrench", "vehicle", "wind", "sensor")
+# Of this folder, but no effects.
+_MACHINERY = ("apply", "definition", "kernels", "reading", "registry")
 
-_WRENCH_EFFECTS = tuple(effect for effect in _ORDER if effect.kind == "wrench")
+
+def _declared() -> Iterator[Effect]:
+    for module in modules_beside(__file__, but=_MACHINERY):
+        for value in vars(module).values():
+            if isinstance(value, Effect) and value.function.__module__ == module.__name__:
+                yield value
+
+
+def _in_order() -> dict[str, Effect]:
+    effects: dict[str, Effect] = {}
+    for effect in sorted(_declared(), key=lambda effect: (_KINDS.index(effect.kind), effect.last)):
+        if effect.name in effects:
+            raise TypeError(f"two effects are named `{effect.name}`")
+        effects[effect.name] = effect
+    return effects
+
+
+EFFECTS = _in_order()
+
+_WRENCH_EFFECTS = tuple(effect for effect in EFFECTS.values() if effect.kind == "wrench")
 WRENCH_INDEX = {effect.name: index for index, effect in enumerate(_WRENCH_EFFECTS)}
 _WRENCH_FUNCTIONS = tuple(effect.function for effect in _WRENCH_EFFECTS)
 

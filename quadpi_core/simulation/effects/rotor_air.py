@@ -32,6 +32,8 @@ def _share(state: Any, vehicle: Any, rotor: int) -> float:
     Parameter("drag_n_s_m", "N s/m", 0.11, -2.0, 2.0),
     shown_by="fore-aft and sideways sines at two speeds",
     form=AERODYNAMIC,
+    formula=r"F_i = -k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,(u_i,\ v_i,\ 0)",
+    symbols="k",
 )
 @njit(cache=True)
 def rotor_drag(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -49,7 +51,13 @@ def rotor_drag(state: Any, vehicle: Any, p: Array) -> Wrench:
     return wrench
 
 
-@effect("wrench", "Fx Fy Mx My Mz", Parameter("force_n_s_m", "N s/m", 0.064, -2.0, 2.0))
+@effect(
+    "wrench",
+    "Fx Fy Mx My Mz",
+    Parameter("force_n_s_m", "N s/m", 0.064, -2.0, 2.0),
+    formula=r"F_i = s_i\,k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,(v_i,\ -u_i,\ 0)",
+    symbols="k",
+)
 @njit(cache=True)
 def cross_flow(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Force of the rotors across the airflow in their plane; cancels where all turn at one speed.
@@ -70,6 +78,8 @@ def cross_flow(state: Any, vehicle: Any, p: Array) -> Wrench:
     Parameter("moment_nm_s_m", "Nm s/m", 0.0129, -0.5, 0.5),
     shown_by="speed sweep with steady attitude",
     form=AERODYNAMIC,
+    formula=r"M = \sum_i k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,(-v_i,\ u_i,\ 0)",
+    symbols="k",
 )
 @njit(cache=True)
 def blade_flapping(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -91,6 +101,8 @@ def blade_flapping(state: Any, vehicle: Any, p: Array) -> Wrench:
     Parameter("lift_n_s2_m2", "N s²/m²", 0.0058, -0.1, 0.1),
     shown_by="speed sweep at constant height",
     form=AERODYNAMIC,
+    formula=r"\Delta T_i = \tfrac14\,k\,\min\!\left(u_i^2 + v_i^2,\ (0.6\,\omega_i R)^2\right)",
+    symbols="k",
 )
 @njit(cache=True)
 def translational_lift(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -115,6 +127,8 @@ def translational_lift(state: Any, vehicle: Any, p: Array) -> Wrench:
     Parameter("damping_n_s_m", "N s/m", 0.33, 0.0, 5.0),
     shown_by="vertical sines in hover",
     form=AERODYNAMIC,
+    formula=r"F_{z,i} = -k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,w_i",
+    symbols="k",
 )
 @njit(cache=True)
 def inflow_damping(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -130,7 +144,16 @@ def inflow_damping(state: Any, vehicle: Any, p: Array) -> Wrench:
     return wrench
 
 
-@effect("wrench", "Mx My", Parameter("lift_n_s2_m2", "N s²/m²", 5e-4, -0.1, 0.1))
+@effect(
+    "wrench",
+    "Mx My",
+    Parameter("lift_n_s2_m2", "N s²/m²", 5e-4, -0.1, 0.1),
+    formula=(
+        r"(M_x, M_y) = \sum_i k\,\tfrac14\,\frac{\omega_i}{\omega_h}\left(|V_i|^2"
+        r" - |V|^2\right)(-y_i,\ x_i)"
+    ),
+    symbols="k",
+)
 @njit(cache=True)
 def rotor_dissymmetry(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Moment of rotors that meet different airspeeds because the vehicle turns while it translates.
@@ -155,6 +178,12 @@ def rotor_dissymmetry(state: Any, vehicle: Any, p: Array) -> Wrench:
     Parameter("loss", "", 0.13, 0.0, 1.0),
     shown_by="vertical descents at half to one and a half times the induced velocity of hover",
     form=AERODYNAMIC,
+    formula=(
+        r"\Delta T_i = -k\,T_i\,x_i^2\,e^{1 - x_i^2 - \mu_i^2},\quad "
+        r"x_i = \frac{\max(w_i, 0)}{v_h},\quad "
+        r"\mu_i = \frac{\sqrt{u_i^2 + v_i^2}}{v_h}"
+    ),
+    symbols="k",
 )
 @njit(cache=True)
 def vortex_ring(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -179,6 +208,12 @@ def vortex_ring(state: Any, vehicle: Any, p: Array) -> Wrench:
     Parameter("loss", "", 0.15, 0.0, 1.0),
     shown_by="slow forward and sideways flight at several speeds",
     form=AERODYNAMIC,
+    formula=(
+        r"\Delta T_i = -k\,T_i \tanh\!\left(\frac{V}{v_h}\right) "
+        r"\max\!\left(0,\ -\frac{r_i \cdot e}{|r_i|}\right),\quad "
+        r"V e = (u, v)"
+    ),
+    symbols="k",
 )
 @njit(cache=True)
 def rotor_interaction(state: Any, vehicle: Any, p: Array) -> Wrench:

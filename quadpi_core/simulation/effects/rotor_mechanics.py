@@ -18,7 +18,14 @@ _WHICH = Parameter("rotor", "", 1.0, 1.0, float(ROTORS), whole=True)
 _INERTIA = Parameter("rotor_inertia_kg_m2", "kg m²", 8e-6, 0.0, 1e-3)
 
 
-@effect("wrench", "Mx My", _INERTIA, shown_by="yaw with roll and pitch at once")
+@effect(
+    "wrench",
+    "Mx My",
+    _INERTIA,
+    shown_by="yaw with roll and pitch at once",
+    formula=r"M = I_r \sum_i s_i \omega_i\,(-q,\ p,\ 0)",
+    symbols="I_r",
+)
 @njit(cache=True)
 def gyroscopic(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Precession of the rotors when the body turns; does no work.
@@ -32,7 +39,14 @@ def gyroscopic(state: Any, vehicle: Any, p: Array) -> Wrench:
     return 0.0, 0.0, 0.0, -state.rates[1] * momentum, state.rates[0] * momentum, 0.0
 
 
-@effect("wrench", "Mz", _INERTIA, shown_by="yaw steps")
+@effect(
+    "wrench",
+    "Mz",
+    _INERTIA,
+    shown_by="yaw steps",
+    formula=r"M_z = -I_r \sum_i s_i \dot\omega_i",
+    symbols="I_r",
+)
 @njit(cache=True)
 def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Reaction of the body to rotors that change their speed.
@@ -50,6 +64,8 @@ def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
     "Fz Mx My Mz",
     Parameter("change", "", 0.1, -0.9, 1.0),
     shown_by="roll and pitch pulses, throttle steps",
+    formula=r"\Delta T_i = k\,T_i,\quad \Delta Q_i = k\,Q_i",
+    symbols="k",
 )
 @njit(cache=True)
 def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -66,9 +82,30 @@ def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
 @effect(
     "wrench",
     "Fz Mx My Mz",
+    *(Parameter(f"{name}_change", "", 0.01, -0.9, 1.0) for name in ("first", "second", "third", "fourth")),
+    formula=r"\Delta T_i = k_i\,T_i,\quad \Delta Q_i = k_i\,Q_i,\quad k = (k_1, k_2, k_3, k_4)",
+    symbols="k_1 k_2 k_3 k_4",
+)
+@njit(cache=True)
+def rotor_thrusts(state: Any, vehicle: Any, p: Array) -> Wrench:
+    """Each rotor has a thrust and torque coefficient of its own.
+
+    T_i and the torque of rotor i grow by the share k_i. Size: 1 %, as rotors of one batch differ.
+    """
+    wrench = NO_WRENCH
+    for rotor in range(ROTORS):
+        wrench = _with_share(wrench, state, vehicle, rotor, p[rotor])
+    return wrench
+
+
+@effect(
+    "wrench",
+    "Fz Mx My Mz",
     _WHICH,
     Parameter("loss", "", 0.1, 0.0, 1.0),
     shown_by="throttle steps with yaw steps",
+    formula=r"\Delta T_j = -k\,T_j,\quad \Delta Q_j = -k\,Q_j",
+    symbols="j k",
 )
 @njit(cache=True)
 def weak_rotor(state: Any, vehicle: Any, p: Array) -> Wrench:
@@ -92,6 +129,8 @@ def _with_share(wrench: Wrench, state: Any, vehicle: Any, rotor: int, share: flo
     Parameter("forward_deg", "deg", 1.4, -15.0, 15.0),
     Parameter("right_deg", "deg", 1.4, -15.0, 15.0),
     shown_by="throttle steps with yaw",
+    formula=r"F_j = T_j\,(\sin\alpha,\ \sin\beta,\ 0)",
+    symbols=r"j \alpha \beta",
 )
 @njit(cache=True)
 def rotor_tilt(state: Any, vehicle: Any, p: Array) -> Wrench:

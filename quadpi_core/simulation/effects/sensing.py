@@ -27,7 +27,13 @@ def _inverse_scale(p: Array) -> Array:
     return np.array([p[0], -p[1] / (1.0 + p[1])])
 
 
-@effect("sensor", "Fx Fy Fz", *three("m", "m", 0.01, 0.2))
+@effect(
+    "sensor",
+    "Fx Fy Fz",
+    *three("m", "m", 0.01, 0.2),
+    formula=r"f' = f + \dot\Omega \times r + \Omega \times (\Omega \times r),\quad r = (r_x, r_y, r_z)",
+    symbols="r_x r_y r_z",
+)
 def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """The IMU sits away from the centre of gravity.
 
@@ -43,6 +49,12 @@ def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording
     "Fx Fy Fz Mx My Mz",
     *three("deg", "deg", 1.2, 45.0),
     shown_by="vertical accelerations and throttle steps",
+    formula=(
+        r"f' = R(\delta)^T f,\quad "
+        r"\Omega' = R(\delta)^T \Omega,\quad "
+        r"\delta = (\delta_x, \delta_y, \delta_z)"
+    ),
+    symbols=r"\delta_x \delta_y \delta_z",
 )
 def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """The IMU is turned in the body: accelerometer and gyro alike.
@@ -59,7 +71,13 @@ def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Record
     return replace(recording, imu=turned)
 
 
-@effect("sensor", "Fx Fy Fz", *(Parameter(f"{axis}_change", "", 0.02, -0.5, 1.0) for axis in "xyz"))
+@effect(
+    "sensor",
+    "Fx Fy Fz",
+    *(Parameter(f"{axis}_change", "", 0.02, -0.5, 1.0) for axis in "xyz"),
+    formula=r"f'_j = (1 + k_j)\,f_j,\quad k = (k_x, k_y, k_z)",
+    symbols="k_x k_y k_z",
+)
 def accelerometer_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Scale of the accelerometer.
 
@@ -69,7 +87,13 @@ def accelerometer_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Rec
     return replace(recording, imu=replace(imu, specific_force=imu.specific_force * (1.0 + p)))
 
 
-@effect("sensor", "Fx Fy Fz", *three("m_s2", "m/s²", 0.2, 10.0))
+@effect(
+    "sensor",
+    "Fx Fy Fz",
+    *three("m_s2", "m/s²", 0.2, 10.0),
+    formula=r"f' = f + (b_x,\ b_y,\ b_z)",
+    symbols="b_x b_y b_z",
+)
 def accelerometer_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Bias of the accelerometer.
 
@@ -79,7 +103,13 @@ def accelerometer_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Reco
     return replace(recording, imu=replace(imu, specific_force=imu.specific_force + p))
 
 
-@effect("sensor", "Fx Fy Fz Mx My Mz", *three("rad_s", "rad/s", 0.02, 1.0))
+@effect(
+    "sensor",
+    "Fx Fy Fz Mx My Mz",
+    *three("rad_s", "rad/s", 0.02, 1.0),
+    formula=r"\Omega' = \Omega + (b_x,\ b_y,\ b_z)",
+    symbols="b_x b_y b_z",
+)
 def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Bias of the gyro.
 
@@ -96,6 +126,8 @@ def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  #
     Parameter("change", "", 0.02, -0.9, 1.0),
     shown_by="weighing the thrust of each rotor; throttle steps with yaw",
     inverse=_inverse_scale,
+    formula=r"\omega'_j = (1 + k)\,\omega_j,\quad j = 0:\ \text{every rotor}",
+    symbols="j k",
 )
 def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Scale of the measured rotor speeds, of one rotor or (rotor 0) of all.
@@ -116,6 +148,8 @@ def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recor
     Parameter("rotor_speeds_s", "s", 0.01, 0.0, 0.5),
     Parameter("mocap_s", "s", 0.01, 0.0, 0.5),
     shown_by="fast doublets and angular chirps",
+    formula=r"\omega'(t) = \omega(t - \tau_\omega),\quad x'(t) = x(t - \tau_x)",
+    symbols=r"\tau_\omega \tau_x",
 )
 def sensor_delay(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Rotor speeds and motion capture (or a fused state) are stamped late, relative to the IMU.

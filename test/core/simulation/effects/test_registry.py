@@ -84,7 +84,7 @@ def test_half_a_rotor():
             {"payload": {"mass_kg": 9}},
             "file: effect `payload`: `mass_kg` must be between 0 and 5 kg, found 9",
         ),
-        ({7: None}, "file: unknown effect `7`; known: rotor_drag, "),
+        ({7: None}, "file: unknown effect `7`; known: body_drag, "),
     ],
 )
 def test_errors_name_place_and_remedy(data, message):

@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What was found, added: the simulation with its effects, as files that are a simulation again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from quadpi_core import __version__
+from quadpi_core.config import is_config_path, read_config
+from quadpi_core.discrepancy.augmented import AugmentedSimulation
+from quadpi_core.discrepancy.discovery import Discovery
+from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.formulas import write_formulas
+from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
+from quadpi_core.errors import DiscrepancyError, VehicleError
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effects import EFFECTS, Effects
+from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
+from quadpi_core.vehicle import ROTORS
+
+_ROTORS = "rotor_thrusts"
+# Not linear in its parameters: one on top of another is not their sum.
+_ALONE = "tether"
+
+
+def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
+    """The simulation with the effects that were found, and its coefficients as the flights have them.
+
+    Coefficients move within their tolerances, all by their posterior means, if that brings flights that were
+    left out closer; otherwise none of them does.
+
+    Args:
+        discovery: its search.
+        without: index of a flight that parameters shall not come from, so that they can be judged on it.
+
+    Raises:
+        DiscrepancyError: where an effect cannot stand beside what the simulation already has.
+    """
+    found = discovery.found
+    design = found.design
+    simulation = design.flights[0].simulation
+    gram = design.gram if without is None else design.gram - design.per_flight[without]
+    fitted = _fit(found, gram)
+    effects: Effects = {}
+    for index in found.chosen:
+        candidate = design.candidates[index]
+        values = candidate.values(candidate.within_bounds(design.parameters(index, fitted)))
+        effects = {**effects, candidate.name: _named(candidate.name, values)}
+    adjusted: dict[str, float] = {}
+    if _adjusting_helps(found):
+        multiples = dict(zip(design.tolerance_names, fitted.of(design.tolerances).tolist(), strict=True))
+        adjusted, small = _divided(multiples, simulation.tolerances)
+        effects = merged(small, effects)
+    return _added(simulation, effects, adjusted)
+
+
+def _fit(found: Found, gram: Array) -> Fit:
+    """As effects are reported: by their laws alone, without the forms that evidence allows them."""
+    fitted = found.design.fit(found.chosen, gram, form=False) or found.design.fit((), gram)
+    assert fitted is not None  # without effects there is always a fit
+    return fitted
+
+
+def _adjusting_helps(found: Found) -> bool:
+    """Whether coefficients moved within their tolerances bring flights that are left out closer."""
+    design = found.design
+    gained = 0.0
+    for own in design.per_flight:
+        weights = design.weights(_fit(found, design.gram - own))
+        unmoved = weights.copy()
+        unmoved[design.tolerances] = 0.0
+        gained += float(unmoved @ own @ unmoved - weights @ own @ weights)
+    return gained > 0.0
+
+
+def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[dict[str, float], Effects]:
+    """Multiples of tolerances: those of the simulation's own coefficients; the others as small effects."""
+    own = dict(multiples)
+    changes = [-tolerances.thrust * own.pop(f"thrust of rotor {rotor + 1}") for rotor in range(ROTORS)]
+    small = {_ROTORS: _named(_ROTORS, changes)}
+    for name, deviation in (("inertia", tolerances.inertia), ("cg_offset", tolerances.cg_m)):
+        values = [deviation * own.pop(parameter.name) for parameter in EFFECTS[name].parameters]
+        small[name] = _named(name, values)
+    return own, {name: values for name, values in small.items() if any(values.values())}
+
+
+def _named(name: str, values: Any) -> dict[str, float]:
+    return {p.name: float(value) for p, value in zip(EFFECTS[name].parameters, values, strict=True)}
+
+
+def merged(one: Effects, other: Effects) -> Effects:
+    """Effects of two sets, in the order in which they act; those in both add up.
+
+    Raises:
+        DiscrepancyError: for two of a kind that do not add up: of different rotors, or tethers.
+    """
+    for name in set(one) & set(other):
+        whole = [parameter.name for parameter in EFFECTS[name].parameters if parameter.whole]
+        if name == _ALONE or any(one[name][key] != other[name][key] for key in whole):
+            raise DiscrepancyError(
+                f"effect `{name}`: the simulation has one already, and a second one cannot be added to it"
+            )
+
+    def parameters(name: str) -> Mapping[str, float]:
+        if name not in one or name not in other:
+            return one.get(name) or other[name]
+        return {
+            p.name: one[name][p.name]
+            if p.whole
+            else min(max(one[name][p.name] + other[name][p.name], p.lowest), p.highest)
+            for p in EFFECTS[name].parameters
+        }
+
+    return {name: parameters(name) for name in EFFECTS if name in one or name in other}
+
+
+def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float]) -> AugmentedSimulation:
+    before: Mapping[str, float] = {}
+    if isinstance(simulation, AugmentedSimulation):
+        # How far laws of earlier effects are off has no place of its own.
+        own = {name for name in adjusted if not any(name.endswith(f" of {e}") for e in simulation.effects)}
+        adjusted = {name: adjusted[name] for name in own}
+        effects, before = merged(simulation.effects, effects), simulation.adjusted
+        simulation = simulation.base
+    if isinstance(simulation, VehicleSimulation):
+        return AugmentedSimulation(simulation.adjusted(adjusted), effects)
+    both = {name: before.get(name, 0.0) + adjusted.get(name, 0.0) for name in {*before, *adjusted}}
+    return AugmentedSimulation(simulation, effects, dict(sorted(both.items())))
+
+
+def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
+    """Write the simulation with what was found added, and the formulas of the effects.
+
+    A vehicle file becomes a vehicle file of the same name, with `simulation.effects`; to any other simulation
+    an `addition.json` refers, which `load_simulation` takes in its place. Without effects nothing is written.
+
+    Args:
+        discovery: of the search.
+        folder: that exists.
+
+    Returns:
+        Paths of the files, the simulation first.
+
+    Raises:
+        DiscrepancyError: where an effect cannot stand beside what the simulation already has.
+    """
+    if not discovery.effects:
+        return []
+    simulation = augmented(discovery)
+    if isinstance(simulation.base, VehicleSimulation):
+        path = folder / f"{simulation.vehicle.name}.yaml"
+        path.write_text(_vehicle_file(simulation, simulation.base))
+    else:
+        path = folder / "addition.json"
+        data = {
+            "simulation": _absolute(simulation.base.name),
+            "vehicle": _absolute(simulation.base.vehicle_file or simulation.vehicle.name),
+            "effects": simulation.effects,
+            "adjusted": simulation.adjusted,
+            "version": __version__,
+        }
+        path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+    return [path, *write_formulas(discovery.effects, folder)]
+
+
+def _absolute(text: str) -> str:
+    """The name of what lies in a folder or file, so that it is found from anywhere."""
+    return str(Path(text).resolve()) if is_config_path(text) or Path(text).exists() else text
+
+
+def _vehicle_file(simulation: AugmentedSimulation, base: VehicleSimulation) -> str:
+    path, data = read_config("vehicle", base.vehicle_file, VehicleError)
+    section = dict(data["simulation"])
+    coefficients = base.model.coefficients
+    section["rotor_local"] = {
+        name: getattr(coefficients, name)
+        if isinstance(getattr(coefficients, name), float)
+        else getattr(coefficients, name).tolist()
+        for name in RotorLocalCoefficients.__dataclass_fields__
+    }
+    section["effects"] = {name: dict(values) for name, values in simulation.effects.items()}
+    text: str = yaml.safe_dump(
+        {**data, "simulation": section}, sort_keys=False, default_flow_style=None, width=110
+    )
+    head = (
+        f"# {path.name} with what flights showed to be missing; coefficients moved within their tolerances."
+    )
+    return f"{head}\n{text}"
