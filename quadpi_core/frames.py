@@ -20,9 +20,6 @@ _FLIP_YZ: Array = np.array([1.0, -1.0, -1.0])
 _FLIP_Z: Array = np.array([1.0, 1.0, -1.0])
 _FLIP_SOUTH: Array = np.array([1.0, -1.0, 1.0])
 _SQRT_HALF = float(np.sqrt(0.5))
-_HALF_TURNS: Array = np.array(
-    [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, -1.0]]
-)
 
 
 def body_flu_to_frd(vector: Array) -> Array:
@@ -62,7 +59,8 @@ def quaternion_flu_enu_to_frd_ned(quaternion: Array) -> Array:
     The same map serves both directions (see :func:`quaternion_frd_ned_to_flu_enu`): it is
     q_world * q * q_body with q_world = (0, √½, √½, 0) and q_body = (0, 1, 0, 0), both half turns.
     """
-    rotated: Array = quaternion @ _HALF_TURNS
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rotated: Array = np.stack((w + z, x + y, x - y, w - z), axis=-1)
     return _SQRT_HALF * rotated
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from quadpi_core.logs import messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
-from quadpi_core.monitor.pairing import TIMEOUT_S, Pairing
+from quadpi_core.monitor.pairing import CAPACITY, TIMEOUT_S, Pairing
 from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
@@ -225,7 +226,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
 
     def _restart(self) -> None:
-        self._pairing = Pairing(self.parameters.pairing_timeout_s)
+        timeout_s = self.parameters.pairing_timeout_s
+        # Room for all that may come while a sample waits, or the timeout would be shorter than it says.
+        waiting = math.ceil(timeout_s * self.parameters.imu_rate_hz)
+        self._pairing = Pairing(timeout_s, max(CAPACITY, 2 * waiting))
         self._dropped = 0
         self._newest_ns = _LONG_AGO_NS
         self._latency = Latency()

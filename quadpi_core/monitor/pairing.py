@@ -31,6 +31,8 @@ from quadpi_core.signals.chain import (
 
 # How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
 TIMEOUT_S = 0.1
+# Samples kept per topic.
+CAPACITY = 256
 
 # The topics, and what is kept of each: index of the oldest sample, how many there are, the newest stamp.
 IMU, STATE, ROTORS, WIND_TOPIC, _TRACKS = 0, 1, 2, 3, 4
@@ -130,7 +132,7 @@ class Pairing:
         capacity: samples kept per topic; the oldest makes room.
     """
 
-    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = 256) -> None:
+    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = CAPACITY) -> None:
         self._timeout_ns = round(timeout_s * 1e9)
         self._tracks = _Tracks(
             time_ns=np.zeros((_TRACKS, capacity), dtype=np.int64),

@@ -93,3 +93,12 @@ def test_roll_pitch_yaw_is_scipys():
     expected = Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()
     found = frames.rotation_matrix(frames.quaternion_from_roll_pitch_yaw(angles))
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_number_that_is_not_finite_stays_in_what_is_made_of_it(value: float):
+    """And is no reason to warn: whoever takes the quaternion says that it is none."""
+    bad = np.array([[value, 0.5, 0.5, 0.5], [0.5, 0.5, 0.5, 0.5]])
+    converted = frames.quaternion_flu_enu_to_frd_ned(bad)
+    np.testing.assert_array_equal(np.isfinite(converted), [[False, True, True, False], [True] * 4])

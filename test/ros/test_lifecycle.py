@@ -88,7 +88,7 @@ def test_a_model_is_replaced_without_missing_a_sample(rig: Rig, folder: Path) ->
     assert back.success
 
 
-@pytest.mark.filterwarnings("ignore:invalid value encountered in matmul")
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_nan_never_comes_out(rig: Rig) -> None:
     def broken(count: int, sample: dict[str, Any]) -> dict[str, Any]:
         if count % 10 < 3:
