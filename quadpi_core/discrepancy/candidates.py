@@ -26,8 +26,9 @@ from quadpi_core.vehicle import Vehicle
 _TYPICAL_MASS_KG, _TYPICAL_ARM_M = 0.374, 0.1445
 # Prior standard deviation of a parameter, in typical sizes.
 _PRIOR = 1.5
-# Of a typical size: the step of a difference quotient.
-_STEP = 1e-3
+# Of the prior: half the step of a difference quotient. Wind turns the airspeed of a hover around: a small
+# step would see no more of that than the cusp at rest.
+_STEP, _WIDE_STEP = 1e-3, 0.2
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ class Candidate:
     def name(self) -> str:
         """Of the effect."""
         return self.effect.name
+
+    @property
+    def amplitudes(self) -> slice:
+        """Those of the free parameters that make the effect vanish at 0."""
+        return slice(1) if self.start[list(self.free)].any() else slice(None)
 
     def values(self, found: Array) -> Array:
         """All parameters (P,) from those found (k,)."""
@@ -143,9 +149,13 @@ def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> l
     for flight in flights:
         here = flight.added(candidate.effect, candidate.values(at))
         columns = np.empty((*here.shape, len(at)))
+        step = _STEP if candidate.linear else _WIDE_STEP
         for index, scale in enumerate(candidate.scale):
-            ahead = at.copy()
-            ahead[index] += _STEP * scale
-            columns[:, :, index] = (flight.added(candidate.effect, candidate.values(ahead)) - here) / _STEP
+            ahead, behind = at.copy(), at.copy()
+            ahead[index] += step * scale
+            behind[index] -= step * scale
+            difference = flight.added(candidate.effect, candidate.values(ahead))
+            difference -= flight.added(candidate.effect, candidate.values(behind))
+            columns[:, :, index] = difference / (2.0 * step)
         result.append((here, columns))
     return result

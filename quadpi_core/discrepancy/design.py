@@ -12,7 +12,7 @@ import numpy as np
 from quadpi_core.discrepancy.candidates import Candidate, linearise
 from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit
-from quadpi_core.discrepancy.whitening import Spectrum, cross_gram, estimate_noise, spectrum
+from quadpi_core.discrepancy.whitening import Spectrum, band_squares, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
@@ -56,11 +56,38 @@ class Design:
             zero = np.zeros(len(candidate.free))
             self.points.append(zero if candidate.linear else candidate.start[list(candidate.free)])
             self.blocks.append(self._linearised(index))
-        linear = [block.parameters for block in self.blocks if block.offset is None]
-        self.noise = estimate_noise(self.spectra(), np.concatenate([self.tolerances, *linear]))
-        self.per_flight = np.zeros((len(flights), 0, 0))
-        self._weighted: list[list[Array]] = [[] for _ in flights]
+        self.weigh(estimate_noise(self.spectra(), self._explaining(())))
+
+    def _explaining(self, chosen: Sequence[int]) -> Indices:
+        """Columns that may explain the residual: of every effect that is linear, and of those chosen."""
+        blocks = [block.parameters for block in self.blocks if block.offset is None]
+        for index in chosen:
+            blocks.append(self.blocks[index].form)
+            if self.blocks[index].offset is not None:
+                blocks.append(self.blocks[index].parameters)
+        return np.concatenate([self.tolerances, *blocks])
+
+    def weigh(self, noise: Array) -> None:
+        """Take another noise (6, BANDS)."""
+        self.noise = noise
+        self.per_flight = np.zeros((len(self.flights), 0, 0))
+        self._weighted: list[list[Array]] = [[] for _ in self.flights]
         self.refresh()
+
+    def noise_beside(self, chosen: Sequence[int], found: Fit) -> Array:
+        """Noise (6, BANDS) where some effects are taken for granted.
+
+        What they leave counts as noise where it is more: a law that is a little off would otherwise call for
+        another effect to mend it.
+        """
+        residual = np.zeros(len(self.gram))
+        residual[0] = 1.0
+        for index in chosen:
+            offset = self.blocks[index].offset
+            if offset is not None:
+                residual[offset] = 1.0
+        floor = estimate_noise(self.spectra(), self._explaining(chosen), residual)
+        return np.maximum(floor, band_squares(self.left(found), self.spectra()))
 
     @property
     def gram(self) -> Array:
@@ -78,6 +105,8 @@ class Design:
         """Bring the Gram matrices up to date with columns that were added."""
         known = self.per_flight.shape[1]
         width = self._width
+        if width == known:
+            return
         grown = np.zeros((len(self.flights), width, width))
         grown[:, :known, :known] = self.per_flight
         for place, band in enumerate(self._bands):
@@ -118,6 +147,7 @@ class Design:
         return Block(
             parameters=np.arange(first, first + len(at)),
             form=_NONE,
+            formed_at=1.0,
             offset=None if candidate.linear else first + len(at),
             lowest=np.array([p.lowest for p in bounds]) / candidate.scale,
             highest=np.array([p.highest for p in bounds]) / candidate.scale,
@@ -129,16 +159,24 @@ class Design:
         candidate = self.candidates[index]
         if not candidate.linear:
             self.blocks[index] = self._linearised(index)
-        if candidate.effect.form == 0.0:
+        size = float(np.linalg.norm(at / candidate.scale))
+        if size == 0.0 or (candidate.effect.form == 0.0 and candidate.effect.kind != "sensor"):
             return
         first = self._width
-        for place, flight in enumerate(self.flights):
-            if candidate.linear:
-                here = self._in_time[index][place] @ (at / candidate.scale)
+        contributions = [
+            self._in_time[index][place] @ (at / candidate.scale)
+            if candidate.linear
+            else flight.added(candidate.effect, candidate.values(at))
+            for place, flight in enumerate(self.flights)
+        ]
+        mean = np.mean([here.mean(axis=0) for here in contributions], axis=0)
+        for place, here in enumerate(contributions):
+            if candidate.effect.kind == "sensor":
+                self._append(place, _absorbed(here, mean))
             else:
-                here = flight.added(candidate.effect, candidate.values(at))
-            self._append(place, self._form(candidate, here, place))
-        self.blocks[index] = replace(self.blocks[index], form=np.arange(first, self._width))
+                self._append(place, self._form(candidate, here, place))
+        form = np.arange(first, self._width)
+        self.blocks[index] = replace(self.blocks[index], form=form, formed_at=size)
 
     def _form(self, candidate: Candidate, here: Array, place: int) -> Array:
         """Columns (M, 6, C): how the contribution of an effect may differ from its law."""
@@ -178,6 +216,14 @@ class Design:
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""
         return found.of(self.blocks[index].parameters) * self.candidates[index].scale
+
+
+def _absorbed(here: Array, mean: Array) -> Array:
+    """Columns (M, 6, 3): what the estimator took of a sensor's error for a bias of the accelerometer."""
+    columns = np.zeros((*here.shape, 3))
+    for axis in range(3):
+        columns[:, axis, axis] = mean[axis]
+    return columns
 
 
 def _starts(rows: Sequence[Array]) -> list[int]:

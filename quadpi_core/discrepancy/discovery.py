@@ -128,11 +128,7 @@ def discover(
     Raises:
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
     """
-    if len(flights) < _FEWEST_FLIGHTS:
-        raise DiscrepancyError(
-            f"{len(flights)} flight: what is found on some flights is tested on others; "
-            f"{_FEWEST_FLIGHTS} are the least"
-        )
+    require_flights(len(flights))
     for flight in flights:
         if flight.vehicle and flight.vehicle != simulation.vehicle.name:
             raise DiscrepancyError(
@@ -145,7 +141,7 @@ def discover(
     rows = sum(flight.rows.shape[1] for flight in design.spectra())
     matters = found.left.gain > _MATTERS * rows
     predictable = float(found.left.gain[matters].sum())
-    share = predictable / (predictable + max(found.explained, 0.0)) if predictable > 0.0 else 0.0
+    share = predictable / (predictable + max(found.closed, 0.0)) if predictable > 0.0 else 0.0
     unknown = share > UNEXPLAINED_SHARE
     reported = design.fit(found.chosen, form=False) or found.fit
     effects = [_effect(found, index, reported) for index in found.chosen]
@@ -157,6 +153,19 @@ def discover(
         gap=gap(design, found.chosen),
         found=found,
     )
+
+
+def require_flights(count: int) -> None:
+    """Refuse fewer flights than a search needs.
+
+    Raises:
+        DiscrepancyError: naming how many there are.
+    """
+    if count < _FEWEST_FLIGHTS:
+        raise DiscrepancyError(
+            f"{count} flight: what is found on some flights is tested on others; "
+            f"{_FEWEST_FLIGHTS} are the least"
+        )
 
 
 def _effect(found: Found, index: int, reported: Fit) -> FoundEffect:

@@ -20,6 +20,8 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array
 
+# Precision of what may not differ at all.
+_PRECISE = 1e12
 Indices = npt.NDArray[np.intp]
 
 
@@ -29,13 +31,15 @@ class Block:
 
     Attributes:
         parameters: indices of its k columns of parameters.
-        form: indices of the columns that its form allows.
+        form: indices of the columns that its form allows, made for an effect of the size `formed_at`.
+        formed_at: length of the coefficients that the columns of the form are in proportion to.
         offset: index of what its linearisation adds to the residual; none for a linear effect.
         lowest, highest: (k,) bounds of the parameters, in prior standard deviations.
     """
 
     parameters: Indices
     form: Indices
+    formed_at: float
     offset: int | None
     lowest: Array
     highest: Array
@@ -91,28 +95,44 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         if block.offset is not None:
             weights[block.offset] = 1.0
     out: set[int] = set()
+    form: list[Array] | None = None
     while True:
         kept = [[i for i in block.parameters if i not in out] for block in blocks]
         if any(len(own) == 0 for own in kept):
             return None
-        columns = np.concatenate(
-            [tolerances, *(np.r_[own, block.form] for own, block in zip(kept, blocks, strict=True))]
-        ).astype(np.intp)
-        found = _evidence(gram, columns, weights)
+        parts, precisions = [tolerances], [np.ones(len(tolerances))]
+        for place, (own, block) in enumerate(zip(kept, blocks, strict=True)):
+            parts.append(np.asarray(own))
+            precisions.append(np.ones(len(own)))
+            if form is not None:
+                parts.append(block.form)
+                precisions.append(form[place])
+        columns = np.concatenate(parts).astype(np.intp)
+        found = _evidence(gram, columns, weights, np.concatenate(precisions))
         beyond = _beyond_bounds(found, blocks) - out
-        if not beyond:
-            return found
         out |= beyond
+        if beyond:
+            continue
+        if form is not None or not any(len(block.form) for block in blocks):
+            return found
+        # Once the sizes of the effects are known, so is by how much their forms may differ.
+        form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
 
 
-def _evidence(gram: Array, columns: Indices, weights: Array) -> Fit:
-    matrix = gram[np.ix_(columns, columns)] + np.eye(len(columns))
+def _form_precision(found: Fit, block: Block) -> float:
+    size = float(np.linalg.norm(found.of(block.parameters)))
+    return float(min((block.formed_at / max(size, 1e-9)) ** 2, _PRECISE))
+
+
+def _evidence(gram: Array, columns: Indices, weights: Array, precisions: Array) -> Fit:
+    matrix = gram[np.ix_(columns, columns)] + np.diag(precisions)
     lower = np.linalg.cholesky(matrix)
     projected = gram[columns] @ weights
     half = np.linalg.solve(lower, projected)
     coefficients = np.linalg.solve(lower.T, half)
     inverse = np.linalg.solve(lower, np.eye(len(columns)))
-    log_evidence = -0.5 * float(weights @ gram @ weights - half @ half) - float(np.log(np.diag(lower)).sum())
+    log_evidence = -0.5 * float(weights @ gram @ weights - half @ half)
+    log_evidence -= float(np.log(np.diag(lower)).sum() - 0.5 * np.log(precisions).sum())
     return Fit(log_evidence, columns, coefficients, inverse.T @ inverse)
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +16,19 @@ from quadpi_core.discrepancy.evidence import Fit, null_gains
 from quadpi_core.discrepancy.generic import Left, generic_spectra, predicted
 
 MOST_EFFECTS = 3
-_BEAM = 8
 _DRAWS = 1000
 # Share of searches on flights without any effect that may name one.
 FALSE_ALARMS = 0.01
-_ROUNDS = 2
+_ROUNDS = 3
+# A further effect has to gain this share of what those before it gained, within these bounds: two laws of the
+# literature for one effect differ by so much that another effect may seem to mend the difference.
+_FURTHER_SHARE, _FURTHER = 0.05, (20.0, 100.0)
+# Odds of about a hundred and fifty, whatever the calibration says.
+_LEAST_EVIDENCE = 5.0
 # A set is named alone where its evidence exceeds that of every other by this: odds of about a hundred.
 NAMED_ALONE = 4.6
 # Of the typical size: what is smaller is no finding, however certain.
-_SMALLEST = 0.05
+_SMALLEST = 0.13
 # Of the discrepancy that can be predicted from flight to flight: what may stay without a name.
 UNEXPLAINED_SHARE = 0.1
 
@@ -41,7 +45,8 @@ class Found:
         threshold: that a further effect has to exceed.
         rivals: per chosen candidate, other candidates that do as well in its place.
         left: what generic functions predict beyond the set.
-        explained: squares in variances of the noise that the set takes away on flights left out.
+        closed: squares of the residual, in variances of the noise, that coefficients and effects as found on
+            the other flights take away.
     """
 
     design: Design
@@ -51,7 +56,7 @@ class Found:
     threshold: float
     rivals: dict[int, list[tuple[int, float]]]
     left: Left
-    explained: float
+    closed: float
 
 
 def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: int) -> Found:
@@ -76,18 +81,24 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
                 1.0 - FALSE_ALARMS,
             )
         ),
-        3.0,
+        _LEAST_EVIDENCE,
     )
     none = _require(design.fit(()))
     _settle(design)
     chosen: tuple[int, ...] = ()
-    found = none
-    for sets in _larger_sets(design):
-        best_set, best = sets[0]
-        if best.log_evidence < found.log_evidence + threshold:
+    found, gain = none, 0.0
+    while len(chosen) < MOST_EFFECTS:
+        grown = _grown(design, chosen)
+        needed = threshold if not chosen else float(np.clip(_FURTHER_SHARE * gain, *_FURTHER))
+        if not grown or grown[0][1].log_evidence < found.log_evidence + needed:
             break
-        chosen, found = best_set, best
-    chosen, found = _refine(design, chosen, found)
+        larger, better = _refine(design, *grown[0])
+        if not _sizeable(design, larger, better):
+            break
+        gain += grown[0][1].log_evidence - found.log_evidence
+        chosen = larger
+        design.weigh(design.noise_beside(chosen, better))
+        found = _require(design.fit(chosen))
     rivals = _rivals(design, chosen, found)
     rows = design.left(found)
     names, spectra = generic_spectra(flights)
@@ -96,48 +107,47 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         design=design,
         chosen=chosen,
         fit=found,
-        gain=found.log_evidence - none.log_evidence,
+        gain=gain,
         threshold=threshold,
         rivals=rivals,
         left=left,
-        explained=_explained(design, chosen),
+        closed=_closed(design, chosen),
     )
 
 
 def _settle(design: Design) -> None:
     """Linearise every candidate where it fits best alone, with the columns of its form."""
-    at = list(design.points)
+    for turn in range(_ROUNDS):
+        at = {}
+        for index, candidate in enumerate(design.candidates):
+            found = design.fit((index,), form=False) if turn == 0 or not candidate.linear else None
+            if found is not None:
+                at[index] = candidate.within_bounds(design.parameters(index, found))
+        for index, point in at.items():
+            design.move(index, point)
+        design.refresh()
+
+
+def _grown(design: Design, chosen: tuple[int, ...]) -> list[tuple[tuple[int, ...], Fit]]:
+    """The set with one effect more, for each that can be added, best first."""
+    names = {design.candidates[index].name for index in chosen}
+    grown = []
     for index, candidate in enumerate(design.candidates):
-        found = design.fit((index,))
-        if found is not None:
-            at[index] = candidate.within_bounds(design.parameters(index, found))
-    for index in range(len(design.candidates)):
-        design.move(index, at[index])
-    design.refresh()
-
-
-def _larger_sets(design: Design) -> Iterator[list[tuple[tuple[int, ...], Fit]]]:
-    """Sets of one effect, two, … with their fits, best first; larger ones grow from the best."""
-    best: list[tuple[tuple[int, ...], Fit]] = []
-    for size in range(1, MOST_EFFECTS + 1):
-        grown: dict[tuple[int, ...], Fit] = {}
-        for base in [()] if size == 1 else [chosen for chosen, _ in best[:_BEAM]]:
-            names = {design.candidates[index].name for index in base}
-            for index, candidate in enumerate(design.candidates):
-                chosen = tuple(sorted((*base, index)))
-                if candidate.name in names or chosen in grown:
-                    continue
-                found = design.fit(chosen)
-                if found is not None and _sizeable(design, chosen, found):
-                    grown[chosen] = found
-        best = sorted(grown.items(), key=lambda item: -item[1].log_evidence)
-        if not best:
-            return
-        yield best
+        if candidate.name in names:
+            continue
+        larger = tuple(sorted((*chosen, index)))
+        found = design.fit(larger)
+        if found is not None and _sizeable(design, larger, found):
+            grown.append((larger, found))
+    return sorted(grown, key=lambda item: -item[1].log_evidence)
 
 
 def _sizeable(design: Design, chosen: tuple[int, ...], found: Fit) -> bool:
-    return all(np.abs(found.of(design.blocks[index].parameters)).max() > _SMALLEST for index in chosen)
+    return all(
+        np.abs(found.of(design.blocks[index].parameters)[design.candidates[index].amplitudes]).max()
+        > _SMALLEST
+        for index in chosen
+    )
 
 
 def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> tuple[tuple[int, ...], Fit]:
@@ -172,19 +182,13 @@ def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, li
     return rivals
 
 
-def _explained(design: Design, chosen: tuple[int, ...]) -> float:
-    """Squares that the chosen effects take away from flights left out in turn, in variances of the noise."""
-    if not chosen:
-        return 0.0
+def _closed(design: Design, chosen: tuple[int, ...]) -> float:
     total = 0.0
     for own in design.per_flight:
         others = design.gram - own
-        without = _require(design.fit((), others))
         # Where bounds leave nothing of an effect, the others do not know of it.
-        with_effects = design.fit(chosen, others) or without
-        for found, sign in ((without, 1.0), (with_effects, -1.0)):
-            weights = design.weights(found)
-            total += sign * float(weights @ own @ weights)
+        weights = design.weights(design.fit(chosen, others) or _require(design.fit((), others)))
+        total += float(own[0, 0] - weights @ own @ weights)
     return total
 
 

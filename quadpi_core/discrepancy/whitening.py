@@ -74,25 +74,35 @@ def cross_gram(first: Array, second: Array) -> Array:
     return total
 
 
-def estimate_noise(spectra: Sequence[Spectrum], columns: npt.NDArray[np.intp]) -> Array:
+def estimate_noise(
+    spectra: Sequence[Spectrum], columns: npt.NDArray[np.intp], residual: Array | None = None
+) -> Array:
     """Variance (6, BANDS) of the noise, from what a fit of all columns leaves of the first.
 
     By expectation and maximisation: a band gets the mean square that is left plus what the uncertainty of the
     fit would take from it, so that many columns do not make the noise look small.
 
     Args:
-        spectra: of flights; column 0 is the residual.
-        columns: (k,) indices of those that may explain it, with a prior deviation of 1.
+        spectra: of flights.
+        columns: (k,) indices of those that may explain the residual, with a prior deviation of 1.
+        residual: (K,) weight of each column in the residual; column 0 alone unless given.
     """
-    taken = np.concatenate(([0], columns))
-    spectra = [Spectrum(np.ascontiguousarray(flight.rows[:, :, taken]), flight.band) for flight in spectra]
+    if residual is None:
+        residual = np.eye(1, spectra[0].rows.shape[2])[0]
+    spectra = [
+        Spectrum(
+            np.concatenate(((flight.rows @ residual)[:, :, None], flight.rows[:, :, columns]), axis=2),
+            flight.band,
+        )
+        for flight in spectra
+    ]
     noise = np.empty((len(AXES), BANDS))
     for axis in range(len(AXES)):
         # From below, where the fit is that of least squares, the rounds settle quickly.
         highest = np.concatenate([flight.rows[axis, flight.band == BANDS - 1, 0] for flight in spectra])
         noise[axis] = max(np.mean(np.square(highest)), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
-        gram = np.zeros((len(taken), len(taken)))
+        gram = np.zeros((1 + len(columns), 1 + len(columns)))
         for flight in spectra:
             weighted = flight.rows / np.sqrt(noise[:, flight.band])[:, :, None]
             gram += cross_gram(weighted, weighted)
@@ -111,3 +121,14 @@ def estimate_noise(spectra: Sequence[Spectrum], columns: npt.NDArray[np.intp]) -
             noise[axis, found] = squares[found] / counts[found]
             noise[axis] = np.interp(np.arange(BANDS), np.flatnonzero(found), noise[axis, found])
     return noise
+
+
+def band_squares(rows: Sequence[Array], spectra: Sequence[Spectrum]) -> Array:
+    """Mean square (6, BANDS) of rows (6, B) of each flight; 0 in bands that no flight is long enough for."""
+    squares, counts = np.zeros((len(AXES), BANDS)), np.zeros(BANDS)
+    for own, flight in zip(rows, spectra, strict=True):
+        counts += np.bincount(flight.band, minlength=BANDS)
+        for axis in range(len(AXES)):
+            squares[axis] += np.bincount(flight.band, own[axis] ** 2, BANDS)
+    mean: Array = squares / np.maximum(counts, 1.0)
+    return mean
