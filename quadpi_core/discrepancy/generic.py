@@ -139,7 +139,9 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
         projections: (F, J), or (F, J, D) for D draws.
     """
     total, aim = grams.sum(axis=0), projections.sum(axis=0)
-    scale = np.sqrt(np.diag(total)) + np.finfo(float).tiny
+    # What stays zero, such as a force that a simulation does not have, must leave the matrix regular.
+    scale = np.sqrt(np.diag(total))
+    scale = np.maximum(scale, 1e-6 * scale.max())
     best, kept = -np.inf, np.zeros(len(total))
     for ridge in _RIDGE:
         penalty = np.diag(ridge * 1e-4 * scale**2)
