@@ -34,11 +34,7 @@ def gap(design: Design, chosen: Sequence[int]) -> Gap:
     spectra = design.spectra()
     before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
     samples = 0
-    for place, own in enumerate(design.per_flight):
-        others = design.gram - own
-        found = design.fit(chosen, others, form=False) or design.fit((), others)
-        assert found is not None  # without effects there is always a fit
-        weights = design.weights(found)
+    for place, weights in enumerate(left_out_weights(design, chosen)):
         rows = spectra[place].rows
         before += np.square(rows[:, :, 0]).sum(axis=1)
         after += np.square(rows @ weights).sum(axis=1)
@@ -52,3 +48,14 @@ def gap(design: Design, chosen: Sequence[int]) -> Gap:
         floor=np.sqrt(floor / samples),
         reduction=float(1.0 - kept / removable) if removable > 0.0 else 0.0,
     )
+
+
+def left_out_weights(design: Design, chosen: Sequence[int]) -> list[Array]:
+    """Per flight the weight (K,) of each column in what is left of its residual by a fit of all others."""
+    weights = []
+    for own in design.per_flight:
+        others = design.gram - own
+        found = design.fit(chosen, others, form=False) or design.fit((), others)
+        assert found is not None  # without effects there is always a fit
+        weights.append(design.weights(found))
+    return weights

@@ -14,17 +14,17 @@ from quadpi_core.frames import Array
 MOST_BINS = 8
 
 
-def round_edges(values: Array) -> Array:
-    """Edges of at most MOST_BINS equal bins over the values, each 1, 2 or 5 times a power of ten wide."""
+def round_edges(values: Array, most: int = MOST_BINS) -> Array:
+    """Edges of at most so many equal bins over the values, each 1, 2 or 5 times a power of ten wide."""
     lowest, highest = float(values.min()), float(values.max())
     extent = highest - lowest
     if extent < 1e-6 * max(abs(lowest), abs(highest), 1.0):
         # A constant: what rounding left of it is no range.
         extent = 1.0
-    scale = 10.0 ** np.floor(np.log10(extent / MOST_BINS))
+    scale = 10.0 ** np.floor(np.log10(extent / most))
     for step in scale * np.array([1.0, 2.0, 5.0, 10.0, 20.0]):
         first, last = np.floor(lowest / step), np.floor(highest / step) + 1.0
-        if last - first <= MOST_BINS:
+        if last - first <= most:
             break
     # Rounded to what the step resolves: 0.3, not 0.30000000000000004.
     digits = max(0, 1 - int(np.floor(np.log10(step))))
