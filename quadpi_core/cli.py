@@ -551,6 +551,49 @@ def validate(
 
 
 @app.command()
+def discrepancy(
+    simulation: Annotated[
+        str,
+        typer.Argument(
+            help="What to compare with: a vehicle that can be simulated (name or file), a model folder, "
+            "module:function, `recorded` for a wrench in the bags, or the addition.json of an earlier run."
+        ),
+    ],
+    bags: Bags,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for what was found.")],
+    effects: Annotated[
+        str | None, typer.Option(help="Effects to look for, such as wind,payload; default: all.")
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle, where the simulation does not name one.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draws that thresholds come from.")] = 0,
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Find where a simulation and flights disagree, name the missing effect, add it, show the gap shrink."""
+    from quadpi_core.discrepancy.command import run
+
+    inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
+    _check_outputs(inputs, json_file, html_file, folders=[output])
+    run(
+        _console(),
+        simulation,
+        bags,
+        output,
+        vehicle=vehicle,
+        names=None if effects is None else effects.split(","),
+        seed=seed,
+        json_file=json_file,
+        html_file=html_file,
+        workers=workers,
+        scheduler=scheduler,
+    )
+
+
+@app.command()
 def demo(
     data: Annotated[
         Path | None,

@@ -143,17 +143,28 @@ def prepare_flights(
 
 def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
     vehicle, cutoff_hz = task
-    recording = read_recording(path, vehicle)
-    check_plausible(recording, vehicle)
-    flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
+    flight, sha256 = read_flight(path, vehicle, cutoff_hz)
     return PreparedFlight(
         name=flight.name,
-        sha256=recording_hash(recording),
+        sha256=sha256,
         time=flight.time,
         inputs=flight_inputs(flight, vehicle),
         wrench=measured_wrench(flight, vehicle),
         height=-flight.position[:, 2],
     )
+
+
+def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight, str]:
+    """A flight read, fused and filtered, the part in the air, with the hash of its sensor streams.
+
+    Raises:
+        LogError: for what cannot be read or used, naming the file.
+        SignalError: naming the file, where the signals cannot be fused.
+    """
+    recording = read_recording(path, vehicle)
+    check_plausible(recording, vehicle)
+    flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
+    return flight, recording_hash(recording)
 
 
 def airborne(flight: Flight, gravity: float) -> Flight:
