@@ -15,6 +15,7 @@ from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit
 from quadpi_core.discrepancy.whitening import Spectrum, band_squares, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.simulation.effects.definition import AERODYNAMIC, Effect
 
 # Of an effect whose law may be off: share by which its axes may differ, over that by which it may change.
 _AXES_OVER_FORM = 1.5
@@ -137,7 +138,7 @@ class Design:
         """Append the columns of a candidate about its point."""
         candidate, at, first = self.candidates[index], self.points[index], self._width
         found = linearise(candidate, self.flights, at)
-        if candidate.linear and candidate.effect.form > 0.0:
+        if candidate.linear and _form_of(candidate.effect) > 0.0:
             self._in_time[index] = [columns for _, columns in found]
         for place, (here, columns) in enumerate(found):
             offset = columns @ (at / candidate.scale) - here
@@ -160,7 +161,7 @@ class Design:
         if not candidate.linear:
             self.blocks[index] = self._linearised(index)
         size = float(np.linalg.norm(at / candidate.scale))
-        if size == 0.0 or (candidate.effect.form == 0.0 and candidate.effect.kind != "sensor"):
+        if size == 0.0 or (_form_of(candidate.effect) == 0.0 and candidate.effect.kind != "sensor"):
             return
         first = self._width
         contributions = [
@@ -180,7 +181,7 @@ class Design:
 
     def _form(self, candidate: Candidate, here: Array, place: int) -> Array:
         """Columns (M, 6, C): how the contribution of an effect may differ from its law."""
-        share = candidate.effect.form
+        share = _form_of(candidate.effect)
         columns = []
         for axis, name in enumerate(AXES):
             if name in candidate.effect.axes:
@@ -216,6 +217,12 @@ class Design:
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""
         return found.of(self.blocks[index].parameters) * self.candidates[index].scale
+
+
+def _form_of(effect: Effect) -> float:
+    """Share by which the contribution of an effect may differ from what is computed of it."""
+    # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
+    return AERODYNAMIC if effect.kind == "wind" else effect.form
 
 
 def _absorbed(here: Array, mean: Array) -> Array:

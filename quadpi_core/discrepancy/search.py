@@ -95,10 +95,14 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         larger, better = _refine(design, *grown[0])
         if not _sizeable(design, larger, better):
             break
+        noise = design.noise
+        design.weigh(design.noise_beside(larger, better))
+        weighed, plain = _require(design.fit(larger)), design.fit(larger, form=False)
+        if plain is None or not _sizeable(design, larger, plain):
+            design.weigh(noise)
+            break
         gain += grown[0][1].log_evidence - found.log_evidence
-        chosen = larger
-        design.weigh(design.noise_beside(chosen, better))
-        found = _require(design.fit(chosen))
+        chosen, found = larger, weighed
     rivals = _rivals(design, chosen, found)
     rows = design.left(found)
     names, spectra = generic_spectra(flights)
