@@ -20,8 +20,9 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 
 _INTERVAL = 1.96
-# Of the noise: a share of its squares that makes the difference of a percent or two in the gap.
-_MATTERS = 0.04
+# What is left of an axis matters where its squares are this multiple of those of the noise. Less is found on
+# flights without any effect, where coefficients within their tolerances act together.
+_MATTERS = 1.5
 _FEWEST_FLIGHTS = 2
 
 
@@ -141,7 +142,8 @@ def discover(
     rows = sum(flight.rows.shape[1] for flight in design.spectra())
     matters = found.left.gain > _MATTERS * rows
     predictable = float(found.left.gain[matters].sum())
-    share = predictable / (predictable + max(found.closed, 0.0)) if predictable > 0.0 else 0.0
+    named = float(np.maximum(found.named, 0.0).sum())
+    share = predictable / (predictable + named) if predictable > 0.0 else 0.0
     unknown = share > UNEXPLAINED_SHARE
     reported = design.fit(found.chosen, form=False) or found.fit
     effects = [_effect(found, index, reported) for index in found.chosen]

@@ -13,14 +13,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.signal import lfilter
 
 from quadpi_core.discrepancy.contributions import Compared
-from quadpi_core.discrepancy.whitening import Spectrum, spectrum
+from quadpi_core.discrepancy.whitening import BANDS, Spectrum, band_squares, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array, rotation_matrix
 
 _LAGS_S = (0.1, 0.4)
+_ROUNDS = 4
 _RIDGE = (1.0, 10.0, 100.0, 1e3)
 
 
@@ -28,13 +30,14 @@ class Left(NamedTuple):
     """What generic functions predict of flights that they were not fitted on.
 
     Attributes:
-        gain: (6,) share of whitened squares, as a sum over flights, that prediction takes away; in
-            variances of the noise.
+        gain: (6,) squares that prediction takes away from flights left out, in variances of `noise`.
         functions: per axis, names of those that predict most, best first.
+        noise: (6, BANDS) variance of what the functions leave.
     """
 
     gain: Array
     functions: list[list[str]]
+    noise: Array
 
 
 def functions(compared: Compared) -> tuple[list[str], Array]:
@@ -100,22 +103,42 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
     return names, spectra
 
 
-def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], noise: Array, names: list[str]) -> Left:
+def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:
     """What the functions predict of each flight from the others.
+
+    The noise is what the functions leave: what the effects leave is more, where something has no name.
 
     Args:
         left: per flight, rows (6, B) that effects leave of the residual.
         spectra: of the functions, see :func:`generic_spectra`.
-        noise: (6, BANDS).
         names: of the functions.
     """
+    noise = band_squares(left, spectra)
+    for _ in range(_ROUNDS):
+        noise = np.stack([_noise_left(axis, left, spectra, noise[axis]) for axis in range(len(AXES))])
     gain, best = np.zeros(len(AXES)), []
     for axis in range(len(AXES)):
         grams, projections = axis_projections(axis, left, spectra, noise)
         gain[axis], coefficients = left_out_gain(grams, projections)
         size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams))
         best.append([names[index] for index in np.argsort(-size)[:3]])
-    return Left(gain, best)
+    return Left(gain, best, noise)
+
+
+def _noise_left(axis: int, left: Sequence[Array], spectra: Sequence[Spectrum], noise: Array) -> Array:
+    """Variance (BANDS,) of what the functions leave of one axis, with what their uncertainty hides of it."""
+    matrices, columns = axis_projections(axis, left, spectra, np.tile(noise, (len(AXES), 1)))
+    total = matrices.sum(axis=0)
+    lower = cholesky(total + _penalty(total, _RIDGE[0]), lower=True)
+    coefficients = cho_solve((lower, True), columns.sum(axis=0))
+    squares, counts = np.zeros(BANDS), np.zeros(BANDS)
+    for rows, flight in zip(left, spectra, strict=True):
+        rest = rows[axis] - flight.rows[0] @ coefficients
+        spread = np.square(solve_triangular(lower, flight.rows[0].T, lower=True)).sum(axis=0)
+        squares += np.bincount(flight.band, rest * rest + spread, BANDS)
+        counts += np.bincount(flight.band, minlength=BANDS)
+    variance: Array = np.maximum(squares, np.finfo(float).tiny) / np.maximum(counts, 1.0)
+    return variance
 
 
 def axis_projections(
@@ -139,12 +162,9 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
         projections: (F, J), or (F, J, D) for D draws.
     """
     total, aim = grams.sum(axis=0), projections.sum(axis=0)
-    # What stays zero, such as a force that a simulation does not have, must leave the matrix regular.
-    scale = np.sqrt(np.diag(total))
-    scale = np.maximum(scale, 1e-6 * scale.max())
     best, kept = -np.inf, np.zeros(len(total))
     for ridge in _RIDGE:
-        penalty = np.diag(ridge * 1e-4 * scale**2)
+        penalty = _penalty(total, ridge)
         gain = 0.0
         for own, projection in zip(grams, projections, strict=True):
             coefficients = np.linalg.solve(total - own + penalty, aim - projection)
@@ -152,3 +172,10 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
         if gain > best:
             best, kept = gain, np.linalg.solve(total + penalty, aim)
     return best, kept
+
+
+def _penalty(total: Array, ridge: float) -> Array:
+    # What stays zero, such as a force that a simulation does not have, must leave the matrix regular.
+    scale = np.sqrt(np.diag(total))
+    penalty: Array = np.diag(1e-4 * ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
+    return penalty

@@ -14,6 +14,8 @@ from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.design import Design
 from quadpi_core.discrepancy.evidence import Fit, null_gains
 from quadpi_core.discrepancy.generic import Left, generic_spectra, predicted
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
 
 MOST_EFFECTS = 3
 _DRAWS = 1000
@@ -30,7 +32,7 @@ NAMED_ALONE = 4.6
 # Of the typical size: what is smaller is no finding, however certain.
 _SMALLEST = 0.13
 # Of the discrepancy that can be predicted from flight to flight: what may stay without a name.
-UNEXPLAINED_SHARE = 0.1
+UNEXPLAINED_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,8 @@ class Found:
         threshold: that a further effect has to exceed.
         rivals: per chosen candidate, other candidates that do as well in its place.
         left: what generic functions predict beyond the set.
-        closed: squares of the residual, in variances of the noise, that coefficients and effects as found on
-            the other flights take away.
+        named: (6,) squares that the effects take away beside the coefficients as they were found, in
+            variances of the noise of `left`.
     """
 
     design: Design
@@ -56,7 +58,7 @@ class Found:
     threshold: float
     rivals: dict[int, list[tuple[int, float]]]
     left: Left
-    closed: float
+    named: Array
 
 
 def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: int) -> Found:
@@ -106,7 +108,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
     rivals = _rivals(design, chosen, found)
     rows = design.left(found)
     names, spectra = generic_spectra(flights)
-    left = predicted(rows, spectra, design.noise, names)
+    left = predicted(rows, spectra, names)
     return Found(
         design=design,
         chosen=chosen,
@@ -115,7 +117,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         threshold=threshold,
         rivals=rivals,
         left=left,
-        closed=_closed(design, chosen),
+        named=_named(design, found, left),
     )
 
 
@@ -186,14 +188,15 @@ def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, li
     return rivals
 
 
-def _closed(design: Design, chosen: tuple[int, ...]) -> float:
-    total = 0.0
-    for own in design.per_flight:
-        others = design.gram - own
-        # Where bounds leave nothing of an effect, the others do not know of it.
-        weights = design.weights(design.fit(chosen, others) or _require(design.fit((), others)))
-        total += float(own[0, 0] - weights @ own @ weights)
-    return total
+def _named(design: Design, found: Fit, left: Left) -> Array:
+    weights = np.zeros(len(design.gram))
+    weights[0] = 1.0
+    weights[design.tolerances] -= found.of(design.tolerances)
+    named = np.zeros(len(AXES))
+    for rows, flight in zip(design.left(found), design.spectra(), strict=True):
+        without = flight.rows @ weights
+        named += np.sum((without**2 - rows**2) / left.noise[:, flight.band], axis=1)
+    return named
 
 
 def _require(found: Fit | None) -> Fit:
