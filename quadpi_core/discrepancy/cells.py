@@ -100,7 +100,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Tested:
+class Held:
     """What cells hold.
 
     Attributes:
@@ -116,7 +116,7 @@ class Tested:
     allowed: Array
 
 
-def tested(found: Found, flights: Sequence[Residual], cells: Cells, seed: int) -> Tested:
+def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed: int) -> Held:
     """Hold the energy beyond tolerances against that of draws without any effect."""
     energy = cells.energy([flight.beyond for flight in flights])
     drawn = _drawn_energy(found, cells, seed)
@@ -130,7 +130,7 @@ def tested(found: Found, flights: Sequence[Residual], cells: Cells, seed: int) -
         smallest = np.sort(chance_drawn[family].min(axis=(0, 1)))
         below = np.searchsorted(smallest, chance[family], side="right")
         p_value[family] = (1.0 + below) / (1.0 + len(smallest))
-    return Tested(
+    return Held(
         excess=np.maximum(energy - mean, 0.0),
         p_value=p_value,
         stands_out=(p_value <= _SIGNIFICANT) & (energy >= _MATTERS * mean),

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 from quadpi_core import __version__
 from quadpi_core.discrepancy.discovery import Discovery, discover, require_flights
 from quadpi_core.discrepancy.excitation import require_excitation
+from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.where import Where, locate
 from quadpi_core.flight import Flight
@@ -31,6 +32,8 @@ class Study:
         where: it shows.
         not_flown: manoeuvres that no flight holds.
         seed: of all draws.
+        flown_again: the gap in roll-outs and closed loop, see
+            :func:`quadpi_core.discrepancy.reflight.reflights`; empty where nothing was added.
     """
 
     simulation: Simulation
@@ -39,6 +42,7 @@ class Study:
     where: Where
     not_flown: tuple[str, ...]
     seed: int
+    flown_again: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON can hold it."""
@@ -53,6 +57,7 @@ class Study:
             },
             **self.discovery.as_dict(),
             **self.where.as_dict(),
+            **self.flown_again,
             "not_flown": list(self.not_flown),
         }
 
@@ -118,4 +123,12 @@ def study(
     """
     missing = require_excitation(flights, simulation.vehicle)
     discovery = discover(simulation, flights, names=names, seed=seed)
-    return Study(simulation, tuple(flights), discovery, locate(discovery.found, seed), missing, seed)
+    return Study(
+        simulation=simulation,
+        flights=tuple(flights),
+        discovery=discovery,
+        where=locate(discovery.found, seed),
+        not_flown=missing,
+        seed=seed,
+        flown_again=reflights(discovery) if discovery.effects else {},
+    )

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.discrepancy.cells import SEGMENT_S, Cells, Tested, tested
+from quadpi_core.discrepancy.cells import SEGMENT_S, Cells, Held, against_draws
 from quadpi_core.discrepancy.residuals import VARIABLES, Residual, residuals
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.flight import AXES
@@ -41,7 +42,7 @@ class Range:
 
     Attributes:
         axis: of `AXES`.
-        variable: of `residuals.VARIABLES`.
+        variable: of `residuals.VARIABLES`; None for an axis that disagrees alike in all conditions.
         low, high: in its unit; None where nothing that was flown lies beyond the range.
         share: of the energy of the axis that noise and tolerances do not account for.
         time_share: of all samples.
@@ -49,7 +50,7 @@ class Range:
     """
 
     axis: str
-    variable: str
+    variable: str | None
     low: float | None
     high: float | None
     share: float
@@ -59,6 +60,8 @@ class Range:
     @property
     def text(self) -> str:
         """In words."""
+        if self.variable is None:
+            return f"{self.axis} {self.conditions}"
         return (
             f"{self.axis} at {self.conditions}: {100.0 * self.share:.0f} % of the residual energy "
             f"in {100.0 * self.time_share:.0f} % of the time"
@@ -67,6 +70,8 @@ class Range:
     @property
     def conditions(self) -> str:
         """The range in words."""
+        if self.variable is None:
+            return "everywhere alike"
         words, unit = WORDS[self.variable]
         if self.low is None and self.high is None:
             return f"any {words}"
@@ -121,9 +126,9 @@ class Where:
     """All of it.
 
     Attributes:
-        ranges: that hold more energy than their share of the time, or all there is of an axis: of each axis
-            those of the variable that tells most, then those of the next; among these the axes that stand
-            furthest above their noise first.
+        ranges: that hold more energy than their share of the time: of each axis those of the variable that
+            tells most, then those of the next; among these the axes that stand furthest above their noise
+            first.
         segments: of axes that have ranges, most energy first.
         profiles: of each axis.
         residuals: of the flights, in their order.
@@ -137,7 +142,7 @@ class Where:
     @property
     def telling(self) -> tuple[Range, ...]:
         """Of each axis the ranges of the variable that tells most."""
-        first: dict[str, str] = {}
+        first: dict[str, str | None] = {}
         for part in self.ranges:
             first.setdefault(part.axis, part.variable)
         return tuple(part for part in self.ranges if first[part.axis] == part.variable)
@@ -162,24 +167,31 @@ def locate(found: Found, seed: int = 0) -> Where:
     """
     flights = residuals(found)
     cells = Cells.of(flights)
-    result = tested(found, flights, cells, seed)
-    profiles, ranked = [], []
+    result = against_draws(found, flights, cells, seed)
+    profiles, groups = [], []
     for axis in range(len(AXES)):
         order = sorted(VARIABLES, key=lambda name: -_told(result.excess[cells.bins[name], axis], cells, name))
         profiles.append(_profile(axis, order[0], flights, cells, result))
-        total = float(result.excess[cells.bins[order[0]], axis].sum())
-        above = total / float(found.design.noise[axis].sum())
-        for rank, name in enumerate(order):
-            parts = list(_ranges(axis, name, cells, result))
-            telling = [part for part in parts if part.share > _LIFT * part.time_share]
-            ranked += [(rank, -above, part) for part in (telling or parts[: 1 if rank == 0 else 0])]
-    ranges = tuple(part for *_, part in sorted(ranked, key=lambda entry: entry[:2]))
+        groups.append(_of_axis(axis, order, cells, result))
+    energy = result.excess[cells.bins["time"]].sum(axis=0) / found.design.noise.sum(axis=1)
+    loudest = [groups[axis] for axis in np.argsort(-energy)]
+    ranges = tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group)
     loud = {part.axis for part in ranges}
     segments = sorted(
         (segment for segment in _segments(flights, cells, result) if segment.axis in loud),
         key=lambda segment: -segment.share,
     )
     return Where(ranges, tuple(segments), tuple(profiles), tuple(flights))
+
+
+def _of_axis(axis: int, order: Sequence[str], cells: Cells, result: Held) -> list[tuple[Range, ...]]:
+    """Ranges of an axis by variable, those that tell most first."""
+    found = [tuple(_ranges(axis, name, cells, result)) for name in order]
+    telling = [tuple(part for part in parts if part.share > _LIFT * part.time_share) for parts in found]
+    if any(telling) or not any(found):
+        return [parts for parts in telling if parts]
+    smallest = min(part.p_value for parts in found for part in parts)
+    return [(Range(AXES[axis], None, None, None, 1.0, 1.0, smallest),)]
 
 
 def _told(excess: Array, cells: Cells, name: str) -> float:
@@ -192,7 +204,7 @@ def _told(excess: Array, cells: Cells, name: str) -> float:
     return float(np.sum(share[some] * np.log(share[some] / time_share[some])))
 
 
-def _ranges(axis: int, name: str, cells: Cells, result: Tested) -> Iterator[Range]:
+def _ranges(axis: int, name: str, cells: Cells, result: Held) -> Iterator[Range]:
     own, edges = cells.bins[name], cells.edges[name]
     excess, samples, p_value = result.excess[own, axis], cells.samples[own], result.p_value[own, axis]
     last = len(excess) - 1
@@ -210,7 +222,7 @@ def _ranges(axis: int, name: str, cells: Cells, result: Tested) -> Iterator[Rang
             )
 
 
-def _segments(flights: Sequence[Residual], cells: Cells, result: Tested) -> Iterator[Segment]:
+def _segments(flights: Sequence[Residual], cells: Cells, result: Held) -> Iterator[Segment]:
     first = cells.seconds[0].start
     for axis, name in enumerate(AXES):
         excess, p_value = result.excess[first:, axis], result.p_value[first:, axis]
@@ -249,7 +261,7 @@ def _runs(kept: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True))
 
 
-def _profile(axis: int, name: str, flights: Sequence[Residual], cells: Cells, result: Tested) -> Profile:
+def _profile(axis: int, name: str, flights: Sequence[Residual], cells: Cells, result: Held) -> Profile:
     own = cells.bins[name]
 
     def rms(energy: Array) -> Array:

@@ -66,6 +66,7 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         _where(study, loud),
         _what(study),
         _gap(study),
+        *([_flown(study)] if study.flown_again else []),
         _left(study),
         f"<nav>{flight_menu({'': _loudest_first(study)})}</nav>",
         _histories(study, bins),
@@ -176,6 +177,24 @@ def _gap(study: Study) -> str:
         "Root mean square of measured − simulated on flights left out in turn, each with what the others "
         "found, up to 20 Hz. The floor is the noise of the measurement, which no simulation can close.",
         f'<div class="pair">{table(head, rows)}{figure("gap")}</div>',
+    )
+
+
+def _flown(study: Study) -> str:
+    head = f'<tr><th></th><th class="text"></th>{cells("th", ("before", "after", "floor"))}</tr>'
+    rows = [
+        f'<td>{escape(kind)}</td><td class="text">{escape(name)}</td>'
+        + cells("td", (number(values[when]) for when in ("before", "after", "floor")))
+        for kind, name, values in text.flown_again(study)
+    ]
+    note = text.flown_note(study)
+    return section(
+        "Flown again",
+        "Roll-out: from many measured states the simulation goes on alone with the measured rotor speeds; "
+        "root mean square of the error at the end. Closed loop: the same references flown again; root mean "
+        "square distance from the flight. Each flight with what the others found. The floor has the measured "
+        "wrench, or the true path, in the place of the simulation.",
+        table(head, rows) + (f"<p>{escape(note)}</p>" if note else ""),
     )
 
 

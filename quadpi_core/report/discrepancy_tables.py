@@ -33,6 +33,8 @@ def discrepancy_tables(study: Study) -> Group:
     if discovery.effects:
         parts.append(_effects(study))
     parts.append(_gap(study))
+    if study.flown_again:
+        parts += [_flown(study), Text(text.flown_note(study), style="dim")]
     parts += [Text(text.ambiguity(effect)) for effect in discovery.effects if effect.rivals]
     if discovery.verdict != "none":
         parts.append(Text(text.unexplained(discovery)))
@@ -64,6 +66,17 @@ def _effects(study: Study) -> Table:
         table.add_row(
             Text(effect.name), percent(effect.probability), " ".join(effect.axes), Text("\n".join(lines))
         )
+    return table
+
+
+def _flown(study: Study) -> Table:
+    table = Table(title="Flown again, error RMS", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("")
+    table.add_column("")
+    for heading in ("before", "after", "floor"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for kind, name, values in text.flown_again(study):
+        table.add_row(kind, Text(name), *(number(values[when]) for when in ("before", "after", "floor")))
     return table
 
 

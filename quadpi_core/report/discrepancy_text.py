@@ -11,6 +11,13 @@ from quadpi_core.discrepancy.study import Study
 from quadpi_core.flight import AXES
 from quadpi_core.report.style import number, percent
 
+_FLOWN = {
+    "position_m": "position [m]",
+    "velocity_m_s": "velocity [m/s]",
+    "attitude_deg": "attitude [deg]",
+    "rates_rad_s": "rates [rad/s]",
+}
+
 
 def verdict(study: Study) -> str:
     """The result in a sentence or two."""
@@ -93,6 +100,28 @@ def removable(discovery: Discovery) -> list[float | None]:
         shares.append(float(1.0 - max(after**2 - floor**2, 0.0) / above) if above > 0.05 * floor**2 else None)
     assert len(shares) == len(AXES)
     return shares
+
+
+def flown_again(study: Study) -> list[tuple[str, str, dict[str, float]]]:
+    """What was flown again: kind of flight, quantity with its unit, values before, after and floor."""
+    rows = []
+    rollout, loop = study.flown_again.get("rollout", {}), study.flown_again.get("closed_loop", {})
+    for kind, result in ((f"roll-out, {rollout.get('horizon_s', 0.0):g} s", rollout), ("closed loop", loop)):
+        rows += [(kind, name, result[key]) for key, name in _FLOWN.items() if key in result]
+    return rows
+
+
+def flown_note(study: Study) -> str:
+    """What could not be flown again, and how often intervals hold the measurement; empty for nothing."""
+    loop, coverage = study.flown_again.get("closed_loop", {}), study.flown_again.get("coverage", {})
+    notes = [f"Closed loop: {loop['missing']}."] if "missing" in loop else []
+    notes += [f"Lost: {text}." for text in loop.get("lost", ())]
+    if coverage:
+        shares = ", ".join(
+            f"{axis} {percent(own['before'])} → {percent(own['after'])}" for axis, own in coverage.items()
+        )
+        notes.append(f"Coverage of the model's intervals: {shares}.")
+    return " ".join(notes)
 
 
 def _joined(names: Sequence[str], last: str = "and") -> str:
