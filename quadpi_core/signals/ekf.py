@@ -492,7 +492,7 @@ class Ekf:
                 buffer.hold(self._memory, stamp, kind, value)
         self._memory.sources[:, Source.ARRIVED_NS] = arrived_ns
         self._memory.clock[Clock.ACCEPTED_NS] = time_ns
-        self._memory.clock[Clock.STATUS] = EstimatorStatus.OK
+        self._memory.clock[Clock.STATUS] = buffer.status_of(self._memory, time_ns)
         self._imu.clear()
         self._measurements.clear()
 

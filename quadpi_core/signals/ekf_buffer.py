@@ -32,7 +32,9 @@ from quadpi_core.signals.ekf_corrections import (
     Count,
 )
 from quadpi_core.signals.ekf_kernels import (
+    ACCELEROMETER_BIAS,
     TRANSITION,
+    VELOCITY,
     EstimatorStatus,
     Noise,
     Outcome,
@@ -58,6 +60,11 @@ LOST_NS = 2_000_000_000
 _DEGRADED_REJECTIONS = 3
 # Standard deviation beyond which a velocity is of no use as an input of a model.
 VELOCITY_STD_MAX_M_S = 2.0
+# Standard deviations beyond which the state is DEGRADED: it has not settled after its start or a jump of
+# motion capture that was believed. Up to this velocity predictions are those of a settled state to half of
+# the half width of their intervals; this specific force is one per cent of the weight.
+SETTLED_VELOCITY_STD_M_S = 0.05
+SETTLED_BIAS_STD_M_S2 = 0.1
 # Rejections that persist for this long, and agree among themselves, are taken for the truth.
 _PERSISTENCE_NS = 400_000_000
 _PERSISTENCE_COUNT = 5
@@ -105,6 +112,7 @@ _HELD_FIRST, _HELD_COUNT, _STATUS, _JOURNALLED, _JUMPED_NS = (
 )
 _ARRIVED_NS, _SEEN_NS, _REPEATS, _CHANGES = Source.ARRIVED_NS, Source.SEEN_NS, Source.REPEATS, Source.CHANGES
 _REFUSED_SINCE_NS, _REFUSED_NS, _REFUSED = Source.REFUSED_SINCE_NS, Source.REFUSED_NS, Source.REFUSED
+_VELOCITY, _ACCELEROMETER_BIAS = VELOCITY.start, ACCELEROMETER_BIAS.start
 _DELAY, _STATE_BEGIN, _WIDTH = Row.DELAY, Row.NOMINAL.start, Row.WIDTH
 _USED, _TOO_LATE, _REJECTED, _FROZEN = (
     Outcome.USED.value,
@@ -255,7 +263,7 @@ def predict(memory: Memory, time_ns: int, sample: Array) -> int:
     copy(work, rows[following], _STATE_BEGIN, _WIDTH)
     clock[_HEAD] = following
     clock[_FILLED] = min(clock[_FILLED] + 1, length)
-    clock[_STATUS] = _status(memory, time_ns)
+    clock[_STATUS] = status_of(memory, time_ns)
     memory.counts[0, _USED] += 1
     return _USED
 
@@ -360,7 +368,7 @@ def release(memory: Memory, journal_ns: Stamps, journal: Array) -> None:
         copy(trial, rows[length], 0, _WIDTH)
         clock[_CORRECTED_NS] = instant_ns
         _renew(memory, trial, before, instant_ns, transition)
-    clock[_STATUS] = _status(memory, now_ns)
+    clock[_STATUS] = status_of(memory, now_ns)
 
 
 @njit(cache=True)
@@ -515,13 +523,21 @@ def _persists(
 
 
 @njit(cache=True)
-def _status(memory: Memory, now_ns: int) -> int:
+def status_of(memory: Memory, now_ns: int) -> int:
+    """How far the newest estimate can be used, at its stamp: a value of :class:`EstimatorStatus`."""
     since = now_ns - memory.clock[_ACCEPTED_NS]
     covariance = covariance_of(memory.rows[memory.clock[_HEAD]])
-    worst = max(covariance[3, 3], covariance[4, 4], covariance[5, 5])
-    if since > LOST_NS or worst > VELOCITY_STD_MAX_M_S**2:
+    velocity, bias = _worst(covariance, _VELOCITY), _worst(covariance, _ACCELEROMETER_BIAS)
+    if since > LOST_NS or velocity > VELOCITY_STD_MAX_M_S**2:
         return EstimatorStatus.LOST.value
     rejections = max(memory.sources[0, _REFUSED], memory.sources[1, _REFUSED])
-    if since > DEGRADED_NS or rejections >= _DEGRADED_REJECTIONS:
+    settled = velocity <= SETTLED_VELOCITY_STD_M_S**2 and bias <= SETTLED_BIAS_STD_M_S2**2
+    if since > DEGRADED_NS or rejections >= _DEGRADED_REJECTIONS or not settled:
         return EstimatorStatus.DEGRADED.value
     return EstimatorStatus.OK.value
+
+
+@njit(cache=True)
+def _worst(covariance: Array, begin: int) -> float:
+    """The largest of three variances."""
+    return max(covariance[begin, begin], covariance[begin + 1, begin + 1], covariance[begin + 2, begin + 2])

@@ -87,7 +87,7 @@ class EstimatorStatus(IntEnum):
 
     INITIALISING = 0
     OK = 1
-    DEGRADED = 2  # no correction for a while, or corrections are being rejected
+    DEGRADED = 2  # not settled, no correction for a while, or corrections are being rejected
     LOST = 3  # no correction for so long, or a velocity so uncertain, that there is no usable state
 
 

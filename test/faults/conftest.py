@@ -138,12 +138,16 @@ def fly_onboard(bebop2):
 
 @pytest.fixture(scope="session")
 def calm(sensors, fly_onboard):
-    """The flight without a fault: all is well, and every IMU sample from the first second on is predicted."""
+    """The flight without a fault: all is well, and every IMU sample from the first second on is predicted.
+
+    The state has settled a moment after its start.
+    """
     flown = fly_onboard(sensors())
     assert not flown.alarms.level.any()
     expected = flown.imu_ns[flown.imu_ns >= flown.odometry_ns[0]]
     np.testing.assert_array_equal(flown.predictions.time_ns, expected)
-    assert flown.states(1.1, FLIGHT_S) == {EstimatorStatus.OK}
+    assert flown.states(1.01, 1.3) == {EstimatorStatus.DEGRADED}
+    assert flown.states(1.5, FLIGHT_S) == {EstimatorStatus.OK}
     return flown
 
 

@@ -70,7 +70,7 @@ def test_motion_capture_that_begins_anew_elsewhere_is_taken_after_a_while(noisy_
     ekf, trace = run(noisy_vehicle, simulated, replace(pose, position=position, attitude=attitude))
     assert 40 <= ekf.pose_counts[Outcome.REJECTED] <= 60
     assert EstimatorStatus.DEGRADED in during(trace, 4.05, 4.4)
-    assert during(trace, 4.6, 8.0) == {EstimatorStatus.OK}
+    assert during(trace, 5.0, 8.0) == {EstimatorStatus.OK}
     late = trace.time_ns > 6 * SECOND
     index = np.searchsorted(simulated.recording.imu.time_ns, trace.time_ns[late])
     expected = yaw.apply(simulated.truth.velocity[index])
