@@ -540,4 +540,7 @@ def status_of(memory: Memory, now_ns: int) -> int:
 @njit(cache=True)
 def _worst(covariance: Array, begin: int) -> float:
     """The largest of three variances."""
-    return max(covariance[begin, begin], covariance[begin + 1, begin + 1], covariance[begin + 2, begin + 2])
+    worst: float = max(
+        covariance[begin, begin], covariance[begin + 1, begin + 1], covariance[begin + 2, begin + 2]
+    )
+    return worst
