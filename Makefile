@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test lint format bench tables alarm discovery golden environment clean
+.PHONY: help demo test lint format bench tables alarm discovery discovery-real golden environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -39,6 +39,9 @@ tables: ## renew docs/paper-tables.md (TABLES_ARGS="--only tunnel --data FOLDER"
 
 discovery: environment ## renew docs/discovery.md: searches for hidden effects, scored (DISCOVERY_ARGS="--short")
 	@$(BIN)/python tools/discovery.py $(DISCOVERY_ARGS)
+
+discovery-real: environment ## renew docs/discovery-real.md: searches on real flights, those of QUADPI_DATA
+	@$(BIN)/python tools/discovery_real.py
 
 alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 2 --data FOLDER")
 	@sh tools/bootstrap.sh --train

@@ -13,8 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from blind import elsewhere
 from blind.effects import EFFECTS, OUTSIDE, altered
-from blind.specimen import flights_of, ordinary
+from blind.specimen import Specimen, flights_of, ordinary
+from quadpi_core.discrepancy import Simulation, VehicleSimulation
 from quadpi_core.flight import Flight
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.simulation.plan import FlightPlan
@@ -37,8 +39,8 @@ PAIRS = (
     ("rotor_interaction", "imu_misalignment"),
     ("tether", "thrust_coefficient"),
 )
-# Kinds of cases.
-NULL, SINGLE, OUT, PAIR, POOR = "null", "single", "outside", "pair", "under-excited"
+# Kinds of cases; ELSE are flights of RotorPy.
+NULL, SINGLE, OUT, PAIR, POOR, ELSE = "null", "single", "outside", "pair", "under-excited", "RotorPy"
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Hidden:
     """What is hidden in a case.
 
     Attributes:
-        kind: NULL, SINGLE, OUT, PAIR or POOR.
+        kind: NULL, SINGLE, OUT, PAIR, POOR or ELSE.
         effects: their names.
         size: of each, 1 being typical.
         seed: of the vehicle, of directions and of noise.
@@ -81,11 +83,28 @@ class Case:
     def flights(self) -> list[Flight]:
         """To search in."""
         hidden = Hidden.opened(self.seal)
+        if hidden.kind == ELSE:
+            seed = zlib.crc32(self.seal.encode())
+            return elsewhere.flights_of(hidden.effects, _plans(RICH), SensorSuite.load(NOISE), seed)
         return _flown(hidden, HOVER if hidden.kind == POOR else RICH)
 
+    def simulation(self) -> Simulation:
+        """To search with: of the vehicle as its file says."""
+        if Hidden.opened(self.seal).kind == ELSE:
+            return elsewhere.simulation()
+        return VehicleSimulation.load(VEHICLE)
+
     def checks(self) -> list[Flight]:
-        """Of the same vehicle, to check on what was found; no part of the search."""
-        return _flown(Hidden.opened(self.seal), CHECK)
+        """Of the same vehicle, to check on what was found; none where they show little or take long."""
+        hidden = Hidden.opened(self.seal)
+        return [] if hidden.kind in {POOR, ELSE} else _flown(hidden, CHECK)
+
+
+def noise_alone() -> tuple[list[Flight], Simulation]:
+    """Flights to check on, of a vehicle that is exactly as its file says."""
+    specimen = Specimen(SimulatedVehicle.load(VEHICLE))
+    flights = flights_of(specimen, _plans(CHECK), SensorSuite.load(NOISE), 0)
+    return flights, VehicleSimulation.load(VEHICLE)
 
 
 def _flown(hidden: Hidden, scenario: str) -> list[Flight]:
@@ -111,13 +130,15 @@ def all_cases(*, seeds: int = 5, nulls: int = 100, sizes: Sequence[float] = SIZE
         truths += [Hidden(OUT, (name,), 1.0, seed) for name in OUTSIDE]
         truths += [Hidden(PAIR, pair, 1.0, seed) for pair in PAIRS]
     truths += [Hidden(POOR, (name,), 1.0, 20_000) for name in EFFECTS]
+    if elsewhere.available():
+        truths += [Hidden(ELSE, (name,), 1.0, 0) for name in elsewhere.EFFECTS]
     return _sealed(truths)
 
 
 def short_cases() -> list[Case]:
-    """A dozen, of every kind."""
-    plain = ("rotor_drag", "ground_effect", "thrust_coefficient", "weak_rotor", "spin_up", "wind")
-    truths = [Hidden(NULL, (), 0.0, 30_000 + seed) for seed in range(3)]
+    """A few of every kind."""
+    plain = ("rotor_drag", "ground_effect", "weak_rotor", "spin_up")
+    truths = [Hidden(NULL, (), 0.0, 30_000 + seed) for seed in range(2)]
     truths += [Hidden(SINGLE, (name,), 1.0, 30_000) for name in plain]
     truths += [Hidden(OUT, ("thrust_fade",), 1.0, 30_000), Hidden(PAIR, PAIRS[0], 1.0, 30_000)]
     truths += [Hidden(POOR, ("thrust_coefficient",), 1.0, 30_000)]

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from blind.cases import NULL, OUT, PAIR, POOR, SINGLE, Hidden
+from blind.cases import ELSE, NULL, OUT, PAIR, POOR, SINGLE, Hidden
 from blind.effects import LATE
 
 # Of the normal distribution, for intervals of 95 %.
@@ -35,13 +35,15 @@ class Answer:
     left: float | None
 
     @classmethod
-    def of(cls, seal: str, result: Mapping[str, Any], left: float | None) -> Answer:
+    def of(cls, found: Mapping[str, Any]) -> Answer:
+        """From what :func:`blind.searching.searched` gives."""
+        result = found["result"]
         return cls(
-            hidden=Hidden.opened(seal),
+            hidden=Hidden.opened(found["seal"]),
             verdict=result["verdict"],
             named=tuple(effect["name"] for effect in result["effects"]),
             sets=tuple(map(tuple, result["ambiguous"])),
-            left=left,
+            left=found["left"],
         )
 
     @property
@@ -144,6 +146,8 @@ def figures(answers: Sequence[Answer]) -> list[Figure]:
             (set(a.hidden.effects) <= a.reported for a in told),
             0.98,
         ),
+        figure("flights of RotorPy, full size: named", (a.right for a in over(ELSE)), 0.95),
+        figure("… or one of the set that is reported", (a.in_set for a in over(ELSE)), 0.95),
         figure(
             "gap left by effects rightly found: at most 2 %",
             (a.left is not None and a.left <= 0.02 for a in additive),

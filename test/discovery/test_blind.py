@@ -1,0 +1,45 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The short form of `make discovery`, from flights to figures."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from blind.cases import NULL, SINGLE
+
+TOOL = Path(__file__).parents[2] / "tools" / "discovery.py"
+
+
+@pytest.mark.slow
+def test_short_form(tmp_path, monkeypatch, capsys):
+    spec = importlib.util.spec_from_file_location("discovery", TOOL)
+    tool = importlib.util.module_from_spec(spec)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    spec.loader.exec_module(tool)
+    found, page = tmp_path / "discovery.json", tool.PAGE.read_bytes()
+    arguments = ["--short", "--work", str(tmp_path / "work"), "--json", str(found)]
+    monkeypatch.setattr(sys, "argv", [str(TOOL), *arguments])
+    tool.main()
+    printed = capsys.readouterr().out
+    cases = json.loads(found.read_text())["cases"]
+    assert {case["kind"] for case in cases} == {"null", "single", "outside", "pair", "under-excited"}
+    for case in cases:
+        assert case["result"]["verdict"] in {"none", "effects", "unknown"}, case["result"]["verdict"]
+    # Full size and plain to see: whatever else the flights hold, this much is found.
+    named = [
+        case["hidden"] == [effect["name"] for effect in case["result"]["effects"]]
+        for case in cases
+        if case["kind"] == SINGLE
+    ]
+    assert sum(named) >= 3
+    assert any(case["result"]["verdict"] == "none" for case in cases if case["kind"] == NULL)
+    assert "nulls: false alarms" in printed
+    assert tool.PAGE.read_bytes() == page
+    # What was searched is kept: a second run has nothing to do.
+    tool.main()
+    assert f"{len(cases)} cases, 0 to search" in capsys.readouterr().out
