@@ -27,7 +27,9 @@ from quadpi_ros.processes import Child, isolated_domain
 
 # The first start on a machine compiles the kernels.
 _START_TIMEOUT_S = 300.0
-_SILENCE_S = 0.5
+# A busy machine holds nodes up: they are silent before their first prediction, and between others.
+_FIRST_TIMEOUT_S = 20.0
+_SILENCE_S = 1.0
 
 
 class SessionError(QuadpiError):
@@ -172,6 +174,7 @@ def play(
     arguments += ("--nodes", *managed) if managed else ()
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())
+    collector.spin_until(lambda: nodes.finished() or len(collector.arrived_ns) > 0, _FIRST_TIMEOUT_S)
     collector.spin_until(lambda: nodes.finished() or collector.silent_for(_SILENCE_S))
     if nodes.finished():
         raise SessionError("the live nodes ended before the flight did")

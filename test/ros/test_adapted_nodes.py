@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,8 @@ SETTINGS = {
     "imu": "{}",
     "odometry": "{}",
 }
+# Slow and short, for machines that are busy: a sample that the network loses is a prediction that lacks.
+FLIGHT_S, PLAYBACK_RATE = 2.0, 0.25
 TOPICS = {name: f"/vehicle/{adapter.topic}" for name, adapter in ADAPTERS.items()}
 KINDS = {"float32": "float", "float64": "double"}
 
@@ -142,6 +145,19 @@ def state_messages(vendor: Messages, imu: ImuStream) -> list[bytes]:
     ]
 
 
+def beginning(hover: Recording, seconds: float) -> Recording:
+    """The first seconds of a flight."""
+    end_ns = hover.imu.time_ns[0] + round(1e9 * seconds)
+    cut = {}
+    for name in ("imu", "rotor_speeds", "pose"):
+        stream = getattr(hover, name)
+        kept = stream.time_ns < end_ns
+        cut[name] = replace(
+            stream, **{field.name: getattr(stream, field.name)[kept] for field in fields(stream)}
+        )
+    return replace(hover, **cut)
+
+
 def write_vendor_bag(vendor: Messages, path: Path, names: Sequence[str], hover: Recording) -> Path:
     """The flight in messages of those adapters; the standard topic imu where none gives it."""
     # At 100 Hz, the most that PX4 exports.
@@ -190,7 +206,7 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
     settings = tmp_path / "field.yaml"
     kinds = {ADAPTERS[name].kind for name in names}
     settings.write_text("".join(f"{kind}: {SETTINGS[kind]}\n" for kind in sorted(kinds)))
-    bag = write_vendor_bag(vendor, tmp_path / "adapted", names, hover)
+    bag = write_vendor_bag(vendor, tmp_path / "adapted", names, beginning(hover, FLIGHT_S))
     vehicle = Vehicle.load(VEHICLE)
     recording = read_recording(bag, vehicle, settings)
     write_bag(tmp_path / "standard.mcap", recording)
@@ -210,11 +226,11 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
     with isolated_domain() as scratch, Collector(int(recording.imu.time_ns[0])) as collector:
         with Child(f"quadpi_ros.{nodes}", ("--ros-args", *arguments), scratch) as live:
             collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
-            play(bag, playable(bag), 1.0, scratch, live, collector, managed)
+            play(bag, playable(bag), PLAYBACK_RATE, scratch, live, collector, managed)
             # A busy machine may hold the nodes up for longer than a flight falls silent.
             collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
         predictions = collector.predictions()
-    assert len(predictions.time_ns) > 900
+    assert len(predictions.time_ns) > 450
     np.testing.assert_array_equal(predictions.time_ns, expected.time_ns)
     for name in ("predicted", "lower", "upper", "measured"):
         live_values, replayed = getattr(predictions, name), getattr(expected, name)
