@@ -16,20 +16,10 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from quadpi_ros.topics import OUTPUTS, SENSORS, argument_of
+
 # Every topic can be given another name, relative to the namespace or absolute.
-TOPICS = (
-    "imu",
-    "rotor_speeds",
-    "erpm",
-    "mocap/pose",
-    "mocap/odometry",
-    "mocap/twist",
-    "wind",
-    "odometry",
-    "prediction",
-    "extrapolation_alarm",
-    "alarm_log",
-)
+TOPICS = SENSORS + OUTPUTS
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -45,7 +35,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("use_sim_time", default_value="false", description="clock from /clock"),
     ]
     arguments += [
-        DeclareLaunchArgument(_argument(topic), default_value=topic, description=f"name of the topic {topic}")
+        DeclareLaunchArgument(
+            argument_of(topic), default_value=topic, description=f"name of the topic {topic}"
+        )
         for topic in TOPICS
     ]
     common = {
@@ -61,7 +53,7 @@ def generate_launch_description() -> LaunchDescription:
             executable=executable,
             namespace=LaunchConfiguration("namespace"),
             parameters=[LaunchConfiguration("parameters"), given],
-            remappings=[(topic, LaunchConfiguration(_argument(topic))) for topic in TOPICS],
+            remappings=[(topic, LaunchConfiguration(argument_of(topic))) for topic in TOPICS],
             condition=condition,
             output="screen",
         )
@@ -75,8 +67,3 @@ def generate_launch_description() -> LaunchDescription:
             node("monitor_node", with_model, IfCondition(separate)),
         ]
     )
-
-
-def _argument(topic: str) -> str:
-    """Name of the launch argument of a topic."""
-    return f"{topic.replace('/', '_')}_topic"

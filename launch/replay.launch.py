@@ -13,6 +13,8 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from quadpi_ros.topics import SENSORS, argument_of
+
 
 def generate_launch_description() -> LaunchDescription:
     """Arguments bag, vehicle and model are required; all of monitor.launch.py can be given as well."""
@@ -33,18 +35,7 @@ def generate_launch_description() -> LaunchDescription:
             "300",
         ],
         # Declared by monitor.launch.py, which is included before this runs.
-        remappings=[
-            (topic, LaunchConfiguration(f"{topic.replace('/', '_')}_topic"))
-            for topic in (
-                "imu",
-                "rotor_speeds",
-                "erpm",
-                "mocap/pose",
-                "mocap/odometry",
-                "mocap/twist",
-                "wind",
-            )
-        ],
+        remappings=[(topic, LaunchConfiguration(argument_of(topic))) for topic in SENSORS],
         output="screen",
     )
     return LaunchDescription(

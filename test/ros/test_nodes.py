@@ -275,8 +275,9 @@ def test_replay_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Path(included).is_file()
     (player,) = [call.kwargs for call in fakes.node.call_args_list]
     assert player["executable"] in programs()
-    from quadpi_ros.player import parse_arguments
+    from quadpi_ros.player import SENSOR_TYPES, parse_arguments
 
+    assert {topic for topic, _ in player["remappings"]} == SENSOR_TYPES.keys()
     given = [argument.replace("$rate", "2.0") for argument in player["arguments"]]
     assert parse_arguments(given).rate == 2.0
 
