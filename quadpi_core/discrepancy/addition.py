@@ -19,15 +19,16 @@ from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.formulas import write_formulas
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
-from quadpi_core.errors import DiscrepancyError, VehicleError
+from quadpi_core.errors import DiscrepancyError, SimulationError, VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects import EFFECTS, Effects
+from quadpi_core.simulation.effects import EFFECTS, Effects, altered_vehicle
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
-from quadpi_core.vehicle import ROTORS
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 _ROTORS = "rotor_thrusts"
 # Not linear in its parameters: one on top of another is not their sum.
 _ALONE = "tether"
+_HALVINGS = 20
 
 
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
@@ -58,7 +59,23 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         multiples = dict(zip(design.tolerance_names, fitted.of(design.tolerances).tolist(), strict=True))
         adjusted, small = _divided(multiples, simulation.tolerances)
         effects = merged(small, effects)
-    return _added(simulation, effects, adjusted)
+    return _added(simulation, _possible(effects, simulation.vehicle), adjusted)
+
+
+def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
+    """The effects, the change of inertia halved until some rigid body has it.
+
+    Of a flat vehicle, one moment is nearly the sum of the others: noise alone can take it beyond.
+    """
+    for _ in range(_HALVINGS):
+        try:
+            altered_vehicle(effects, vehicle)
+        except SimulationError:
+            halved = {key: 0.5 * value for key, value in effects["inertia"].items()}
+            effects = {**effects, "inertia": halved}
+        else:
+            break
+    return effects
 
 
 def _fit(found: Found, gram: Array) -> Fit:

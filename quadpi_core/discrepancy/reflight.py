@@ -125,7 +125,7 @@ def closed_loops(
 ) -> dict[str, Any]:
     """References of flights flown again by the simulation, before and after, beside the measured flights.
 
-    Only flights that a simulation of quadpi's flew hold their reference; what a controller was to do in others
+    Only flights of quadpi's own simulation hold their reference; what a controller was to do in others
     is not known. `floor` is what the estimator got wrong, where the bag holds the truth. `missing` says why
     nothing was flown, `lost` which flights got out of control.
     """

@@ -94,9 +94,10 @@ def rollout_floor(flight: Flight, vehicle: Vehicle, horizon_s: float = HORIZON_S
 def _simulated(flight: Flight, simulation: Simulation) -> _Wrench:
     """The wrench of a simulation for bodies in states of their own, with rotor speeds and wind of the flight.
 
-    Each is asked for at three instants, so that what depends on how fast rotors change has its differences.
+    Each is asked for at three instants, so that what depends on how fast rotors change has its differences:
+    over a whole step, which add up to the change of the speeds.
     """
-    step = 1.0 / flight.rate_hz
+    step = 0.5 / STEP_HZ
 
     def wrench(time: Array, motion: _Motion) -> Array:
         instants = (time[:, None] + step * np.array([-1.0, 0.0, 1.0])).ravel()

@@ -89,11 +89,12 @@ class RecordedSimulation(Simulation):
             raise DiscrepancyError(f"{where}: was not read")
         recorded = self.wrenches[flight.source]
         stamps = flight.start_ns + np.round(1e9 * flight.time).astype(np.int64)
-        early, late = recorded.time_ns[0] - stamps[0], stamps[-1] - recorded.time_ns[-1]
-        if max(early, late) > MAX_GAP_NS:
+        first, last = recorded.time_ns[0] - stamps[0], recorded.time_ns[-1] - stamps[0]
+        end = stamps[-1] - stamps[0]
+        if first > MAX_GAP_NS or last < end - MAX_GAP_NS:
             raise DiscrepancyError(
-                f"{where}: does not cover the flight: starts {1e-9 * early:.3f} s after it, ends "
-                f"{1e-9 * late:.3f} s before; its stamps must be on the clock of the sensors"
+                f"{where}: its stamps, {1e-9 * first:.3f} to {1e-9 * last:.3f} s after the start of the "
+                f"flight, do not cover it, 0 to {1e-9 * end:.3f} s; they must be on the clock of the sensors"
             )
         columns = [np.interp(stamps, recorded.time_ns, column) for column in recorded.wrench.T]
         return np.stack(columns, axis=1)

@@ -1,0 +1,152 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The gap in flight: roll-outs, references flown again, coverage of intervals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy import AugmentedSimulation, discover, load_simulation
+from quadpi_core.discrepancy.reflight import Track, coverages, fly_again, reflights
+from quadpi_core.discrepancy.rollout import rollout, rollout_floor
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.identification import airborne
+from quadpi_core.logs import read_recording
+from quadpi_core.signals.fusion import fuse
+from quadpi_core.simulation.effects import read_effects
+from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.reference import STEP_HZ
+from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.vehicle import Vehicle
+
+
+@pytest.fixture(scope="module")
+def truth(plans):
+    """A flight without sensors: what truly happened."""
+    plan = plans["forward"]
+    return simulate_flight(
+        plan.name, SimulatedVehicle.load("bebop2"), plan.reference(STEP_HZ), seed=1
+    ).flight()
+
+
+def test_the_true_simulation_rolls_out_along_the_flight(truth):
+    error = rollout(truth, load_simulation("bebop2"))
+    assert error.velocity_m_s < 0.01
+    assert error.attitude_deg < 0.3
+    assert error.starts == pytest.approx(4 * (truth.time[-1] - 0.5), abs=1)
+
+
+def test_the_measured_wrench_rolls_out_along_the_flight(truth):
+    error = rollout_floor(truth, load_simulation("bebop2").vehicle)
+    assert error.velocity_m_s < 0.01
+    assert error.attitude_deg < 0.1
+    assert error.rates_rad_s < 0.01
+
+
+def test_a_simulation_that_lacks_thrust_falls(truth):
+    """Without a share of the thrust the vehicle gains that share of g downward."""
+    simulation = load_simulation("bebop2")
+    weaker = replace(simulation, model=simulation.adjusted({"thrust": -5.0}).model)
+    hover = truth.slice(slice(0, int(1.2 * truth.rate_hz)))
+    error = rollout(hover, weaker, horizon_s=0.1)
+    assert error.velocity_m_s == pytest.approx(0.05 * 9.81 * 0.1, rel=0.1)
+
+
+def test_rotors_that_change_their_speed_turn_the_body_by_their_momentum(plans):
+    plan, vehicle = plans["turns"], SimulatedVehicle.load("bebop2")
+    flight = simulate_flight(plan.name, vehicle, plan.reference(STEP_HZ), seed=1).flight()
+    inertia = 8e-6
+    effects = read_effects({"spin_up": {"rotor_inertia_kg_m2": inertia}}, "test")
+    simulation = AugmentedSimulation(load_simulation("bebop2"), effects)
+    horizon_s = 0.1
+    error = rollout(flight, simulation, horizon_s)
+    momentum = inertia * flight.rotor_speeds @ vehicle.vehicle.rotor_spins
+    starts = np.arange(0.0, flight.time[-1] - horizon_s, 0.25)
+    gained = np.interp(starts + horizon_s, flight.time, momentum) - np.interp(starts, flight.time, momentum)
+    expected = np.sqrt(np.mean(np.square(gained))) / vehicle.vehicle.inertia[2, 2]
+    assert error.rates_rad_s == pytest.approx(expected, rel=0.05)
+    assert expected > 0.01
+
+
+def test_too_short_a_flight(truth):
+    with pytest.raises(DiscrepancyError, match=r"shorter than the 0\.5 s of a roll-out"):
+        rollout(truth.slice(slice(0, 100)), load_simulation("bebop2"))
+
+
+def test_tracks_are_compared_where_both_are(truth):
+    track = Track.of(truth)
+    later = replace(track, time_ns=track.time_ns + 10**9)
+    moved = replace(track, position=track.position + np.array([3.0, 4.0, 0.0]))
+    squares, count = track.squares(moved)
+    assert count == len(track.time_ns)
+    np.testing.assert_allclose(squares / count, [25.0, 0.0, 0.0, 0.0], atol=1e-6)
+    assert track.squares(later)[1] == count - 500
+
+
+def test_an_effect_shows_in_the_closed_loop(plans):
+    plan = plans["forward"]
+    vehicle = SimulatedVehicle.load("bebop2")
+    effects = read_effects({"rotor_drag": None}, "test")
+    plain, draggy = fly_again(plan, vehicle), fly_again(plan, replace(vehicle, effects=effects))
+    flown = simulate_flight(
+        plan.name, vehicle, plan.reference(STEP_HZ), effects=effects, seed=plan.seed
+    ).flight()
+    same, _ = Track.of(flown).squares(draggy)
+    other, count = Track.of(flown).squares(plain)
+    np.testing.assert_allclose(same, 0.0, atol=1e-9 * count)
+    assert np.all(other > 1e-5 * count)
+
+
+@pytest.mark.slow
+def test_flights_of_bags_are_flown_again(quadpi, tmp_path):
+    names = ("forward", "climb", "turns")
+    chosen = [argument for name in names for argument in ("--flight", name)]
+    effect = "inflow_damping:damping_n_s_m=0.2"
+    assert quadpi("simulate", "discovery", *chosen, "-o", tmp_path, "--effect", effect).status == 0
+    vehicle = Vehicle.load("bebop2")
+    flights = [
+        airborne(fuse(read_recording(tmp_path / f"{name}.mcap", vehicle), vehicle, 30.0), 9.8)
+        for name in names
+    ]
+    found = discover(load_simulation("bebop2"), flights, names=("inflow_damping", "cg_offset"))
+    result = reflights(found)
+    loop = result["closed_loop"]
+    assert loop["flights"] == 3
+    assert loop["lost"] == []
+    assert loop["reduction"] > 0.8
+    assert loop["position_m"]["floor"] <= loop["position_m"]["after"] < loop["position_m"]["before"]
+    for name in ("velocity_m_s", "attitude_deg"):
+        assert result["rollout"][name]["after"] < 0.5 * result["rollout"][name]["before"]
+    assert "coverage" not in result
+
+
+def test_flights_without_a_reference_are_not_flown_again(flown):
+    hidden = flown("inflow_damping:damping_n_s_m=0.2")
+    found = discover(load_simulation("bebop2"), hidden, names=("inflow_damping",))
+    assert reflights(found)["closed_loop"] == {
+        "flights": 0,
+        "missing": "the bags hold no reference that the simulation could fly again",
+    }
+
+
+def test_coverage_before_and_after(truth):
+    """Intervals about a simulation that is off by twice their width hold nothing; corrected, everything."""
+    good = load_simulation("bebop2")
+
+    class Interval:
+        def wrench(self, flight):
+            return good.wrench(flight) + 0.2
+
+        def intervals(self, flight):
+            return self.wrench(flight) - 0.1, self.wrench(flight) + 0.1
+
+        vehicle = good.vehicle
+
+    found = coverages([truth], Interval(), Interval(), [good])
+    assert set(found) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
+    for axis in found.values():
+        assert axis["before"] == 0.0
+        assert axis["after"] > 0.95
