@@ -21,8 +21,7 @@ from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import ekf_buffer as buffer
 from quadpi_core.signals import ekf_kernels as kernels
-from quadpi_core.signals import ekf_run
-from quadpi_core.signals.ekf_buffer import Clock, Source
+from quadpi_core.signals import ekf_memory, ekf_run
 from quadpi_core.signals.ekf_corrections import BODY_VELOCITY, JOURNAL, POSE, VALUES, WORLD_VELOCITY
 from quadpi_core.signals.ekf_initial import (
     COLLECT_NS,
@@ -33,6 +32,8 @@ from quadpi_core.signals.ekf_initial import (
     initial_from_velocities,
 )
 from quadpi_core.signals.ekf_kernels import ERROR_STATES, EstimatorStatus, Noise, Outcome, Row
+from quadpi_core.signals.ekf_memory import Clock, Source
+from quadpi_core.signals.ekf_status import status_of
 from quadpi_core.signals.odometry import FusedSamples
 from quadpi_core.vehicle import Vehicle
 
@@ -208,7 +209,7 @@ class Ekf:
     def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
         self._sensors = vehicle.noise
         self._gravity = vehicle.gravity_m_s2
-        self._memory = buffer.allocate(rate_hz, _noise(vehicle, rate_hz))
+        self._memory = ekf_memory.allocate(rate_hz, _noise(vehicle, rate_hz))
         self._initial: Initial | None = None
         self._caught_up: Stamps = np.empty(0, dtype=np.int64)
         self._imu: deque[ImuSample] = deque(maxlen=_COLLECTED_MAX)
@@ -274,7 +275,7 @@ class Ekf:
 
     def reset(self) -> None:
         """Forget the estimate and start collecting anew; the counts stay."""
-        buffer.forget(self._memory)
+        ekf_memory.forget(self._memory)
         self._initial = None
         self._imu.clear()
         self._measurements.clear()
@@ -349,7 +350,7 @@ class Ekf:
     @property
     def noise(self) -> Noise:
         """What the filter assumes of the sensors."""
-        return buffer.noise_of(self._memory.noise)
+        return ekf_memory.noise_of(self._memory.noise)
 
     def _run(
         self, recording: Recording, *, journalled: bool
@@ -479,7 +480,7 @@ class Ekf:
             return
         self._initial = initial
         arrived_ns = self._memory.sources[:, Source.ARRIVED_NS].copy()
-        buffer.start(self._memory, initial.time_ns, initial.row, initial.imu_ns)
+        ekf_memory.start(self._memory, initial.time_ns, initial.row, initial.imu_ns)
         caught_up = [(stamp, sample) for stamp, sample in imu if stamp >= initial.imu_ns]
         counted = self._memory.counts[_IMU].copy()
         for stamp, sample in caught_up[1:]:
@@ -492,7 +493,7 @@ class Ekf:
                 buffer.hold(self._memory, stamp, kind, value)
         self._memory.sources[:, Source.ARRIVED_NS] = arrived_ns
         self._memory.clock[Clock.ACCEPTED_NS] = time_ns
-        self._memory.clock[Clock.STATUS] = buffer.status_of(self._memory, time_ns)
+        self._memory.clock[Clock.STATUS] = status_of(self._memory, time_ns)
         self._imu.clear()
         self._measurements.clear()
 

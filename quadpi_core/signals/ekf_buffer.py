@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The filter's memory of the last half second, and what each sample does to it.
+"""What each sample does to the filter's memory of the last half second.
 
 Motion capture is late: what it saw is fused where it belongs in time, and the estimates since then are
 computed anew. So that the order of arrival hardly matters, and replay equals live, a measurement stamped s is
@@ -9,8 +9,6 @@ the next IMU sample.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,75 +30,27 @@ from quadpi_core.signals.ekf_corrections import (
     Count,
 )
 from quadpi_core.signals.ekf_kernels import (
-    ACCELEROMETER_BIAS,
     TRANSITION,
-    VELOCITY,
-    EstimatorStatus,
     Noise,
     Outcome,
     Row,
     between,
     copy,
-    covariance_of,
     propagate,
     usable_imu,
     usable_pose,
     usable_velocity,
 )
+from quadpi_core.signals.ekf_memory import BUFFER_S, NEVER, Clock, Memory, Source, noise_of
+from quadpi_core.signals.ekf_status import status_of
 
 HOLD_NS = 10_000_000
-BUFFER_S = 0.5
 _BUFFER_NS = round(BUFFER_S * 1e9)
-# Measurements that wait; more than motion capture sends in the time by which it may be early.
-_HELD = 256
-
-# Without a correction for this long the state is DEGRADED, then LOST.
-DEGRADED_NS = 250_000_000
-LOST_NS = 2_000_000_000
-_DEGRADED_REJECTIONS = 3
-# Standard deviation beyond which a velocity is of no use as an input of a model.
-VELOCITY_STD_MAX_M_S = 2.0
-# Standard deviations beyond which the state is DEGRADED: it has not settled after its start or a jump of
-# motion capture that was believed. Up to this velocity predictions are those of a settled state to half of
-# the half width of their intervals; this specific force is one per cent of the weight.
-SETTLED_VELOCITY_STD_M_S = 0.05
-SETTLED_BIAS_STD_M_S2 = 0.1
 # Rejections that persist for this long, and agree among themselves, are taken for the truth.
 _PERSISTENCE_NS = 400_000_000
 _PERSISTENCE_COUNT = 5
 # So many equal values in a row never come from a sensor that has noise.
 _REPEATS_MAX = 12
-
-_NEVER = -(2**62)
-
-
-class Clock:
-    """Where the clock (a row of whole numbers) holds what."""
-
-    HEAD = 0  # row of the newest estimate
-    FILLED = 1  # rows in use
-    CORRECTED_NS = 2  # instant of the last correction
-    HELD_FIRST = 3
-    HELD_COUNT = 4
-    ACCEPTED_NS = 5  # stamp of the IMU sample at which a correction was last accepted
-    STATUS = 6
-    JOURNALLED = 7
-    JUMPED_NS = 8  # stamp of the IMU sample before, where that was far from all before it
-    WIDTH = 9
-
-
-class Source:
-    """Where the record of one source of corrections holds what."""
-
-    ARRIVED_NS = 0  # stamp of the last measurement that was held
-    SEEN_NS = 1  # stamp since which the same value is repeated
-    REPEATS = 2
-    CHANGES = 3
-    REFUSED_SINCE_NS = 4
-    REFUSED_NS = 5
-    REFUSED = 6
-    WIDTH = 7
-
 
 _HEAD, _FILLED, _CORRECTED_NS, _ACCEPTED_NS = Clock.HEAD, Clock.FILLED, Clock.CORRECTED_NS, Clock.ACCEPTED_NS
 _HELD_FIRST, _HELD_COUNT, _STATUS, _JOURNALLED, _JUMPED_NS = (
@@ -112,7 +62,6 @@ _HELD_FIRST, _HELD_COUNT, _STATUS, _JOURNALLED, _JUMPED_NS = (
 )
 _ARRIVED_NS, _SEEN_NS, _REPEATS, _CHANGES = Source.ARRIVED_NS, Source.SEEN_NS, Source.REPEATS, Source.CHANGES
 _REFUSED_SINCE_NS, _REFUSED_NS, _REFUSED = Source.REFUSED_SINCE_NS, Source.REFUSED_NS, Source.REFUSED
-_VELOCITY, _ACCELEROMETER_BIAS = VELOCITY.start, ACCELEROMETER_BIAS.start
 _DELAY, _STATE_BEGIN, _WIDTH = Row.DELAY, Row.NOMINAL.start, Row.WIDTH
 _USED, _TOO_LATE, _REJECTED, _FROZEN = (
     Outcome.USED.value,
@@ -120,89 +69,6 @@ _USED, _TOO_LATE, _REJECTED, _FROZEN = (
     Outcome.REJECTED.value,
     Outcome.FROZEN.value,
 )
-_OUTCOMES = len(Outcome)
-
-
-class Memory(NamedTuple):
-    """All that the filter remembers; arrays that the kernels change in place.
-
-    Attributes:
-        clock: (9,) see :class:`Clock`.
-        stamps: (N,) of the estimates in `rows`, a ring.
-        rows: (N + 3, 279) estimates at the stamps of IMU samples, see :class:`Row`; then that after the last
-            correction, at its own instant, and two to work on.
-        held_ns, held: (H,), (H, 8) measurements that wait, with their kind in the last column; a ring.
-        sources: (2, 7) of poses and velocities, see :class:`Source`.
-        seen: (2, 14) value that each source measured last, and that it was last refused with.
-        counts: (3, outcomes) of IMU samples, poses and velocities.
-        noise: (12,) numbers of :class:`Noise`.
-    """
-
-    clock: Count
-    stamps: Stamps
-    rows: Array
-    held_ns: Stamps
-    held: Array
-    sources: Count
-    seen: Array
-    counts: Count
-    noise: Array
-
-
-def allocate(rate_hz: float, noise: Noise) -> Memory:
-    """An empty memory for an IMU of that rate."""
-    length = int(np.ceil(BUFFER_S * rate_hz)) + 3
-    memory = Memory(
-        clock=np.zeros(Clock.WIDTH, dtype=np.int64),
-        stamps=np.zeros(length, dtype=np.int64),
-        rows=np.zeros((length + 3, Row.WIDTH)),
-        held_ns=np.zeros(_HELD, dtype=np.int64),
-        held=np.zeros((_HELD, VALUES + 1)),
-        sources=np.zeros((2, Source.WIDTH), dtype=np.int64),
-        seen=np.zeros((2, 2 * VALUES)),
-        counts=np.zeros((3, _OUTCOMES), dtype=np.int64),
-        noise=np.array(noise, dtype=np.float64),
-    )
-    forget(memory)
-    return memory
-
-
-def forget(memory: Memory) -> None:
-    """Make the memory empty, but for the counts."""
-    for array in (memory.clock, memory.rows, memory.sources, memory.seen):
-        array[...] = 0
-    memory.sources[:, Source.ARRIVED_NS] = _NEVER
-    memory.clock[Clock.JUMPED_NS] = _NEVER
-
-
-def start(memory: Memory, time_ns: int, estimate: Array, imu_ns: int) -> None:
-    """Begin with an estimate (279,) at `time_ns`, whose IMU sample is stamped `imu_ns`, at or before that."""
-    forget(memory)
-    length = len(memory.stamps)
-    memory.stamps[0] = imu_ns
-    memory.rows[0] = memory.rows[length] = estimate
-    memory.clock[Clock.FILLED] = 1
-    memory.clock[Clock.CORRECTED_NS] = time_ns
-    memory.clock[Clock.ACCEPTED_NS] = imu_ns
-
-
-@njit(cache=True)
-def noise_of(numbers: Array) -> Noise:
-    """The noise that an array of its numbers stands for."""
-    return Noise(
-        numbers[0],
-        numbers[1],
-        numbers[2],
-        numbers[3],
-        numbers[4],
-        numbers[5],
-        numbers[6],
-        numbers[7],
-        numbers[8],
-        numbers[9],
-        numbers[10],
-        numbers[11],
-    )
 
 
 @njit(cache=True)
@@ -250,7 +116,7 @@ def predict(memory: Memory, time_ns: int, sample: Array) -> int:
             return Outcome.RESET.value
         clock[_JUMPED_NS] = time_ns
         return Outcome.STAMP_JUMPED.value
-    clock[_JUMPED_NS] = _NEVER
+    clock[_JUMPED_NS] = NEVER
     if since <= 0:
         return Outcome.STAMP_NOT_ADVANCING.value
     length = len(stamps)
@@ -412,13 +278,13 @@ def _renew(memory: Memory, row: Array, before: int, instant_ns: int, transition:
 def _corrected_ns(memory: Memory, before: int) -> int:
     """Instant of the last correction if it is at or after the estimate `before`; else long ago."""
     corrected_ns: int = memory.clock[_CORRECTED_NS]
-    return corrected_ns if corrected_ns >= memory.stamps[before] else _NEVER
+    return corrected_ns if corrected_ns >= memory.stamps[before] else NEVER
 
 
 @njit(cache=True)
 def _base(memory: Memory, before: int, row: Array) -> None:
     """The last estimate in the interval that begins with `before`: the one there, or a correction's."""
-    source = len(memory.stamps) if _corrected_ns(memory, before) != _NEVER else before
+    source = len(memory.stamps) if _corrected_ns(memory, before) != NEVER else before
     copy(memory.rows[source], row, 0, _WIDTH)
 
 
@@ -520,27 +386,3 @@ def _persists(
     copy(value, refused, 0, VALUES)
     persisted = time_ns - marks[_REFUSED_SINCE_NS] >= _PERSISTENCE_NS
     return bool(persisted and marks[_REFUSED] >= _PERSISTENCE_COUNT)
-
-
-@njit(cache=True)
-def status_of(memory: Memory, now_ns: int) -> int:
-    """How far the newest estimate can be used, at its stamp: a value of :class:`EstimatorStatus`."""
-    since = now_ns - memory.clock[_ACCEPTED_NS]
-    covariance = covariance_of(memory.rows[memory.clock[_HEAD]])
-    velocity, bias = _worst(covariance, _VELOCITY), _worst(covariance, _ACCELEROMETER_BIAS)
-    if since > LOST_NS or velocity > VELOCITY_STD_MAX_M_S**2:
-        return EstimatorStatus.LOST.value
-    rejections = max(memory.sources[0, _REFUSED], memory.sources[1, _REFUSED])
-    settled = velocity <= SETTLED_VELOCITY_STD_M_S**2 and bias <= SETTLED_BIAS_STD_M_S2**2
-    if since > DEGRADED_NS or rejections >= _DEGRADED_REJECTIONS or not settled:
-        return EstimatorStatus.DEGRADED.value
-    return EstimatorStatus.OK.value
-
-
-@njit(cache=True)
-def _worst(covariance: Array, begin: int) -> float:
-    """The largest of three variances."""
-    worst: float = max(
-        covariance[begin, begin], covariance[begin + 1, begin + 1], covariance[begin + 2, begin + 2]
-    )
-    return worst

@@ -12,9 +12,10 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.signals.ekf_buffer import Clock, Memory, hold, noise_of, predict, release
+from quadpi_core.signals.ekf_buffer import hold, predict, release
 from quadpi_core.signals.ekf_corrections import BODY_VELOCITY, POSE, VALUES, WORLD_VELOCITY, Count
 from quadpi_core.signals.ekf_kernels import ERROR_STATES, Outcome, Row, covariance_of
+from quadpi_core.signals.ekf_memory import Clock, Memory, noise_of
 from quadpi_core.signals.odometry import FUSED, fill_fused
 
 _HEAD, _STATUS = Clock.HEAD, Clock.STATUS

@@ -20,7 +20,7 @@ from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import ekf_corrections as corrections
 from quadpi_core.signals.ekf import Ekf, Estimates, Segment
-from quadpi_core.signals.ekf_buffer import noise_of, step_between
+from quadpi_core.signals.ekf_buffer import step_between
 from quadpi_core.signals.ekf_corrections import KIND, LAG, POSE, SCALAR, VALUE, VALUES, WIDENED
 from quadpi_core.signals.ekf_kernels import (
     ERROR_STATES,
@@ -31,6 +31,7 @@ from quadpi_core.signals.ekf_kernels import (
     covariance_of,
     inject,
 )
+from quadpi_core.signals.ekf_memory import noise_of
 
 # IMU samples between checkpoints: a second of the usual rate.
 CHUNK = 500
