@@ -147,12 +147,15 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     off = np.clip(rng.standard_normal((len(tolerances), DRAWS)), -most, most)
 
+    # What generic functions predict is no noise either, where it has no name.
+    spectrum = np.minimum(design.noise, found.left.noise)
+
     def noise(place: int) -> Array:
         rng, band = np.random.default_rng((seed, place)), spectra[place].band
         # Noise differs from flight to flight: no better known than its own squares in a band could tell.
         count = np.maximum(np.bincount(band, minlength=BANDS), 1)[:, None]
         share = rng.chisquare(count, (len(AXES), BANDS, DRAWS)) / count
-        deviation = np.sqrt(design.noise[:, :, None] / share)
+        deviation = np.sqrt(spectrum[:, :, None] / share)
         return deviation[:, band] * rng.standard_normal((len(AXES), len(band), DRAWS))
 
     # Made twice rather than kept: it is by far the largest of all arrays.

@@ -21,7 +21,7 @@ from quadpi_core.frames import Array, rotation_matrix
 
 # Chance that some coefficient of a simulation is further off than it is allowed to be here.
 _BEYOND = 0.025
-VARIABLES = ("speed", "u", "v", "w", "height", "rotor_speed", "rates", "heading", "time")
+VARIABLES = ("speed", "u", "v", "w", "height", "rotor_speed", "rates", "heading", "north", "east", "time")
 
 
 class Residual(NamedTuple):
@@ -31,9 +31,10 @@ class Residual(NamedTuple):
         flight: its name.
         time: (B,) s since the flight began.
         variables: (B,) each, by names of `VARIABLES`: m/s through the air, m above the world's origin,
-            rad/s (mean of the rotors; magnitude of the rates), degrees, s since the first sample.
+            rad/s (mean of the rotors; magnitude of the rates), degrees, m north and east of that origin, s
+            since the first sample.
         before: as it is.
-        beyond: with coefficients where they fit best within their tolerances.
+        beyond: with coefficients where, beside the effects, they fit best within their tolerances.
         after: with effects and coefficients as found on all other flights.
     """
 
@@ -49,9 +50,11 @@ def residuals(found: Found) -> list[Residual]:
     """Residuals of the flights of a search, in their order."""
     design = found.design
     tolerances = design.tolerances
-    fitted = within_tolerance(
-        design.gram[np.ix_(tolerances, tolerances)], design.gram[tolerances, 0][:, None]
-    )[:, 0]
+    # Beside the effects that were found: alone, coefficients would bend to take their place.
+    without = design.weights(found.fit)
+    without[tolerances] = 0.0
+    projected = design.gram[tolerances] @ without
+    fitted = within_tolerance(design.gram[np.ix_(tolerances, tolerances)], projected[:, None])[:, 0]
     weights = left_out_weights(design, found.chosen)
     result = []
     for place, (flight, spectrum) in enumerate(zip(design.flights, design.spectra(), strict=True)):
@@ -140,5 +143,7 @@ def variables(compared: Compared) -> dict[str, Array]:
         "rotor_speed": states["rotor_speeds"].mean(axis=1),
         "rates": np.linalg.norm(states["rates"], axis=1),
         "heading": np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])),
+        "north": states["position"][:, 0],
+        "east": states["position"][:, 1],
         "time": time - time[0],
     }

@@ -32,6 +32,8 @@ WORDS = {
     "rotor_speed": ("mean rotor speed", "rad/s"),
     "rates": ("turn rate", "rad/s"),
     "heading": ("heading", "degrees"),
+    "north": ("position north", "m"),
+    "east": ("position east", "m"),
     "time": ("time", "s"),
 }
 
@@ -158,8 +160,8 @@ class Where:
 def locate(found: Found, seed: int = 0) -> Where:
     """Find where the flights of a search disagree with its simulation.
 
-    Coefficients of the simulation are first put where they fit best within their tolerances, so that what
-    one of them explains stands nowhere.
+    Coefficients of the simulation are first put where they fit best within their tolerances, beside the
+    effects that were found, so that what one of them explains stands nowhere.
 
     Args:
         found: by a search.
