@@ -268,6 +268,26 @@ def test_bags_without_a_recorded_wrench(bags):
         load_simulation("recorded", "neurobem", bags)
 
 
+def test_columns_of_a_table_become_a_simulated_wrench(tmp_path):
+    """Forward-left-up in the table, forward-right-down here; millinewtons made newtons."""
+    rows = ["t,wx,wy,wz,ax,ay,az,fx,fy,fz,mx,my,mz"]
+    rows += [f"{0.01 * k:.2f},0,0,0,0,0,9.81,{k},1,2000,0.1,0.2,0.3" for k in range(20)]
+    (tmp_path / "flight.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "mine.yaml").write_text(
+        "time: {columns: [t], unit: s}\nbody: flu\nworld: enu\n"
+        "angular_velocity: {columns: [wx, wy, wz], unit: rad/s}\n"
+        "acceleration: {columns: [ax, ay, az], unit: m/s2, axes: body, gravity: included}\n"
+        "simulated_force: {columns: [fx, fy, fz], unit: mN}\n"
+        "simulated_moment: {columns: [mx, my, mz], unit: Nm}\n"
+    )
+    recording = read_recording(tmp_path / "flight.csv", Vehicle.load("neurobem"), str(tmp_path / "mine.yaml"))
+    write_bag(tmp_path / "flight.mcap", recording)
+    again = read_bag(tmp_path / "flight.mcap").simulated
+    assert len(again.wrench) == 20
+    np.testing.assert_allclose(again.wrench[7], [0.007, -0.001, -2.0, 0.1, -0.2, -0.3])
+    assert np.array_equal(again.time_ns, recording.imu.time_ns)
+
+
 # --- An addition
 
 
