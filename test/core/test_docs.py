@@ -113,6 +113,7 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
         ("simulate", scenario, "-o", tmp_path / "simulated"),
         ("identify", *simulated[:2], "--vehicle", "bebop2", "--axes", "Fx", "-o", other),
         ("validate", other, simulated[2], "--realisations", "2"),
+        ("discrepancy", "bebop2", *simulated, "-o", tmp_path / "found", "--effects", "body_drag"),
     ]
     for run in runs:
         assert quadpi(*run, "--json", data).status == 0

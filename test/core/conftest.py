@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Flights of the bundled bags beside the simulation that flew them, and an effect that it then lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy import VehicleSimulation
+from quadpi_core.discrepancy.study import Study, study
+from quadpi_core.flight import Flight
+from quadpi_core.frames import Array
+from quadpi_core.identification import read_flight
+from quadpi_core.paths import bags_directory
+from quadpi_core.simulation.effects import effect_wrench
+from quadpi_core.vehicle import Vehicle
+
+# A search looks for these in tests: each candidate takes time.
+SOUGHT = ("body_drag", "rate_damping", "payload", "wind", "moment_bias")
+DRAG = {"x_n_s2_m2": 0.006, "y_n_s2_m2": 0.009, "z_n_s2_m2": 0.006}
+
+
+@pytest.fixture(scope="session")
+def simulation() -> VehicleSimulation:
+    """Of the Bebop 2."""
+    return VehicleSimulation.load("bebop2")
+
+
+@pytest.fixture(scope="session")
+def flights() -> list[Flight]:
+    """Four flights of 20 s at up to 6 m/s, fused, thinned to 125 Hz."""
+    vehicle = Vehicle.load("bebop2")
+    paths = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
+    return [read_flight(path, vehicle, 30.0)[0].slice(slice(None, None, 4)) for path in paths]
+
+
+def pushed(flight: Flight, vehicle: Vehicle, wrench: Array) -> Flight:
+    """The flight as if a wrench (N, 6) more had acted on it along its path; no longer that of its bag."""
+    turn = wrench[:, 3:] @ np.linalg.inv(vehicle.inertia)
+    return replace(
+        flight,
+        source=f"{flight.name}, pushed",
+        specific_force=flight.specific_force + wrench[:, :3] / vehicle.mass_kg,
+        angular_acceleration=flight.angular_acceleration + turn,
+    )
+
+
+@pytest.fixture(scope="session", name="pushed")
+def pushed_fixture() -> Callable[[Flight, Vehicle, Array], Flight]:
+    """See :func:`pushed`."""
+    return pushed
+
+
+@pytest.fixture(scope="session")
+def dragged(simulation, flights) -> list[Flight]:
+    """The flights with drag of the airframe that the simulation lacks."""
+
+    def drag(flight: Flight, parameters: Mapping[str, float]) -> Array:
+        return effect_wrench("body_drag", parameters, simulation.states(flight), simulation.record())
+
+    return [pushed(flight, simulation.vehicle, drag(flight, DRAG)) for flight in flights]
+
+
+@pytest.fixture(scope="session")
+def found(simulation, dragged) -> Study:
+    """What a search finds in the flights with drag."""
+    return study(simulation, dragged, names=SOUGHT)

@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a search: it says what was found, needs nothing from outside, and draws what is there."""
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy.residuals import Residual
+from quadpi_core.report.discrepancy import write_discrepancy_page
+from quadpi_core.report.discrepancy_figures import mean_map
+
+
+@pytest.fixture(scope="module")
+def page_file(found, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    write_discrepancy_page(path, found)
+    return path
+
+
+def test_everything_stands_on_it(page_file, read_page, found):
+    page = read_page(page_file)
+    page.assert_needs_nothing_from_outside()
+    for words in (
+        "bebop2 lacks body drag",
+        "Where",
+        "What",
+        "Before and after",
+        "What is left",
+        "Flown again",
+    ):
+        assert words in page.text
+    (drag,) = found.discovery.effects
+    for parameter in drag.parameters:
+        assert parameter.name in page.text
+    for part in found.where.telling:
+        assert part.conditions in page.text
+
+
+def test_figures_of_every_flight(page_file, read_page, found):
+    figures = json.loads(read_page(page_file).scripts[-2])
+    assert {"profiles", "maps", "gap"} < set(figures)
+    for own in found.where.residuals:
+        assert len(figures[f"residual {own.flight}"]["data"]) == 12
+    gap = figures["gap"]["data"]
+    assert {trace["name"] for trace in gap} == {"before", "after", "floor: noise"}
+
+
+def test_maps_hold_the_mean_of_what_was_measured_more_than_simulated():
+    u, v = np.meshgrid(np.linspace(-3.9, 3.9, 60), np.linspace(-3.9, 3.9, 60))
+    wrench = np.zeros((u.size, 6))
+    wrench[:, 0] = -0.1 * u.ravel()
+    flight = Residual("a", np.arange(u.size) / 40.0, {"u": u.ravel(), "v": v.ravel()}, wrench, wrench, wrench)
+    x, y, table = mean_map([flight], 0, "u", "v")
+    assert table.shape == (len(y) - 1, len(x) - 1)
+    centres = 0.5 * (x[:-1] + x[1:])
+    assert np.nanmean(table, axis=0) == pytest.approx(-0.1 * centres, abs=0.02)
+    empty = mean_map(
+        [flight._replace(variables={"u": u.ravel(), "v": np.abs(v.ravel()) * 0.01})], 0, "u", "v"
+    )
+    assert np.isfinite(empty[2]).any()
