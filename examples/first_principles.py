@@ -14,6 +14,9 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import Vehicle
 
+NEUROBEM = Vehicle.load("neurobem")
+CRAZYFLIE = Vehicle.load("crazyflie_rpm")
+
 
 def thrust_and_torque(flight: Flight, vehicle: Vehicle, thrust_n_s2: float, torque_nm_s2: float) -> Array:
     """Wrench (N, 6) [N, Nm], body axes forward-right-down, of rotors in still air.
@@ -40,7 +43,7 @@ def neurobem(flight: Flight) -> Array:
     k carries the weight at the rotor speeds of slow flight, below 0.7 m/s (four flights: 1.49e-6 to 1.54e-6).
     c/k is that of 5-inch propellers, C_Q R / C_T near 0.015 m: assumed.
     """
-    return thrust_and_torque(flight, Vehicle.load("neurobem"), 1.5e-6, 2.3e-8)
+    return thrust_and_torque(flight, NEUROBEM, 1.5e-6, 2.3e-8)
 
 
 def crazyflie(flight: Flight) -> Array:
@@ -49,4 +52,4 @@ def crazyflie(flight: Flight) -> Array:
     k carries the weight in slow flight (3.68e-8); c/k is 0.00596 m: Förster, "System identification of the
     Crazyflie 2.0", ETH Zurich 2015.
     """
-    return thrust_and_torque(flight, Vehicle.load("crazyflie_rpm"), 3.68e-8, 2.19e-10)
+    return thrust_and_torque(flight, CRAZYFLIE, 3.68e-8, 2.19e-10)

@@ -52,7 +52,7 @@ class Case:
         vehicle: its file.
         pattern: of the logs in the folder of real flights.
         every: takes every so many of them.
-        bands_hz: that the search looks up to, one search for each.
+        bands_hz: that searches look up to; further rounds are those of the first.
         published: RMSE per axis of the data set's own model, [N, Nm]; empty where there is none.
         source: of that, in words.
     """
@@ -92,6 +92,22 @@ Real flights have no truth to score names by. What tells is whether the gap clos
 whether roll-outs improve, and whether sizes are those of the literature.
 """
 
+# By a person; to be read again beside other figures.
+_READING = """## What these figures say
+
+- Both vehicles lack the same two effects first, drag and flapping of the rotors; the fast one drag of its body
+  too. On NeuroBEM flights left out, Fx and Fy fall to a third and a quarter, moments to a third and less. Beside
+  the authors' hybrid, which was trained on flights of the same set, forces are 20 to 80 % worse on these four, and
+  moments between 20 % better and 40 % worse.
+- The share of the removable gap says little here: the floor holds all that no function of the library explains.
+- Up to 20 Hz the search on NeuroBEM is misled: a payload of the vehicle's own mass, and after it an Fz ten times
+  as far off. Above about 5 Hz the measured moments hardly follow the rotor speeds (the gyro lags the attitude by
+  5 to 7 ms), and the many samples there carry effects that serve moments alone. The verdict should be `unknown`.
+- The second round on the Crazyflie names a tilted rotor and a turned IMU, which close the one-step gap and make
+  roll-outs worse: names to distrust. Roll-outs test what one-step errors do not.
+- After the first round roll-outs of half a second still go far off: 57° and 23° in attitude.
+"""
+
 
 @contextmanager
 def looking_up_to(band_hz: float) -> Iterator[None]:
@@ -125,13 +141,14 @@ def section(case: Case) -> str:
     parts = [f"## {case.title}: {len(flights)} flights, {seconds:.0f} s"]
     for band_hz in case.bands_hz:
         with looking_up_to(band_hz):
-            parts += [f"### Up to {band_hz:g} Hz", *searches(case, first, flights)]
+            rounds = _ROUNDS if band_hz == case.bands_hz[0] else 1
+            parts += [f"### Up to {band_hz:g} Hz", *searches(case, first, flights, rounds)]
     return "\n\n".join(parts)
 
 
-def searches(case: Case, simulation: Simulation, flights: Sequence[Flight]) -> Iterator[str]:
+def searches(case: Case, simulation: Simulation, flights: Sequence[Flight], rounds: int) -> Iterator[str]:
     """What each round finds, until nothing is or it cannot be added."""
-    for number in range(1, _ROUNDS + 1):
+    for number in range(1, rounds + 1):
         begin = perf_counter()
         found = discover(simulation, flights)
         print(f"{case.title}: round {number}: {found.verdict}, {perf_counter() - begin:.0f} s", flush=True)
@@ -209,7 +226,7 @@ def main() -> None:
         inertia=TOLERANCES.inertia,
         cg=1e3 * TOLERANCES.cg_m,
     )
-    page = "\n".join([head, *(section(case) + "\n" for case in CASES)])
+    page = "\n".join([head, *(section(case) + "\n" for case in CASES), _READING])
     with whole_output(PAGE) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
