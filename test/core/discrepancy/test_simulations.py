@@ -97,9 +97,13 @@ def test_effects_of_the_vehicle_file_are_in_its_wrench(vehicle_file, flight):
     assert simulation.record()["mass"] == simulation.vehicle.mass_kg
 
 
-# At its typical size no flight away from its anchor is possible.
+# Not flown or not as strong as switched on: no flight leads away from the anchor of a typical tether, and the
+# estimator finds a late motion capture itself and takes most of a turned IMU for its biases.
+WEAKENED = {"tether", "sensor_delay", "imu_misalignment"}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [e.name for e in EFFECTS.values() if e.shown_by and e.name != "tether"])
+@pytest.mark.parametrize("name", [e.name for e in EFFECTS.values() if e.shown_by and e.name not in WEAKENED])
 def test_an_effect_added_takes_its_residual_away(name, flown):
     """Flights with an effect and the simulation with it are as close as flights and simulation without."""
     plain = load_simulation("bebop2")
