@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from quadpi_core.errors import LogError, ModelError
-from quadpi_core.flight import AXES, Flight
+from quadpi_core.flight import AXES, Flight, Recording
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.intervals.adaptive import AdaptiveFactor
@@ -34,6 +34,7 @@ from quadpi_core.models.rules import require_confidence
 from quadpi_core.models.selection import StopRule
 from quadpi_core.monitor.assessment import alarm_of_flight
 from quadpi_core.monitor.calibration import calibrate_alarm, hover_rotor_speed, left_out
+from quadpi_core.monitor.live import LiveSamples, live_samples
 from quadpi_core.parallel import map_files
 from quadpi_core.signals.fusion import fuse
 from quadpi_core.signals.wrench import measured_wrench
@@ -65,6 +66,8 @@ class PreparedFlight:
         inputs: (N, 19) input vectors X.
         wrench: (N, 6) measured wrench.
         height: (N,) m above the origin of the world.
+        live: what a monitor would have had of the flight, which the alarm is calibrated and assessed on. None
+            where the states are given and no sensor was read: then these are what it would have had.
     """
 
     name: str
@@ -73,6 +76,14 @@ class PreparedFlight:
     inputs: Array
     wrench: Array
     height: Array
+    live: LiveSamples | None = None
+
+    @property
+    def judged(self) -> LiveSamples:
+        """What the alarm goes by."""
+        if self.live is not None:
+            return self.live
+        return LiveSamples(self.inputs, self.wrench, np.ones(len(self.time), dtype=np.bool_))
 
 
 class Step(str):
@@ -143,15 +154,24 @@ def prepare_flights(
 
 def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
     vehicle, cutoff_hz = task
-    flight, sha256 = read_flight(path, vehicle, cutoff_hz)
+    recording = _read(path, vehicle)
+    flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
+    at_ns = flight.start_ns + np.rint(1e9 * flight.time).astype(np.int64)
     return PreparedFlight(
         name=flight.name,
-        sha256=sha256,
+        sha256=recording_hash(recording),
         time=flight.time,
         inputs=flight_inputs(flight, vehicle),
         wrench=measured_wrench(flight, vehicle),
         height=-flight.position[:, 2],
+        live=live_samples(recording, vehicle, cutoff_hz, at_ns),
     )
+
+
+def _read(path: Path, vehicle: Vehicle) -> Recording:
+    recording = read_recording(path, vehicle)
+    check_plausible(recording, vehicle)
+    return recording
 
 
 def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight, str]:
@@ -161,8 +181,7 @@ def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight,
         LogError: for what cannot be read or used, naming the file.
         SignalError: naming the file, where the signals cannot be fused.
     """
-    recording = read_recording(path, vehicle)
-    check_plausible(recording, vehicle)
+    recording = _read(path, vehicle)
     flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
     return flight, recording_hash(recording)
 
@@ -242,12 +261,16 @@ def identify(
         estimators = ensembles
     fitted: dict[str, FittedAxis] = {axis: estimators[axis].fitted_ for axis in axes}
     compiled = METHODS[method].compile(fitted)
-    evidence = compiled.evaluate(inputs, compiled.factors(confidence))
+    factors = compiled.factors(confidence)
+    evidence = compiled.evaluate(inputs, factors)
     coverage = {axis: estimators[axis].held_out_coverage(confidence) for axis in axes}
     envelope, limits = calibrate_alarm(
         Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
         left_out(
-            flights, {axis: (fitted[axis].rule, estimators[axis].held_out_) for axis in axes}, confidence
+            flights,
+            {axis: (fitted[axis].rule, estimators[axis].held_out_) for axis in axes},
+            confidence,
+            lambda rows: compiled.evaluate(rows, factors),
         ),
         confidence=confidence,
         rate_per_hour=false_alarms_per_hour,
@@ -376,7 +399,7 @@ def predict_flight(
         lower, upper = AdaptiveFactor(confidence, rate_hz).step(flight.wrench, lower, upper)
     alarm = None
     if with_alarm:
-        alarm = alarm_of_flight(model, flight.time, flight.inputs, flight.wrench, evaluation, confidence)
+        alarm = alarm_of_flight(model, flight.time, flight.judged, confidence)
     return FlightResult(
         name=flight.name,
         axes=model.axes,

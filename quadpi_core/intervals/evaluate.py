@@ -223,8 +223,7 @@ def _assess(flights: Sequence[FlightResult]) -> dict[str, Any] | None:
         if flight.alarm is None:
             return None
         columns = [AXES.index(axis) for axis in flight.axes]
-        missed = (flight.measured < flight.lower) | (flight.measured > flight.upper)
-        assessed.append(Assessed(flight.time, missed[:, columns], flight.alarm))
+        assessed.append(Assessed(flight.time, flight.alarm.missed[:, columns], flight.alarm))
     return assess(assessed)
 
 

@@ -20,8 +20,8 @@ from scipy.stats import rankdata
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.monitor.alarm import LEVEL_ALARM, Alarm, Judged, MonitorSettings
+from quadpi_core.monitor.live import LiveSamples
 
 SIGNALS = ("inputs", "leverage", "width", "miscoverage")
 _OFF_SHARE, _OFF_S = 0.5, 3.0
@@ -36,30 +36,28 @@ class FlightAlarm:
     Attributes:
         scores: by name of :data:`SIGNALS` (N,), the worst input's or axis' value over its limit.
         raised: (N,) whether EXTRAPOLATION or MISCOVERAGE stands at alarm level.
+        missed: (N, 6) whether the measured wrench lay outside its interval, order as `AXES`.
     """
 
     scores: Mapping[str, Array]
     raised: npt.NDArray[np.bool_]
+    missed: npt.NDArray[np.bool_]
 
 
 def alarm_of_flight(
-    model: AerodynamicModel,
-    time: Array,
-    inputs: Array,
-    wrench: Array,
-    evaluation: Evaluation,
-    confidence: float,
+    model: AerodynamicModel, time: Array, live: LiveSamples, confidence: float
 ) -> FlightAlarm:
     """Run the alarm over a flight in the air.
 
     Args:
-        model: that was evaluated.
+        model: that the alarm is of.
         time: (N,) s.
-        inputs: (N, 19) input vectors.
-        wrench: (N, 6) measured.
-        evaluation: of the inputs, with intervals of the confidence.
-        confidence: of these intervals.
+        live: what a monitor would have had.
+        confidence: of the intervals.
     """
+    known, wrench = live.known, live.wrench[live.known]
+    inputs = live.inputs[known]
+    evaluation = model.evaluate(inputs, confidence)
     alarm = Alarm(
         model.envelope,
         model.alarm_limits,
@@ -71,11 +69,11 @@ def alarm_of_flight(
     # A flight in the air never stands: a speed beyond all measure tells the gate so.
     rows = alarm.step(
         np.round(1e9 * time).astype(np.int64),
-        np.ones(samples, dtype=np.bool_),
+        known,
         np.zeros(samples, dtype=np.int64),
         Judged(
             inputs,
-            np.full((samples, 3), np.inf),
+            np.full((len(inputs), 3), np.inf),
             evaluation.leverage,
             evaluation.relative_width,
             wrench,
@@ -83,10 +81,13 @@ def alarm_of_flight(
             evaluation.upper,
         ),
     )
+    missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
+    missed[known] = (wrench < evaluation.lower) | (wrench > evaluation.upper)
     scores = (rows.input_score, rows.leverage, rows.width, rows.miscoverage)
     return FlightAlarm(
         {name: score.max(axis=1) for name, score in zip(SIGNALS, scores, strict=True)},
         (rows.cause_level[:, :2] == LEVEL_ALARM).any(axis=1),
+        missed,
     )
 
 

@@ -18,27 +18,30 @@ wide.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import chi2
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.alarm_limits import AlarmLimits, allowance
+from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
+from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.rules import FEWEST_INSIDE, FlightErrors, HeldOutRule
 from quadpi_core.monitor.alarm import MonitorSettings
+from quadpi_core.monitor.alarm_kernel import STEP_MAX_S
+from quadpi_core.monitor.live import LiveSamples
 
 # Long against the persistence and against what correlates the samples, short against a flight.
 BLOCK_S = 5.0
 # Confidence of the upper bound of the tail's mean.
 _SURE = 0.8
-_FEWEST_FLIGHTS = 2
 # Thresholds that the lasting maximum of a block is looked for among.
 _LEVELS = 200
 # Share of the blocks that tells the tail, and least number of them, if need be up to half.
@@ -47,16 +50,24 @@ _TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
 _LEAST_EXCESS = 0.02
 
 
-class Timed(Protocol):
-    """What is needed of a flight: time (N,) s and input vectors (N, 19)."""
+class Judged(Protocol):
+    """What is needed of a flight: what it was identified on, and what a monitor would have had of it."""
 
     @property
     def time(self) -> Array:
-        """Seconds."""
+        """(N,) s."""
 
     @property
     def inputs(self) -> Array:
-        """Columns as `quadpi_core.inputs.INPUT_NAMES`."""
+        """(N, 19) columns as `quadpi_core.inputs.INPUT_NAMES`."""
+
+    @property
+    def wrench(self) -> Array:
+        """(N, 6) measured."""
+
+    @property
+    def judged(self) -> LiveSamples:
+        """The same as the live path has it."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +76,16 @@ class LeftOut:
 
     Attributes:
         time: (N,) s.
-        inputs: (N, 19).
+        inputs: (N, 19) as the live path has them.
+        lower, upper: (19,) :meth:`Envelope.flight_range` of the flight.
         leverage, width: (N, 6) over their peaks in the other flights.
         miss: (N, 6) whether the measured wrench left the interval, 0 or 1; NaN where not known.
     """
 
     time: Array
     inputs: Array
+    lower: Array
+    upper: Array
     leverage: Array
     width: Array
     miss: Array
@@ -97,14 +111,14 @@ def calibrate_alarm(
     limits = AlarmLimits(
         allowance=allowance(confidence), hover_rotor_speed=hover_rotor_speed, rate_per_hour=rate_per_hour
     )
-    if len(flights) < _FEWEST_FLIGHTS:
+    if len(flights) < FEWEST_FLIGHTS:
         return envelope, limits
     usual = [
         (flight, others)
         for flight, others in zip(flights, _ranges_of_others(flights), strict=True)
         if _share_inside(flight, others) >= FEWEST_INSIDE
     ]
-    if len(usual) < _FEWEST_FLIGHTS:
+    if len(usual) < FEWEST_FLIGHTS:
         return envelope, limits
     times = [flight.time for flight, _ in usual]
     usual_axes = ~np.isnan(usual[0][0].miss[0])
@@ -146,48 +160,94 @@ def calibrate_alarm(
 
 
 def left_out(
-    flights: Sequence[Timed], axes: Mapping[str, tuple[Any, Sequence[FlightErrors] | None]], confidence: float
+    flights: Sequence[Judged],
+    axes: Mapping[str, tuple[Any, Sequence[FlightErrors] | None]],
+    confidence: float,
+    evaluate: Callable[[Array], Evaluation],
 ) -> list[LeftOut]:
     """Signals of the flights of an identification; none where its intervals rest on no flights left out.
+
+    Errors, spread and leverage of a flight left out are known for the smoothed states that it would have been
+    identified on. What the causal states of the live path change of them, the model of all flights tells: to
+    first order in the error of the state, one flight more or less makes no difference to that.
 
     Args:
         flights: that were identified on.
         axes: per axis held its rule and the errors on each flight, left out; every so manieth sample of it.
         confidence: of the intervals.
+        evaluate: the model of all flights, with these intervals.
     """
     if any(errors is None or not isinstance(rule, HeldOutRule) for rule, errors in axes.values()):
         return []
-    columns = {axis: AXES.index(axis) for axis in axes}
-    first = next(iter(axes.values()))[1] or []
+    live: dict[str, list[FlightErrors]] = {axis: [] for axis in axes}
     signals = []
-    for flight, errors in zip(flights, first, strict=True):
-        count = len(errors.error)
-        step = -(-len(flight.time) // count)
-        leverage, width = np.zeros((2, count, len(AXES)))
+    for k, flight in enumerate(flights):
+        errors = {axis: held_out[k] for axis, (_, held_out) in axes.items() if held_out is not None}
+        step = -(-len(flight.time) // len(next(iter(errors.values())).error))
+        known = flight.judged.known[::step]
+        rows = np.arange(0, len(flight.time), step)[known]
+        changes = _changes(flight, rows, evaluate)
+        for axis, one in errors.items():
+            live[axis].append(changes.of(one, known, AXES.index(axis)))
+        leverage, width = np.zeros((2, len(rows), len(AXES)))
+        for axis, errors_there in live.items():
+            column, now = AXES.index(axis), errors_there[-1]
+            width[:, column] = 0.0 if now.width is None else now.width
+            leverage[:, column] = 0.0 if now.leverage is None else now.leverage
         signals.append(
             LeftOut(
-                flight.time[::step],
-                flight.inputs[::step],
+                flight.time[rows],
+                flight.judged.inputs[rows],
+                *Envelope.flight_range(flight.inputs),
                 leverage,
                 width,
-                np.full((count, len(AXES)), np.nan),
+                np.full((len(rows), len(AXES)), np.nan),
             )
         )
-    for axis, (rule, held_out) in axes.items():
-        column = columns[axis]
-        misses = rule.held_out_misses(held_out, confidence)
-        for signal, errors, missed in zip(signals, held_out or [], misses, strict=True):
-            signal.miss[:, column] = missed
-            if errors.width is not None:
-                signal.width[:, column] = errors.width
-            if errors.leverage is not None:
-                signal.leverage[:, column] = errors.leverage
+    for axis, (rule, _) in axes.items():
+        misses = rule.held_out_misses(live[axis], confidence)
+        for signal, missed in zip(signals, misses, strict=True):
+            signal.miss[:, AXES.index(axis)] = missed
     return signals
+
+
+class _Changes(NamedTuple):
+    """What live states change, (M, 6) each: added to the error, and factors of spread and leverage."""
+
+    error: Array
+    spread: Array
+    leverage: Array
+
+    def of(self, errors: FlightErrors, known: npt.NDArray[np.bool_], column: int) -> FlightErrors:
+        """The errors at the samples that the live path knows, as it has them."""
+        spread = self.spread[:, column]
+        return FlightErrors(
+            errors.error[known] + self.error[:, column],
+            errors.spread[known] * spread,
+            errors.inside[known],
+            None if errors.width is None else errors.width[known] * spread,
+            None if errors.leverage is None else errors.leverage[known] * self.leverage[:, column],
+        )
+
+
+def _changes(flight: Judged, rows: Any, evaluate: Callable[[Array], Evaluation]) -> _Changes:
+    was, now = evaluate(flight.inputs[rows]), evaluate(flight.judged.inputs[rows])
+    error = flight.judged.wrench[rows] - 0.5 * (now.lower + now.upper)
+    return _Changes(
+        error - (flight.wrench[rows] - 0.5 * (was.lower + was.upper)),
+        _ratio(now.relative_width, was.relative_width),
+        _ratio(now.leverage, was.leverage),
+    )
+
+
+def _ratio(now: Array, was: Array) -> Array:
+    """1 where there is no such signal."""
+    return np.divide(now, was, out=np.ones_like(now), where=was > 0.0)
 
 
 def _ranges_of_others(flights: Sequence[LeftOut]) -> list[tuple[Array, Array]]:
     """Range of the inputs (19,), (19,) over all flights but one, for each."""
-    lower, upper = np.array([Envelope.flight_range(flight.inputs) for flight in flights]).swapaxes(0, 1)
+    lower, upper = np.array([(flight.lower, flight.upper) for flight in flights]).swapaxes(0, 1)
     ranges = []
     for k in range(len(flights)):
         others = np.arange(len(flights)) != k
@@ -234,7 +294,7 @@ class _Tail:
                 maxima.append(np.maximum.reduceat(values, starts))
             else:
                 levels = np.linspace(np.quantile(values, 0.5), values.max(), _LEVELS)
-                maxima.append(_lasting_maxima(values, time, starts, levels, *lasting))
+                maxima.append(_lasting_maxima(values, _steps(time), starts, levels, *lasting))
         ordered = np.sort(np.concatenate(maxima))[::-1]
         blocks = len(ordered)
         count = min(max(int(_TAIL_SHARE * blocks), _TAIL_BLOCKS), blocks // 2)
@@ -259,8 +319,14 @@ def _block_starts(time: Array) -> Any:
 def _sums(time: Array, miss: Array, allowed: float) -> Array:
     """The sequential test (N, 6) of a flight, without its end at the limit."""
     sums = np.empty(miss.shape)
-    _sums_kernel(np.diff(time, prepend=time[0]), miss, allowed, sums)
+    _sums_kernel(_steps(time), miss, allowed, sums)
     return sums
+
+
+def _steps(time: Array) -> Array:
+    """Seconds (N,) since the sample before; a gap counts as a moment, as the alarm has it."""
+    steps = np.diff(time, prepend=time[0])
+    return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
 
 
 @njit(cache=True)
@@ -275,7 +341,7 @@ def _sums_kernel(steps: Any, miss: Any, allowed: float, sums: Any) -> None:
 
 @njit(cache=True)
 def _lasting_maxima(
-    worst: Any, time: Any, starts: Any, levels: Any, persistence_s: float, release_s: float
+    worst: Any, steps: Any, starts: Any, levels: Any, persistence_s: float, release_s: float
 ) -> Any:
     """Per block the highest of the levels (L,), ascending, that a signal passes for long enough."""
     maxima = np.full(starts.size, levels[0])
@@ -283,9 +349,8 @@ def _lasting_maxima(
     for block in range(starts.size):
         stop = starts[block + 1] if block + 1 < starts.size else worst.size
         for i in range(max(starts[block], 1), stop):
-            step = time[i] - time[i - 1]
             for k in range(levels.size):
-                change = step / persistence_s if worst[i] > levels[k] else -step / release_s
+                change = steps[i] / persistence_s if worst[i] > levels[k] else -steps[i] / release_s
                 charge[k] = min(1.0, max(0.0, charge[k] + change))
                 if charge[k] >= 1.0 - 1e-9:
                     maxima[block] = max(maxima[block], levels[k])

@@ -104,7 +104,7 @@ def replay(
         raise LogError(f"{recording.source}: topic imu: one sample is too few")
     rate_hz = nominal_rate(recording.imu.time_ns)
     monitor = Monitor(model, vehicle, rate_hz, confidence, settings)
-    samples, topics = _monitored(recording, vehicle, rate_hz)
+    samples, topics = _published(recording, vehicle, rate_hz)
     predictions, alarms, events = _watch(monitor, samples)
 
     topics.append(
@@ -129,27 +129,41 @@ def replay(
     return _summarise(recording, monitored, len(predictions.time_ns), alarms, events)
 
 
-def _monitored(
+def _published(
     recording: Recording, vehicle: Vehicle, rate_hz: float
 ) -> tuple[list[PairedSamples], list[Topic]]:
     """What the monitor gets, and the odometry that an estimator publishes.
 
     All else of a long flight is let go here.
     """
+    samples, fused = monitored(recording, vehicle, rate_hz)
+    if fused is None:
+        return samples, []
+    payloads = messages.pack_odometry(fused.odometry, fused.pose_covariance, fused.twist_covariance)
+    return samples, [output_topic("odometry", fused.time_ns, payloads)]
+
+
+def monitored(
+    recording: Recording, vehicle: Vehicle, rate_hz: float
+) -> tuple[list[PairedSamples], FusedSamples | None]:
+    """What the monitor gets of a recording, and the states of the estimator; None without motion capture.
+
+    Raises:
+        LogError: naming what is missing.
+        SignalError: if the estimator never starts.
+    """
     imu = _Imu(
         recording.imu.time_ns,
         with_gyro_faults(recording.imu).specific_force,
         np.arange(len(recording.imu)),
     )
-    odometry, state_of, topics = recording.odometry, None, []
+    odometry, state_of, fused = recording.odometry, None, None
     if recording.pose is not None or recording.twist is not None:
         imu, fused, state_of = _estimator_output(Ekf(vehicle, rate_hz).run(recording), recording.imu)
         odometry = fused.odometry
-        payloads = messages.pack_odometry(odometry, fused.pose_covariance, fused.twist_covariance)
-        topics.append(output_topic("odometry", odometry.time_ns, payloads))
     if odometry is None:
         raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
-    return _pair(recording, imu, odometry, state_of), topics
+    return _pair(recording, imu, odometry, state_of), fused
 
 
 def _watch(monitor: Monitor, samples: Sequence[PairedSamples]) -> tuple[Predictions, Alarms, Events]:

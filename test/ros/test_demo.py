@@ -28,10 +28,10 @@ def test_demo_on_the_bundled_flights(tmp_path: Path) -> None:
     for group in ("identification", "interpolation"):
         assert all(axis["picp_ci"][1] > 0.95 for axis in summary["groups"][group]["axes"].values())
     live = summary["live"]
-    # The warning comes at the first steps over the range, the alarm where false ones are rare.
+    # Four flights calibrate nothing: warning and alarm have the same limit.
     assert LEAVES_THE_ENVELOPE_S < live["warning_first_s"] < LEAVES_THE_ENVELOPE_S + 0.3
-    assert live["warning_first_s"] < live["alarm_first_s"] < LEAVES_THE_ENVELOPE_S + 1.5
-    assert 0.15 < live["alarm_fraction"] < 0.3
+    assert live["alarm_first_s"] == live["warning_first_s"]
+    assert 0.3 < live["alarm_fraction"] < 0.5
     assert live["predictions_out"] > 0.9 * live["samples_in"]
     assert "ALARM" in told.getvalue()
     assert f"first warning at {live['warning_first_s']:.1f} s" in told.getvalue()

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.alarm_limits import AlarmLimits, allowance
+from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import EXTRAPOLATION, LEVEL_ALARM, MISCOVERAGE, Alarm, Judged, MonitorSettings
 from quadpi_core.monitor.calibration import LeftOut, calibrate_alarm, hover_rotor_speed
@@ -29,7 +31,8 @@ def left_out(seconds: float, seed: int, correlation_s: float = 0.1) -> LeftOut:
     width = np.zeros((count, 6))
     width[:, FX] = 0.8 + 0.02 * wander[:, 0] ** 2
     leverage = np.zeros((count, 6))
-    return LeftOut(np.arange(count) / RATE_HZ, wander[:, :-1], leverage, width, miss)
+    inputs = wander[:, :-1]
+    return LeftOut(np.arange(count) / RATE_HZ, inputs, *Envelope.flight_range(inputs), leverage, width, miss)
 
 
 def calibrated(flights: list[LeftOut], rate_per_hour: float = 1.0) -> tuple[Envelope, AlarmLimits]:
@@ -94,25 +97,29 @@ def test_rarer_false_alarms_ask_for_higher_limits():
 
 
 def test_few_flights_are_told_less_of():
-    flights = [left_out(60.0, seed) for seed in range(16)]
-    assert calibrated(flights[:3])[1].miscoverage_s[FX] > calibrated(flights)[1].miscoverage_s[FX]
+    flights = [left_out(60.0, seed) for seed in range(24)]
+    few = [calibrated(flights[k::3])[1].miscoverage_s[FX] for k in range(3)]
+    assert np.mean(few) > calibrated(flights)[1].miscoverage_s[FX]
 
 
 def test_what_has_no_signal_keeps_its_plain_limit():
-    envelope, limits = calibrated([left_out(60.0, seed) for seed in range(4)])
+    envelope, limits = calibrated([left_out(60.0, seed) for seed in range(FEWEST_FLIGHTS)])
     assert np.all(envelope.leverage_limit == 1.0)
     assert np.all(envelope.width_limit[1:] == 1.0)
     assert np.all(limits.miscoverage_s[1:] == AlarmLimits().miscoverage_s[1:])
 
 
-def test_one_flight_or_flights_unlike_each_other_calibrate_nothing():
-    one = [left_out(60.0, 1)]
-    envelope, limits = calibrated(one)
+def test_few_flights_or_flights_unlike_each_other_calibrate_nothing():
+    few = [left_out(60.0, seed) for seed in range(FEWEST_FLIGHTS - 1)]
+    envelope, limits = calibrated(few)
     assert not limits.calibrated
     assert "uncalibrated" in limits.sentence()
-    apart = [left_out(60.0, seed) for seed in range(3)]
-    for k, flight in enumerate(apart):
-        flight.inputs[:] += 100.0 * k
+    assert np.all(envelope.margin == 0.1)
+    apart = []
+    for k in range(FEWEST_FLIGHTS + 2):
+        flight, shift = left_out(60.0, k), 100.0 * (np.arange(len(INPUT_NAMES)) == k)
+        moved = {name: getattr(flight, name) + shift for name in ("inputs", "lower", "upper")}
+        apart.append(replace(flight, **moved))
     envelope, limits = calibrated(apart)
     assert not limits.calibrated
     assert np.all(envelope.margin == 0.1)
