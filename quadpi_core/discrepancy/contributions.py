@@ -105,16 +105,15 @@ class Compared:
 
 
 def expected(flight: Flight, simulation: Simulation) -> Flight:
-    """A flight with the accelerations that a simulation predicts of it."""
+    """A flight with the accelerations that a simulation predicts of it; turning as it did on the whole."""
     vehicle = simulation.vehicle
     wrench = simulation.wrench(flight)
     momentum = flight.rates @ vehicle.inertia
     moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
-    return replace(
-        flight,
-        specific_force=wrench[:, :3] / vehicle.mass_kg,
-        angular_acceleration=moment @ np.linalg.inv(vehicle.inertia),
-    )
+    turning = moment @ np.linalg.inv(vehicle.inertia)
+    # A moment that the simulation has wrong would spin up the vehicle of its prediction for ever.
+    turning += flight.angular_acceleration.mean(axis=0) - turning.mean(axis=0)
+    return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
 
 
 def _every(flight: Flight, step: int) -> Flight:
@@ -148,10 +147,12 @@ def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
 
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
-    simulation = compared.simulation
-    corrected = undone(compared.expected, effect, simulation.vehicle, values)
-    # As expected, measured and simulated wrench are the same.
-    return (simulation.wrench(corrected) - measured_wrench(corrected, simulation.vehicle))[:: compared.step]
+    simulation, flight = compared.simulation, compared.expected
+
+    def residual(flight: Flight) -> Array:
+        return (measured_wrench(flight, simulation.vehicle) - simulation.wrench(flight))[:: compared.step]
+
+    return residual(flight) - residual(undone(flight, effect, simulation.vehicle, values))
 
 
 def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> Flight:

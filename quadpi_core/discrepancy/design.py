@@ -214,6 +214,19 @@ class Design:
         weights = self.weights(found)
         return [flight.rows @ weights for flight in self.spectra()]
 
+    def loudness(self, index: int, found: Fit) -> float:
+        """Root mean square of what a candidate adds in a fit over that of the noise, in its loudest axis."""
+        block = self.blocks[index]
+        weights = np.zeros(len(self.gram))
+        weights[block.parameters] = found.of(block.parameters)
+        if block.offset is not None:
+            weights[block.offset] = -1.0
+        squares, noise = np.zeros(len(AXES)), np.zeros(len(AXES))
+        for flight in self.spectra():
+            squares += np.square(flight.rows @ weights).sum(axis=1)
+            noise += self.noise[:, flight.band].sum(axis=1)
+        return float(np.sqrt(np.max(squares / noise)))
+
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""
         return found.of(self.blocks[index].parameters) * self.candidates[index].scale

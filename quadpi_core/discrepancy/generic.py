@@ -80,11 +80,10 @@ def functions(compared: Compared) -> tuple[list[str], Array]:
         named[f"{name} heading"] = turned
         for letter, moved in (("u", u), ("v", v), ("|V|", speed)):
             named[f"{name} heading·{letter}"] = turned * moved
-    jerk = np.gradient(flight.specific_force, flight.time, axis=0) / (10.0 * vehicle.gravity_m_s2)
+    # No derivative of velocity or rates: the estimator's velocity follows the noise of the accelerometer, and
+    # its derivative would predict the noise of the measured force.
     for body, letter in enumerate("xyz"):
         named[f"force {letter}"] = flight.specific_force[:, body] / vehicle.gravity_m_s2
-        named[f"jerk {letter}"] = jerk[:, body]
-        named[f"turning {letter}"] = flight.angular_acceleration[:, body] / 50.0
     for lag in _LAGS_S:
         keep = np.exp(-1.0 / (lag * flight.rate_hz))
         for name in ("u", "v", "w", "load"):

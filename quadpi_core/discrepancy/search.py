@@ -31,6 +31,9 @@ _LEAST_EVIDENCE = 5.0
 NAMED_ALONE = 4.6
 # Of the typical size: what is smaller is no finding, however certain.
 _SMALLEST = 0.13
+# Of the noise: what is less closes no gap. In a hover all motion is noise of the estimator, and so are the
+# forces that a simulation makes of it.
+_HEARD = 0.1
 # Of the discrepancy that can be predicted from flight to flight: what may stay without a name.
 UNEXPLAINED_SHARE = 0.05
 
@@ -92,9 +95,13 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
     while len(chosen) < MOST_EFFECTS:
         grown = _grown(design, chosen)
         needed = threshold if not chosen else float(np.clip(_FURTHER_SHARE * gain, *_FURTHER))
-        if not grown or grown[0][1].log_evidence < found.log_evidence + needed:
+        grown = [(larger, fit) for larger, fit in grown if fit.log_evidence >= found.log_evidence + needed]
+        heard = (larger for larger, fit in grown if _is_heard(design, set(larger) - set(chosen), fit))
+        best = next(heard, None)
+        if best is None:
             break
-        larger, better = _refine(design, *grown[0])
+        more = dict(grown)[best]
+        larger, better = _refine(design, best, more)
         if not _sizeable(design, larger, better):
             break
         noise = design.noise
@@ -103,7 +110,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         if plain is None or not _sizeable(design, larger, plain):
             design.weigh(noise)
             break
-        gain += grown[0][1].log_evidence - found.log_evidence
+        gain += more.log_evidence - found.log_evidence
         chosen, found = larger, weighed
     rivals = _rivals(design, chosen, found)
     rows = design.left(found)
@@ -154,6 +161,11 @@ def _sizeable(design: Design, chosen: tuple[int, ...], found: Fit) -> bool:
         > _SMALLEST
         for index in chosen
     )
+
+
+def _is_heard(design: Design, added: set[int], found: Fit) -> bool:
+    """Whether an effect is more than what noise of the states, passed through the simulation, looks like."""
+    return all(design.loudness(index, found) > _HEARD for index in added)
 
 
 def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> tuple[tuple[int, ...], Fit]:
