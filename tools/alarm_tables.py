@@ -33,6 +33,7 @@ from quadpi_core.identification import (
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS
 from quadpi_core.models.pool import load_pools
 from quadpi_core.monitor.alarm import (
     CAUSES,
@@ -55,7 +56,7 @@ VEHICLE, REAL_VEHICLE = "bebop2", "neurobem"
 CONFIDENCE = 0.95
 SCENARIOS = ("training", "validation", "dash")
 # Flights that a model of random flights is identified on, and for the rates a second model of few.
-MANY, FEW = 12, 4
+MANY, FEW = 12, FEWEST_FLIGHTS
 # In which a state that begins in the air still settles.
 EARLY_S = 5.0
 # Of each axis the largest speed in m/s, and the frequencies in Hz that it is made of.
@@ -268,14 +269,12 @@ class Counts:
         hours: that it judged.
         alarms: (2,) how often EXTRAPOLATION and MISCOVERAGE were raised.
         early: how many of these in the first :data:`EARLY_S`.
-        smoothed: how many the smoothed states of the same flights raise, which limits are calibrated on.
         warned: hours at a warning or an alarm of EXTRAPOLATION.
     """
 
     hours: float
     alarms: npt.NDArray[np.int64]
     early: int
-    smoothed: int
     warned: float
 
     @classmethod
@@ -288,7 +287,7 @@ class Counts:
         count = int(self.alarms.sum())
         low, high = (bound / self.hours for bound in poisson_interval(count))
         rate = f"{count / self.hours:.2g} ({low:.2g} to {high:.2g})"
-        counts = map(str, (*self.alarms, self.early, self.smoothed))
+        counts = map(str, (*self.alarms, self.early))
         return [f"{self.hours:.2f}", *counts, rate, f"{100.0 * self.warned / self.hours:.2g} %"]
 
 
@@ -299,8 +298,8 @@ def poisson_interval(count: int, confidence: float = 0.95) -> tuple[float, float
     return low, 0.5 * float(chi2.ppf(1.0 - tail, 2 * count + 2))
 
 
-def count_alarms(model: AerodynamicModel, flight: PreparedFlight, replayed: Path) -> Counts:
-    """What the replayed bag of a flight holds, and what its smoothed states would have raised.
+def count_alarms(replayed: Path) -> Counts:
+    """What the replayed bag of a flight holds.
 
     Raises:
         ValueError: if the bag holds no alarm.
@@ -314,13 +313,10 @@ def count_alarms(model: AerodynamicModel, flight: PreparedFlight, replayed: Path
     start_ns, end_ns = int(alarms.time_ns[0]), int(alarms.time_ns[-1])
     hours = 1e-9 * (end_ns - start_ns) / 3600.0
     warned = alarm_time(alarms.time_ns, alarms.cause_level[:, columns[0]], end_ns, LEVEL_WARNING).fraction
-    smoothed = predict_flight(model, flight, CONFIDENCE, with_alarm=True).alarm
-    assert smoothed is not None
     return Counts(
         hours=hours,
         alarms=begins.sum(axis=0),
         early=int(begins[alarms.time_ns < start_ns + round(1e9 * EARLY_S)].sum()),
-        smoothed=int((np.diff(smoothed.raised.astype(np.int64), prepend=0) == 1).sum()),
         warned=hours * warned,
     )
 
@@ -333,12 +329,11 @@ def rates(job: Job) -> str:
         for seed in range(1, job.seeds + 1):
             training = job.prepared(job.random_bags("rates", kind, 2 * seed, MANY), VEHICLE)
             bags = job.random_bags("unseen", kind, 2 * seed + 1, job.flights)
-            unseen = job.prepared(bags, VEHICLE)
             for number, counts in found.items():
                 model = model_of(training[:number], VEHICLE)
                 replayed = job.work / "replayed"
                 replay_all(model, vehicle, bags, replayed, workers=job.workers)
-                parts = [count_alarms(model, f, replayed / f"{f.name}.mcap") for f in unseen]
+                parts = [count_alarms(replayed / bag.name) for bag in bags]
                 counts.append(Counts.total(parts))
                 print(f"{kind}, model {seed} of {number} flights: {counts[-1]}", flush=True)
         for number, counts in found.items():
@@ -353,7 +348,6 @@ def rates(job: Job) -> str:
         "EXTRAPOLATION",
         "MISCOVERAGE",
         f"of these in the first {EARLY_S:g} s",
-        "by smoothed states",
         "alarms per hour (95 %)",
         "warned",
     )

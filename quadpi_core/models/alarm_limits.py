@@ -14,8 +14,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
 RATE_PER_HOUR = 1.0
-# Left out in turn, that support a rate: of models of four flights, an unlucky one raised hundreds of false alarms
-# an hour, none of twelve did.
+# Left out in turn, that support a rate: of models of four flights, an unlucky one raised hundreds of false
+# alarms an hour, none of twelve did.
 FEWEST_FLIGHTS = 8
 # Of misses, in time: the sequential test tells the allowed share from this many times as much.
 ALTERNATIVE = 5.0

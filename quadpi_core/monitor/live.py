@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.errors import LogError
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
@@ -36,7 +37,7 @@ def live_samples(recording: Recording, vehicle: Vehicle, cutoff_hz: float, at_ns
     """Run estimator, pairing and low-pass as a replay does, and take the stamps (N,) of a flight from that.
 
     Raises:
-        LogError: naming what is missing.
+        LogError: naming what is missing, or if no sample could be judged.
         SignalError: if the estimator never starts, or the cut-off is impossible.
     """
     rate_hz = nominal_rate(recording.imu.time_ns)
@@ -49,8 +50,7 @@ def live_samples(recording: Recording, vehicle: Vehicle, cutoff_hz: float, at_ns
         rows.append(np.concatenate((prepared.inputs, prepared.measured), axis=1))
     time_ns, values = np.concatenate(stamps), np.concatenate(rows)
     if len(time_ns) == 0:
-        nothing = np.zeros((len(at_ns), values.shape[1]))
-        return LiveSamples(*np.split(nothing, [len(INPUT_NAMES)], axis=1), np.zeros(len(at_ns), dtype=bool))
+        raise LogError(f"{recording.source}: no sample that a monitor could judge")
     values, known = interpolate(time_ns, values, at_ns, MAX_GAP_NS)
     inputs, wrench = np.split(values, [len(INPUT_NAMES)], axis=1)
     return LiveSamples(np.ascontiguousarray(inputs), np.ascontiguousarray(wrench), known)
