@@ -245,7 +245,7 @@ def _definitions() -> str:
             "speeds.",
             "Residual energy": "Sum of squares of the residual of an axis, less what noise and tolerances "
             "account for on average. A range has at least twice the root mean square that they allow; the "
-            "chance that any is named on flights without a discrepancy is 5 %.",
+            "chance that any is named on flights in which no effect is found is 5 %.",
             "Closed": "Share of the squares above the floor that is gone.",
             "Probability": "Against all other effects of the library in its place, all thought equally "
             "likely beforehand.",
