@@ -14,6 +14,7 @@ import yaml
 from quadpi_core import __version__
 from quadpi_core.config import is_config_path, read_config
 from quadpi_core.discrepancy.augmented import AugmentedSimulation
+from quadpi_core.discrepancy.contributions import body_tolerances
 from quadpi_core.discrepancy.discovery import Discovery
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.formulas import write_formulas
@@ -102,8 +103,8 @@ def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[di
     own = dict(multiples)
     changes = [-tolerances.thrust * own.pop(f"thrust of rotor {rotor + 1}") for rotor in range(ROTORS)]
     small = {_ROTORS: _named(_ROTORS, changes)}
-    for name, deviation in (("inertia", tolerances.inertia), ("cg_offset", tolerances.cg_m)):
-        values = [deviation * own.pop(parameter.name) for parameter in EFFECTS[name].parameters]
+    for name, deviation in body_tolerances(tolerances):
+        values = [deviation * own.pop(f"{name}.{p.name}") for p in EFFECTS[name].parameters]
         small[name] = _named(name, values)
     return own, {name: values for name, values in small.items() if any(values.values())}
 

@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.discrepancy.simulations import Column, Simulation
+from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
@@ -86,12 +86,12 @@ class Compared:
         for rotor in range(ROTORS):
             values = np.array([rotor + 1.0, tolerances.thrust])
             columns.append(Column(f"thrust of rotor {rotor + 1}", self.added(weak, values)))
-        for name, share in (("inertia", tolerances.inertia), ("cg_offset", tolerances.cg_m)):
+        for name, share in body_tolerances(tolerances):
             effect = EFFECTS[name]
             for index, parameter in enumerate(effect.parameters):
                 values = np.zeros(len(effect.parameters))
                 values[index] = share
-                columns.append(Column(parameter.name, self.added(effect, values)))
+                columns.append(Column(f"{name}.{parameter.name}", self.added(effect, values)))
         return columns
 
     def added(self, effect: Effect, values: Array) -> Array:
@@ -102,6 +102,16 @@ class Compared:
             values: of its parameters, in their order, within their bounds or not.
         """
         return _KINDS[effect.kind](self, effect, values)
+
+
+def body_tolerances(tolerances: Tolerances) -> tuple[tuple[str, float], ...]:
+    """Effects that stand for what is uncertain in the body, with a standard deviation of their parameters."""
+    # A centre of gravity that is elsewhere is elsewhere from the accelerometer, too.
+    return (
+        ("inertia", tolerances.inertia),
+        ("cg_offset", tolerances.cg_m),
+        ("imu_lever_arm", tolerances.cg_m),
+    )
 
 
 def expected(flight: Flight, simulation: Simulation) -> Flight:

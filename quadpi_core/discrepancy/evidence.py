@@ -96,6 +96,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
             weights[block.offset] = 1.0
     out: set[int] = set()
     form: list[Array] | None = None
+    exact: Fit | None = None
     while True:
         kept = [[i for i in block.parameters if i not in out] for block in blocks]
         if any(len(own) == 0 for own in kept):
@@ -113,8 +114,12 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         out |= beyond
         if beyond:
             continue
-        if form is not None or not any(len(block.form) for block in blocks):
+        if not any(len(block.form) for block in blocks):
             return found
+        if exact is not None:
+            # A law may be off or exact. Room for its form that is not needed must not count against it.
+            return found if found.log_evidence > exact.log_evidence else exact
+        exact = found
         # Once the sizes of the effects are known, so is by how much their forms may differ.
         form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
 
