@@ -74,7 +74,17 @@ def read_json(path):
 
 
 def test_every_command_is_known():
-    assert COMMANDS == ["demo", "evaluate", "identify", "import", "info", "replay", "simulate", "validate"]
+    assert COMMANDS == [
+        "demo",
+        "discrepancy",
+        "evaluate",
+        "identify",
+        "import",
+        "info",
+        "replay",
+        "simulate",
+        "validate",
+    ]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

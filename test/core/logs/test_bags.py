@@ -158,7 +158,7 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         np.full(N, 1, np.uint8),
         *np.zeros((2, N, 3), np.uint8),
         np.zeros((N, 3)),
-        *np.zeros((4, N, 6)),
+        *np.zeros((6, N, 6)),
         excess,
         excess,
         np.zeros(N, np.int64),
