@@ -44,7 +44,15 @@ MODEL = {
     "flights",
     "envelope",
 }
-REPLAY = {"samples_in", "predictions_out", "dropped", "alarm_fraction", "alarm_first_s", "warning_first_s", "events"}
+REPLAY = {
+    "samples_in",
+    "predictions_out",
+    "dropped",
+    "alarm_fraction",
+    "alarm_first_s",
+    "warning_first_s",
+    "events",
+}
 POOL = """
 Fx: {fixed: [u], candidates: ["P^2(u, |v|, w)"]}
 Fz: {fixed: [w], candidates: ["P^2(omega_avg)"]}
