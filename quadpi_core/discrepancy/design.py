@@ -75,6 +75,16 @@ class Design:
         self._weighted: list[list[Array]] = [[] for _ in self.flights]
         self.refresh()
 
+    def state(self) -> tuple[Array, list[Array], list[Block]]:
+        """What :meth:`restore` takes: noise, points and blocks. Columns are only ever added."""
+        return self.noise, list(self.points), list(self.blocks)
+
+    def restore(self, state: tuple[Array, list[Array], list[Block]]) -> None:
+        """Go back to an earlier :meth:`state`."""
+        noise, self.points, self.blocks = state
+        if noise is not self.noise:
+            self.weigh(noise)
+
     def noise_beside(self, chosen: Sequence[int], found: Fit) -> Array:
         """Noise (6, BANDS) where some effects are taken for granted.
 

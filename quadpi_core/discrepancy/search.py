@@ -13,6 +13,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.design import Design
 from quadpi_core.discrepancy.evidence import Fit, null_gains
+from quadpi_core.discrepancy.gap import left_out_weights
 from quadpi_core.discrepancy.generic import Left, generic_spectra, predicted
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -34,6 +35,9 @@ _SMALLEST = 0.13
 # Of the noise: what is less closes no gap. In a hover all motion is noise of the estimator, and so are the
 # forces that a simulation makes of it.
 _HEARD = 0.1
+# On flights left out: share of what was left of an axis, and of what an effect takes from all of them, by
+# which the effect may enlarge what is left of the axis. Coefficients settle elsewhere beside it.
+_GROWS = 0.1
 # Of the discrepancy that can be predicted from flight to flight: what may stay without a name.
 UNEXPLAINED_SHARE = 0.05
 
@@ -93,25 +97,12 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
     chosen: tuple[int, ...] = ()
     found, gain = none, 0.0
     while len(chosen) < MOST_EFFECTS:
-        grown = _grown(design, chosen)
         needed = threshold if not chosen else float(np.clip(_FURTHER_SHARE * gain, *_FURTHER))
-        grown = [(larger, fit) for larger, fit in grown if fit.log_evidence >= found.log_evidence + needed]
-        heard = (larger for larger, fit in grown if _is_heard(design, set(larger) - set(chosen), fit))
-        best = next(heard, None)
-        if best is None:
+        further = _further(design, chosen, found, needed)
+        if further is None:
             break
-        more = dict(grown)[best]
-        larger, better = _refine(design, best, more)
-        if not _sizeable(design, larger, better):
-            break
-        noise = design.noise
-        design.weigh(design.noise_beside(larger, better))
-        weighed, plain = _require(design.fit(larger)), design.fit(larger, form=False)
-        if plain is None or not _sizeable(design, larger, plain):
-            design.weigh(noise)
-            break
-        gain += more.log_evidence - found.log_evidence
-        chosen, found = larger, weighed
+        chosen, found, more = further
+        gain += more
     rivals = _rivals(design, chosen, found)
     rows = design.left(found)
     names, spectra = generic_spectra(flights)
@@ -141,6 +132,50 @@ def _settle(design: Design) -> None:
         design.refresh()
 
 
+def _further(
+    design: Design, chosen: tuple[int, ...], found: Fit, needed: float
+) -> tuple[tuple[int, ...], Fit, float] | None:
+    """The set with the best effect that stands beside those chosen, its fit, and what it gains."""
+    for larger, fit in _grown(design, chosen):
+        more = fit.log_evidence - found.log_evidence
+        if more < needed:
+            break
+        accepted = _accepted(design, chosen, larger, fit)
+        if accepted is not None:
+            return larger, accepted, more
+    return None
+
+
+def _accepted(design: Design, chosen: tuple[int, ...], larger: tuple[int, ...], found: Fit) -> Fit | None:
+    """Fit of the larger set beside the noise that it leaves; None, and nothing changed, if it does not stand.
+
+    The effect has to be heard, of some size with and without the room of its form, and must not drive flights
+    that are left out farther away in any axis. They need not come closer: coefficients far beyond their
+    tolerances may have closed the same gap.
+    """
+    state = design.state()
+    if _is_heard(design, set(larger) - set(chosen), found):
+        before = left_out_squares(design, chosen)
+        refined = _refine(design, larger, found)
+        after = left_out_squares(design, larger)
+        room = _GROWS * (before + max(0.0, float(before.sum() - after.sum())))
+        if _sizeable(design, larger, refined) and np.all(after - before <= room):
+            design.weigh(design.noise_beside(larger, refined))
+            plain = design.fit(larger, form=False)
+            if plain is not None and _sizeable(design, larger, plain):
+                return _require(design.fit(larger))
+    design.restore(state)
+    return None
+
+
+def left_out_squares(design: Design, chosen: Sequence[int]) -> Array:
+    """Squares (6,) in variances of the noise that each flight is left with by a fit of all others."""
+    squares = np.zeros(len(AXES))
+    for weights, flight in zip(left_out_weights(design, chosen), design.spectra(), strict=True):
+        squares += np.sum(np.square(flight.rows @ weights) / design.noise[:, flight.band], axis=1)
+    return squares
+
+
 def _grown(design: Design, chosen: tuple[int, ...]) -> list[tuple[tuple[int, ...], Fit]]:
     """The set with one effect more, for each that can be added, best first."""
     names = {design.candidates[index].name for index in chosen}
@@ -168,17 +203,15 @@ def _is_heard(design: Design, added: set[int], found: Fit) -> bool:
     return all(design.loudness(index, found) > _HEARD for index in added)
 
 
-def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> tuple[tuple[int, ...], Fit]:
+def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit:
     """Linearise the chosen again where they fit together."""
     for _ in range(_ROUNDS):
-        if not chosen:
-            break
         for index in chosen:
             candidate = design.candidates[index]
             design.move(index, candidate.within_bounds(design.parameters(index, found)))
         design.refresh()
         found = _require(design.fit(chosen))
-    return chosen, found
+    return found
 
 
 def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, list[tuple[int, float]]]:
