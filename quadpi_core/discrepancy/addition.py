@@ -91,7 +91,7 @@ def _adjusting_helps(found: Found) -> bool:
     design = found.design
     gained = 0.0
     for own in design.per_flight:
-        weights = design.weights(_fit(found, design.gram - own))
+        weights = _fit(found, design.gram - own).left
         unmoved = weights.copy()
         unmoved[design.tolerances] = 0.0
         gained += float(unmoved @ own @ unmoved - weights @ own @ weights)

@@ -37,8 +37,7 @@ class Candidate:
 
     Attributes:
         effect: of the registry.
-        start: (P,) parameters, in the order of the effect: whole numbers as they stay, others at the first
-            linearisation.
+        start: (P,) parameters, in the order of the effect: whole numbers as they stay, others 0.
         free: (k,) indices of the parameters to find.
         scale: (k,) prior standard deviation of each.
         linear: whether one linearisation will do.
@@ -54,11 +53,6 @@ class Candidate:
     def name(self) -> str:
         """Of the effect."""
         return self.effect.name
-
-    @property
-    def amplitudes(self) -> slice:
-        """Those of the free parameters that make the effect vanish at 0."""
-        return slice(1) if self.start[list(self.free)].any() else slice(None)
 
     def values(self, found: Array) -> Array:
         """All parameters (P,) from those found (k,)."""

@@ -140,7 +140,7 @@ def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed:
 
 def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     """Energy (C, 6, DRAWS) of residuals without any effect, coefficients put where they fit best."""
-    design, spectra = found.design, found.design.spectra()
+    design = found.design
     tolerances = design.tolerances
     gram = design.gram[np.ix_(tolerances, tolerances)]
     most = most_off(len(tolerances))
@@ -151,7 +151,7 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     spectrum = np.minimum(design.noise, found.left.noise)
 
     def noise(place: int) -> Array:
-        rng, band = np.random.default_rng((seed, place)), spectra[place].band
+        rng, band = np.random.default_rng((seed, place)), design.bands[place]
         # Noise differs from flight to flight: no better known than its own squares in a band could tell.
         count = np.maximum(np.bincount(band, minlength=BANDS), 1)[:, None]
         share = rng.chisquare(count, (len(AXES), BANDS, DRAWS)) / count
@@ -160,14 +160,14 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
 
     # Made twice rather than kept: it is by far the largest of all arrays.
     projected = gram @ off
-    for place, flight in enumerate(spectra):
-        weighted = flight.rows[:, :, tolerances] / design.noise[:, flight.band][:, :, None]
+    columns = [design.rows(place, tolerances) for place in range(len(design.flights))]
+    for place, rows in enumerate(columns):
+        weighted = rows / design.noise[:, design.bands[place]][:, :, None]
         projected += np.einsum("abk,abd->kd", weighted, noise(place), optimize=True)
     left = off - within_tolerance(gram, projected)
     energy = np.zeros((len(cells.samples), len(AXES), DRAWS))
-    for place, flight in enumerate(spectra):
-        rows = flight.rows[:, :, tolerances] @ left + noise(place)
-        series = over_time(rows, len(design.flights[place].thinned))
+    for place, rows in enumerate(columns):
+        series = over_time(rows @ left + noise(place), len(design.flights[place].thinned))
         energy += (cells.members[place] @ np.square(series).reshape(len(series), -1)).reshape(energy.shape)
     return energy
 

@@ -76,6 +76,26 @@ class Compared:
         """Records (M,) that wrench effects look at, thinned."""
         return self.simulation.states(self.flight)[:: self.step].copy()
 
+    @cached_property
+    def record(self) -> npt.NDArray[np.void]:
+        """Record (1,) that wrench effects look at."""
+        return self.simulation.record()
+
+    @cached_property
+    def expected_thinned(self) -> Flight:
+        """:attr:`expected` at the rate of the residual."""
+        return _every(self.expected, self.step)
+
+    @cached_property
+    def expected_measured(self) -> Array:
+        """Wrench (M, 6) that would be measured of :attr:`expected`, thinned."""
+        return measured_wrench(self.expected_thinned, self.simulation.vehicle)
+
+    @cached_property
+    def expected_residual(self) -> Array:
+        """Residual (M, 6) that would be left of :attr:`expected`, thinned."""
+        return residual(self.expected, self.simulation)[:: self.step]
+
     def uncertain(self) -> list[Column]:
         """What tolerances allow, a column (M, 6) each."""
         tolerances = self.simulation.tolerances
@@ -126,6 +146,11 @@ def expected(flight: Flight, simulation: Simulation) -> Flight:
     return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
 
 
+def residual(flight: Flight, simulation: Simulation) -> Array:
+    """Measured less simulated wrench (N, 6)."""
+    return measured_wrench(flight, simulation.vehicle) - simulation.wrench(flight)
+
+
 def _every(flight: Flight, step: int) -> Flight:
     """Every `step`-th sample, side by side in memory as the kernels want them."""
     taken = flight.slice(slice(None, None, step))
@@ -135,18 +160,17 @@ def _every(flight: Flight, step: int) -> Flight:
 
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
     parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
-    return effect_wrench(effect.name, parameters, compared.states, compared.simulation.record())
+    return effect_wrench(effect.name, parameters, compared.states, compared.record)
 
 
 def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
     nominal = compared.simulation.vehicle
-    flight = _every(compared.expected, compared.step)
     try:
         share, vehicle = 1.0, effect.function(nominal, values)
     except SimulationError:
         # No such body exists: to first order the effect goes on beyond the last one that does.
         share, vehicle = 10.0, effect.function(nominal, 0.1 * values)
-    return share * (measured_wrench(flight, nominal) - measured_wrench(flight, vehicle))
+    return share * (compared.expected_measured - measured_wrench(compared.expected_thinned, vehicle))
 
 
 def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
@@ -157,12 +181,8 @@ def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
 
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
-    simulation, flight = compared.simulation, compared.expected
-
-    def residual(flight: Flight) -> Array:
-        return (measured_wrench(flight, simulation.vehicle) - simulation.wrench(flight))[:: compared.step]
-
-    return residual(flight) - residual(undone(flight, effect, simulation.vehicle, values))
+    altered = undone(compared.expected, effect, compared.simulation.vehicle, values)
+    return compared.expected_residual - residual(altered, compared.simulation)[:: compared.step]
 
 
 def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> Flight:

@@ -11,8 +11,8 @@ import numpy as np
 
 from quadpi_core.discrepancy.candidates import Candidate, linearise
 from quadpi_core.discrepancy.contributions import Compared
-from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit
-from quadpi_core.discrepancy.whitening import Spectrum, band_squares, cross_gram, estimate_noise, spectrum
+from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit, residual_weights
+from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effects.definition import AERODYNAMIC, Effect
@@ -34,6 +34,7 @@ class Design:
         points: per candidate, the free parameters that it is linearised at.
         blocks: per candidate, its columns.
         tolerance_names, tolerances: names and indices of the columns of tolerances.
+        bands: per flight (B,) the band of each row.
         noise: (6, BANDS) variance of the noise.
         per_flight: (F, K, K) Gram matrices of the columns, whitened.
     """
@@ -41,8 +42,8 @@ class Design:
     def __init__(self, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> None:
         self.flights, self.candidates = flights, candidates
         self._modulators = _modulators(flights)
-        self._spectra: list[list[Array]] = [[] for _ in flights]
-        self._bands = []
+        self._tables: list[list[Array]] = [[] for _ in flights]
+        self.bands: list[Indices] = []
         self.points: list[Array] = []
         self.blocks: list[Block] = []
         # Per candidate whose form may be off, its columns in time.
@@ -52,21 +53,27 @@ class Design:
         self.tolerances: Indices = np.arange(1, 1 + len(self.tolerance_names))
         for place, (flight, columns) in enumerate(zip(flights, uncertain, strict=True)):
             table = np.stack((flight.residual, *(column.wrench for column in columns)), axis=2)
-            self._bands.append(self._append(place, table))
+            self.bands.append(self._append(place, table))
         for index, candidate in enumerate(candidates):
-            zero = np.zeros(len(candidate.free))
-            self.points.append(zero if candidate.linear else candidate.start[list(candidate.free)])
+            self.points.append(np.zeros(len(candidate.free)))
             self.blocks.append(self._linearised(index))
-        self.weigh(estimate_noise(self.spectra(), self._explaining(())))
+        self.weigh(self._estimated_noise(()))
 
-    def _explaining(self, chosen: Sequence[int]) -> Indices:
-        """Columns that may explain the residual: of every effect that is linear, and of those chosen."""
+    def _estimated_noise(self, chosen: Sequence[int]) -> Array:
+        """Noise (6, BANDS) that tolerances, every effect that is linear, and those chosen leave."""
+        residual = residual_weights(self._width, [self.blocks[index] for index in chosen])
         blocks = [block.parameters for block in self.blocks if block.offset is None]
         for index in chosen:
             blocks.append(self.blocks[index].form)
             if self.blocks[index].offset is not None:
                 blocks.append(self.blocks[index].parameters)
-        return np.concatenate([self.tolerances, *blocks])
+        columns = np.concatenate([self.tolerances, *blocks])
+        return estimate_noise(
+            [
+                Spectrum(np.dstack((self.combined(place, residual), self.rows(place, columns))), band)
+                for place, band in enumerate(self.bands)
+            ]
+        )
 
     def weigh(self, noise: Array) -> None:
         """Take another noise (6, BANDS)."""
@@ -91,26 +98,30 @@ class Design:
         What they leave counts as noise where it is more: a law that is a little off would otherwise call for
         another effect to mend it.
         """
-        residual = np.zeros(len(self.gram))
-        residual[0] = 1.0
-        for index in chosen:
-            offset = self.blocks[index].offset
-            if offset is not None:
-                residual[offset] = 1.0
-        floor = estimate_noise(self.spectra(), self._explaining(chosen), residual)
-        return np.maximum(floor, band_squares(self.left(found), self.spectra()))
+        left = [np.square(rows) for rows in self.left(found)]
+        return np.maximum(self._estimated_noise(chosen), band_means(left, self.bands))
 
     @property
     def gram(self) -> Array:
         """Gram matrix (K, K) of all flights."""
         return self._gram
 
-    def spectra(self) -> list[Spectrum]:
-        """All columns of each flight."""
-        return [
-            Spectrum(np.concatenate(rows, axis=2), band)
-            for rows, band in zip(self._spectra, self._bands, strict=True)
-        ]
+    def rows(self, place: int, columns: Indices) -> Array:
+        """Some columns (6, B, k) of a flight."""
+        tables = self._tables[place]
+        starts = _starts(tables)
+        at = np.searchsorted(starts, columns, side="right") - 1
+        taken = [tables[t][:, :, c - starts[t]] for t, c in zip(at, columns, strict=True)]
+        return np.stack(taken, axis=2)
+
+    def combined(self, place: int, weights: Array) -> Array:
+        """Sum (6, B) of the columns of a flight, each times its weight (K,); later columns have none."""
+        total = np.zeros((len(AXES), len(self.bands[place])))
+        for start, table in zip(_starts(self._tables[place]), self._tables[place], strict=True):
+            own = weights[start : start + table.shape[2]]
+            if own.any():
+                total += table @ own
+        return total
 
     def refresh(self) -> None:
         """Bring the Gram matrices up to date with columns that were added."""
@@ -120,10 +131,10 @@ class Design:
             return
         grown = np.zeros((len(self.flights), width, width))
         grown[:, :known, :known] = self.per_flight
-        for place, band in enumerate(self._bands):
+        for place, band in enumerate(self.bands):
             weights = 1.0 / np.sqrt(self.noise[:, band])
             done = self._weighted[place]
-            fresh = [rows * weights[:, :, None] for rows in self._spectra[place][len(done) :]]
+            fresh = [rows * weights[:, :, None] for rows in self._tables[place][len(done) :]]
             added = np.concatenate(fresh, axis=2)
             for first, rows in zip(_starts(done), done, strict=True):
                 block = cross_gram(rows, added)
@@ -136,12 +147,12 @@ class Design:
 
     @property
     def _width(self) -> int:
-        return sum(rows.shape[2] for rows in self._spectra[0])
+        return sum(table.shape[2] for table in self._tables[0])
 
     def _append(self, place: int, table: Array) -> Indices:
         """Append columns (M, 6, K) of a flight; gives the band of each row."""
         found = spectrum(table, self.flights[place].thinned.rate_hz)
-        self._spectra[place].append(found.rows)
+        self._tables[place].append(found.rows)
         return found.band
 
     def _linearised(self, index: int) -> Block:
@@ -209,32 +220,21 @@ class Design:
         blocks = [self.blocks[i] if form else replace(self.blocks[i], form=_NONE) for i in chosen]
         return fit(self.gram if gram is None else gram, self.tolerances, blocks)
 
-    def weights(self, found: Fit) -> Array:
-        """Weight (K,) of each column in what a fit leaves of the residual."""
-        weights = np.zeros(len(self.gram))
-        weights[0] = 1.0
-        weights[found.columns] -= found.coefficients
-        for block in self.blocks:
-            if block.offset is not None and np.isin(block.parameters, found.columns).any():
-                weights[block.offset] += 1.0
-        return weights
-
     def left(self, found: Fit) -> list[Array]:
         """Rows (6, B) of each flight that a fit leaves of the residual."""
-        weights = self.weights(found)
-        return [flight.rows @ weights for flight in self.spectra()]
+        return [self.combined(place, found.left) for place in range(len(self.flights))]
 
     def loudness(self, index: int, found: Fit) -> float:
         """Root mean square of what a candidate adds in a fit over that of the noise, in its loudest axis."""
         block = self.blocks[index]
-        weights = np.zeros(len(self.gram))
+        weights = np.zeros(self._width)
         weights[block.parameters] = found.of(block.parameters)
         if block.offset is not None:
             weights[block.offset] = -1.0
         squares, noise = np.zeros(len(AXES)), np.zeros(len(AXES))
-        for flight in self.spectra():
-            squares += np.square(flight.rows @ weights).sum(axis=1)
-            noise += self.noise[:, flight.band].sum(axis=1)
+        for place, band in enumerate(self.bands):
+            squares += np.square(self.combined(place, weights)).sum(axis=1)
+            noise += self.noise[:, band].sum(axis=1)
         return float(np.sqrt(np.max(squares / noise)))
 
     def parameters(self, index: int, found: Fit) -> Array:
@@ -256,8 +256,9 @@ def _absorbed(here: Array, mean: Array) -> Array:
     return columns
 
 
-def _starts(rows: Sequence[Array]) -> list[int]:
-    return [0, *np.cumsum([table.shape[2] for table in rows])[:-1].tolist()] if rows else []
+def _starts(tables: Sequence[Array]) -> list[int]:
+    """Index of the first column of each of the tables (6, B, ·)."""
+    return [0, *np.cumsum([table.shape[2] for table in tables])[:-1].tolist()] if tables else []
 
 
 def _modulators(flights: Sequence[Compared]) -> list[Array]:

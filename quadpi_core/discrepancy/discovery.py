@@ -139,7 +139,7 @@ def discover(
     compared = [Compared(flight, simulation) for flight in flights]
     found = search(compared, candidates(simulation.vehicle, names), seed)
     design = found.design
-    rows = sum(flight.rows.shape[1] for flight in design.spectra())
+    rows = sum(len(band) for band in design.bands)
     matters = found.left.gain > _MATTERS * rows
     predictable = float(found.left.gain[matters].sum())
     named = float(np.maximum(found.named, 0.0).sum())

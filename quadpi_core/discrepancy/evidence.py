@@ -53,12 +53,14 @@ class Fit(NamedTuple):
         columns: (c,) indices of the columns that took part.
         coefficients: (c,) their posterior mean.
         covariance: (c, c) of the posterior.
+        left: (K,) weight of each column of the Gram matrix in what the fit leaves of the residual.
     """
 
     log_evidence: float
     columns: Indices
     coefficients: Array
     covariance: Array
+    left: Array
 
     def of(self, wanted: Indices) -> Array:
         """Coefficients of some columns; 0 for those that a bound took out."""
@@ -89,11 +91,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         tolerances: indices of the columns of the simulation's tolerances.
         blocks: of the effects.
     """
-    weights = np.zeros(len(gram))
-    weights[0] = 1.0
-    for block in blocks:
-        if block.offset is not None:
-            weights[block.offset] = 1.0
+    residual = residual_weights(len(gram), blocks)
     out: set[int] = set()
     form: list[Array] | None = None
     exact: Fit | None = None
@@ -109,7 +107,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
                 parts.append(block.form)
                 precisions.append(form[place])
         columns = np.concatenate(parts).astype(np.intp)
-        found = _evidence(gram, columns, weights, np.concatenate(precisions))
+        found = _evidence(gram, columns, residual, np.concatenate(precisions))
         beyond = _beyond_bounds(found, blocks) - out
         out |= beyond
         if beyond:
@@ -124,21 +122,33 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
 
 
+def residual_weights(width: int, blocks: Sequence[Block]) -> Array:
+    """Weight (width,) of each column in the residual beside the points that effects are linearised at."""
+    weights = np.zeros(width)
+    weights[0] = 1.0
+    for block in blocks:
+        if block.offset is not None:
+            weights[block.offset] = 1.0
+    return weights
+
+
 def _form_precision(found: Fit, block: Block) -> float:
     size = float(np.linalg.norm(found.of(block.parameters)))
     return float(min((block.formed_at / max(size, 1e-9)) ** 2, _PRECISE))
 
 
-def _evidence(gram: Array, columns: Indices, weights: Array, precisions: Array) -> Fit:
+def _evidence(gram: Array, columns: Indices, residual: Array, precisions: Array) -> Fit:
     matrix = gram[np.ix_(columns, columns)] + np.diag(precisions)
     lower = np.linalg.cholesky(matrix)
-    projected = gram[columns] @ weights
+    projected = gram[columns] @ residual
     half = np.linalg.solve(lower, projected)
     coefficients = np.linalg.solve(lower.T, half)
     inverse = np.linalg.solve(lower, np.eye(len(columns)))
-    log_evidence = -0.5 * float(weights @ gram @ weights - half @ half)
+    log_evidence = -0.5 * float(residual @ gram @ residual - half @ half)
     log_evidence -= float(np.log(np.diag(lower)).sum() - 0.5 * np.log(precisions).sum())
-    return Fit(log_evidence, columns, coefficients, inverse.T @ inverse)
+    left = residual.copy()
+    left[columns] -= coefficients
+    return Fit(log_evidence, columns, coefficients, inverse.T @ inverse, left)
 
 
 def _beyond_bounds(found: Fit, blocks: Sequence[Block]) -> set[int]:

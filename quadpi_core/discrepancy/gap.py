@@ -10,8 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.discrepancy.design import Design
+from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+
+_RESIDUAL = np.zeros(1, dtype=np.intp)
 
 
 class Gap(NamedTuple):
@@ -31,14 +34,12 @@ class Gap(NamedTuple):
 
 def gap(design: Design, chosen: Sequence[int]) -> Gap:
     """The gap of each flight with parameters found on all others."""
-    spectra = design.spectra()
     before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
     samples = 0
-    for place, weights in enumerate(left_out_weights(design, chosen)):
-        rows = spectra[place].rows
-        before += np.square(rows[:, :, 0]).sum(axis=1)
-        after += np.square(rows @ weights).sum(axis=1)
-        floor += design.noise[:, spectra[place].band].sum(axis=1)
+    for place, found in enumerate(left_out_fits(design, chosen)):
+        before += np.square(design.rows(place, _RESIDUAL)).sum(axis=(1, 2))
+        after += np.square(design.combined(place, found.left)).sum(axis=1)
+        floor += design.noise[:, design.bands[place]].sum(axis=1)
         samples += len(design.flights[place].thinned)
     removable = np.sum(np.maximum(before - floor, 0.0) / floor)
     kept = np.sum((after - floor) / floor)
@@ -50,12 +51,12 @@ def gap(design: Design, chosen: Sequence[int]) -> Gap:
     )
 
 
-def left_out_weights(design: Design, chosen: Sequence[int]) -> list[Array]:
-    """Per flight the weight (K,) of each column in what is left of its residual by a fit of all others."""
-    weights = []
+def left_out_fits(design: Design, chosen: Sequence[int]) -> list[Fit]:
+    """Per flight a fit of all others, without the form of the effects."""
+    fits = []
     for own in design.per_flight:
         others = design.gram - own
         found = design.fit(chosen, others, form=False) or design.fit((), others)
         assert found is not None  # without effects there is always a fit
-        weights.append(design.weights(found))
-    return weights
+        fits.append(found)
+    return fits

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky
 from scipy.signal import lfilter
 
 from quadpi_core.discrepancy.contributions import Compared
-from quadpi_core.discrepancy.whitening import BANDS, Spectrum, band_squares, spectrum
+from quadpi_core.discrepancy.whitening import Spectrum, band_means, expected_squares, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array, rotation_matrix
 
@@ -112,44 +112,47 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
         spectra: of the functions, see :func:`generic_spectra`.
         names: of the functions.
     """
-    noise = band_squares(left, spectra)
-    for _ in range(_ROUNDS):
-        noise = np.stack([_noise_left(axis, left, spectra, noise[axis]) for axis in range(len(AXES))])
+    bands = [flight.band for flight in spectra]
+    noise = band_means([np.square(rows) for rows in left], bands)
     gain, best = np.zeros(len(AXES)), []
     for axis in range(len(AXES)):
-        grams, projections = axis_projections(axis, left, spectra, noise)
+        own = [
+            Spectrum(np.dstack((rows[axis][None], flight.rows)), flight.band)
+            for rows, flight in zip(left, spectra, strict=True)
+        ]
+        for _ in range(_ROUNDS):
+            noise[axis] = _noise_left(own, noise[axis])
+        grams, projections = _projections(own, noise[axis])
         gain[axis], coefficients = left_out_gain(grams, projections)
         size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams))
         best.append([names[index] for index in np.argsort(-size)[:3]])
     return Left(gain, best, noise)
 
 
-def _noise_left(axis: int, left: Sequence[Array], spectra: Sequence[Spectrum], noise: Array) -> Array:
+def _noise_left(spectra: Sequence[Spectrum], noise: Array) -> Array:
     """Variance (BANDS,) of what the functions leave of one axis, with what their uncertainty hides of it."""
-    matrices, columns = axis_projections(axis, left, spectra, np.tile(noise, (len(AXES), 1)))
-    total = matrices.sum(axis=0)
+    grams, projections = _projections(spectra, noise)
+    total = grams.sum(axis=0)
     lower = cholesky(total + _penalty(total, _RIDGE[0]), lower=True)
-    coefficients = cho_solve((lower, True), columns.sum(axis=0))
-    squares, counts = np.zeros(BANDS), np.zeros(BANDS)
-    for rows, flight in zip(left, spectra, strict=True):
-        rest = rows[axis] - flight.rows[0] @ coefficients
-        spread = np.square(solve_triangular(lower, flight.rows[0].T, lower=True)).sum(axis=0)
-        squares += np.bincount(flight.band, rest * rest + spread, BANDS)
-        counts += np.bincount(flight.band, minlength=BANDS)
-    variance: Array = np.maximum(squares, np.finfo(float).tiny) / np.maximum(counts, 1.0)
-    return variance
+    coefficients = cho_solve((lower, True), projections.sum(axis=0))
+    squares = [expected_squares(flight.rows, coefficients, lower) for flight in spectra]
+    means = band_means(squares, [flight.band for flight in spectra])[0]
+    noise_left: Array = np.maximum(means, np.finfo(float).tiny)
+    return noise_left
 
 
-def axis_projections(
-    axis: int, left: Sequence[Array], spectra: Sequence[Spectrum], noise: Array
-) -> tuple[Array, Array]:
-    """Gram matrices (F, J, J) of the functions and projections (F, J) of what is left, whitened."""
+def _projections(spectra: Sequence[Spectrum], noise: Array) -> tuple[Array, Array]:
+    """Gram matrices (F, J, J) of the functions and projections (F, J) on them of what is left, whitened.
+
+    Args:
+        spectra: per flight (1, B, 1 + J): what is left of an axis, and the functions.
+        noise: (BANDS,) variance of the axis.
+    """
     grams, projections = [], []
-    for rows, flight in zip(left, spectra, strict=True):
-        weights = 1.0 / np.sqrt(noise[axis, flight.band])
-        functions_ = flight.rows[0] * weights[:, None]
-        grams.append(functions_.T @ functions_)
-        projections.append(functions_.T @ (rows[axis] * weights))
+    for flight in spectra:
+        rows = flight.rows[0] / np.sqrt(noise[flight.band])[:, None]
+        grams.append(rows[:, 1:].T @ rows[:, 1:])
+        projections.append(rows[:, 1:].T @ rows[:, 0])
     return np.array(grams), np.array(projections)
 
 
@@ -158,7 +161,7 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
 
     Args:
         grams: (F, J, J).
-        projections: (F, J), or (F, J, D) for D draws.
+        projections: (F, J).
     """
     total, aim = grams.sum(axis=0), projections.sum(axis=0)
     best, kept = -np.inf, np.zeros(len(total))

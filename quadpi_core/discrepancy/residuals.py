@@ -15,7 +15,8 @@ import numpy.typing as npt
 from scipy.stats import norm
 
 from quadpi_core.discrepancy.contributions import Compared
-from quadpi_core.discrepancy.gap import left_out_weights
+from quadpi_core.discrepancy.evidence import residual_weights
+from quadpi_core.discrepancy.gap import left_out_fits
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.frames import Array, rotation_matrix
 
@@ -51,19 +52,21 @@ def residuals(found: Found) -> list[Residual]:
     design = found.design
     tolerances = design.tolerances
     # Beside the effects that were found: alone, coefficients would bend to take their place.
-    without = design.weights(found.fit)
+    without = found.fit.left.copy()
     without[tolerances] = 0.0
-    projected = design.gram[tolerances] @ without
+    projected = design.gram[tolerances, : len(without)] @ without
     fitted = within_tolerance(design.gram[np.ix_(tolerances, tolerances)], projected[:, None])[:, 0]
-    weights = left_out_weights(design, found.chosen)
+    before = residual_weights(len(without), ())
+    beyond = before.copy()
+    beyond[tolerances] -= fitted
     result = []
-    for place, (flight, spectrum) in enumerate(zip(design.flights, design.spectra(), strict=True)):
-        rows = spectrum.rows
-        before = rows[:, :, 0]
-        beyond = before - rows[:, :, tolerances] @ fitted
+    for place, (flight, held_out) in enumerate(
+        zip(design.flights, left_out_fits(design, found.chosen), strict=True)
+    ):
         samples = len(flight.thinned)
-        at = places(rows.shape[1], samples)
-        series = over_time(np.stack((before, beyond, rows @ weights[place]), axis=2), samples)
+        at = places(len(design.bands[place]), samples)
+        rows = [design.combined(place, weights) for weights in (before, beyond, held_out.left)]
+        series = over_time(np.stack(rows, axis=2), samples)
         result.append(
             Residual(
                 flight=flight.thinned.name,

@@ -12,8 +12,8 @@ import numpy as np
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.design import Design
-from quadpi_core.discrepancy.evidence import Fit, null_gains
-from quadpi_core.discrepancy.gap import left_out_weights
+from quadpi_core.discrepancy.evidence import Fit, null_gains, residual_weights
+from quadpi_core.discrepancy.gap import left_out_fits
 from quadpi_core.discrepancy.generic import Left, generic_spectra, predicted
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -38,6 +38,7 @@ _HEARD = 0.1
 # On flights left out: share of what was left of an axis, and of what an effect takes from all of them, by
 # which the effect may enlarge what is left of the axis. Coefficients settle elsewhere beside it.
 _GROWS = 0.1
+_FEW_FLIGHTS = 4
 # Of the discrepancy that can be predicted from flight to flight: what may stay without a name.
 UNEXPLAINED_SHARE = 0.05
 
@@ -150,16 +151,13 @@ def _accepted(design: Design, chosen: tuple[int, ...], larger: tuple[int, ...], 
     """Fit of the larger set beside the noise that it leaves; None, and nothing changed, if it does not stand.
 
     The effect has to be heard, of some size with and without the room of its form, and must not drive flights
-    that are left out farther away in any axis. They need not come closer: coefficients far beyond their
-    tolerances may have closed the same gap.
+    that are left out farther away in any axis.
     """
     state = design.state()
     if _is_heard(design, set(larger) - set(chosen), found):
         before = left_out_squares(design, chosen)
         refined = _refine(design, larger, found)
-        after = left_out_squares(design, larger)
-        room = _GROWS * (before + max(0.0, float(before.sum() - after.sum())))
-        if _sizeable(design, larger, refined) and np.all(after - before <= room):
+        if _sizeable(design, larger, refined) and _stays(before, left_out_squares(design, larger), design):
             design.weigh(design.noise_beside(larger, refined))
             plain = design.fit(larger, form=False)
             if plain is not None and _sizeable(design, larger, plain):
@@ -171,9 +169,20 @@ def _accepted(design: Design, chosen: tuple[int, ...], larger: tuple[int, ...], 
 def left_out_squares(design: Design, chosen: Sequence[int]) -> Array:
     """Squares (6,) in variances of the noise that each flight is left with by a fit of all others."""
     squares = np.zeros(len(AXES))
-    for weights, flight in zip(left_out_weights(design, chosen), design.spectra(), strict=True):
-        squares += np.sum(np.square(flight.rows @ weights) / design.noise[:, flight.band], axis=1)
+    for place, found in enumerate(left_out_fits(design, chosen)):
+        left = np.square(design.combined(place, found.left))
+        squares += np.sum(left / design.noise[:, design.bands[place]], axis=1)
     return squares
+
+
+def _stays(before: Array, after: Array, design: Design) -> bool:
+    """Whether no axis of the flights left out is driven away, of squares (6,) before and after an effect.
+
+    They need not come closer: coefficients far beyond their tolerances may have closed the same gap. Of few
+    flights each is flown in its own way, and the others do not tell what it takes.
+    """
+    room = _GROWS * (before + max(0.0, float(before.sum() - after.sum())))
+    return len(design.flights) < _FEW_FLIGHTS or bool(np.all(after - before <= room))
 
 
 def _grown(design: Design, chosen: tuple[int, ...]) -> list[tuple[tuple[int, ...], Fit]]:
@@ -191,11 +200,7 @@ def _grown(design: Design, chosen: tuple[int, ...]) -> list[tuple[tuple[int, ...
 
 
 def _sizeable(design: Design, chosen: tuple[int, ...], found: Fit) -> bool:
-    return all(
-        np.abs(found.of(design.blocks[index].parameters)[design.candidates[index].amplitudes]).max()
-        > _SMALLEST
-        for index in chosen
-    )
+    return all(np.abs(found.of(design.blocks[index].parameters)).max() > _SMALLEST for index in chosen)
 
 
 def _is_heard(design: Design, added: set[int], found: Fit) -> bool:
@@ -234,13 +239,12 @@ def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, li
 
 
 def _named(design: Design, found: Fit, left: Left) -> Array:
-    weights = np.zeros(len(design.gram))
-    weights[0] = 1.0
-    weights[design.tolerances] -= found.of(design.tolerances)
+    weights = residual_weights(len(found.left), ())
+    weights[design.tolerances] = found.left[design.tolerances]
     named = np.zeros(len(AXES))
-    for rows, flight in zip(design.left(found), design.spectra(), strict=True):
-        without = flight.rows @ weights
-        named += np.sum((without**2 - rows**2) / left.noise[:, flight.band], axis=1)
+    for place, (rows, band) in enumerate(zip(design.left(found), design.bands, strict=True)):
+        without = design.combined(place, weights)
+        named += np.sum((without**2 - rows**2) / left.noise[:, band], axis=1)
     return named
 
 

@@ -74,61 +74,52 @@ def cross_gram(first: Array, second: Array) -> Array:
     return total
 
 
-def estimate_noise(
-    spectra: Sequence[Spectrum], columns: npt.NDArray[np.intp], residual: Array | None = None
-) -> Array:
-    """Variance (6, BANDS) of the noise, from what a fit of all columns leaves of the first.
+def estimate_noise(spectra: Sequence[Spectrum]) -> Array:
+    """Variance (6, BANDS) of the noise, from what a fit of all other columns leaves of the first.
 
     By expectation and maximisation: a band gets the mean square that is left plus what the uncertainty of the
     fit would take from it, so that many columns do not make the noise look small.
 
     Args:
-        spectra: of flights.
-        columns: (k,) indices of those that may explain the residual, with a prior deviation of 1.
-        residual: (K,) weight of each column in the residual; column 0 alone unless given.
+        spectra: per flight the residual, and the columns that may explain it with a prior deviation of 1.
     """
-    if residual is None:
-        residual = np.eye(1, spectra[0].rows.shape[2])[0]
-    spectra = [
-        Spectrum(
-            np.concatenate(((flight.rows @ residual)[:, :, None], flight.rows[:, :, columns]), axis=2),
-            flight.band,
-        )
-        for flight in spectra
-    ]
+    bands = [flight.band for flight in spectra]
+    # A band that no flight is long enough for has the noise of the next.
+    filled = np.flatnonzero(np.bincount(np.concatenate(bands), minlength=BANDS))
     noise = np.empty((len(AXES), BANDS))
     for axis in range(len(AXES)):
         # From below, where the fit is that of least squares, the rounds settle quickly.
         highest = np.concatenate([flight.rows[axis, flight.band == BANDS - 1, 0] for flight in spectra])
         noise[axis] = max(np.mean(np.square(highest)), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
-        gram = np.zeros((1 + len(columns), 1 + len(columns)))
-        for flight in spectra:
-            weighted = flight.rows / np.sqrt(noise[:, flight.band])[:, :, None]
-            gram += cross_gram(weighted, weighted)
+        weighted = [flight.rows / np.sqrt(noise[:, flight.band])[:, :, None] for flight in spectra]
+        gram = np.sum([cross_gram(rows, rows) for rows in weighted], axis=0)
         lower = cholesky(gram[1:, 1:] + np.eye(len(gram) - 1), lower=True)
         fit = cho_solve((lower, True), gram[1:, 0])
-        for axis in range(len(AXES)):
-            squares, counts = np.zeros(BANDS), np.zeros(BANDS)
-            for flight in spectra:
-                rows = flight.rows[axis]
-                left = rows[:, 0] - rows[:, 1:] @ fit
-                spread = np.square(solve_triangular(lower, rows[:, 1:].T, lower=True)).sum(axis=0)
-                squares += np.bincount(flight.band, left * left + spread, BANDS)
-                counts += np.bincount(flight.band, minlength=BANDS)
-            # A band that no flight is long enough for has the noise of the next.
-            found = counts > 0
-            noise[axis, found] = squares[found] / counts[found]
-            noise[axis] = np.interp(np.arange(BANDS), np.flatnonzero(found), noise[axis, found])
+        means = band_means([expected_squares(flight.rows, fit, lower) for flight in spectra], bands)
+        noise = np.stack([np.interp(np.arange(BANDS), filled, own[filled]) for own in means])
     return noise
 
 
-def band_squares(rows: Sequence[Array], spectra: Sequence[Spectrum]) -> Array:
-    """Mean square (6, BANDS) of rows (6, B) of each flight; 0 in bands that no flight is long enough for."""
-    squares, counts = np.zeros((len(AXES), BANDS)), np.zeros(BANDS)
-    for own, flight in zip(rows, spectra, strict=True):
-        counts += np.bincount(flight.band, minlength=BANDS)
-        for axis in range(len(AXES)):
-            squares[axis] += np.bincount(flight.band, own[axis] ** 2, BANDS)
-    mean: Array = squares / np.maximum(counts, 1.0)
+def expected_squares(rows: Array, coefficients: Array, lower: Array) -> Array:
+    """Squares (A, B) of what a fit leaves of each row, with what its uncertainty hides of them.
+
+    Args:
+        rows: (A, B, 1 + k): what was fitted, and the columns.
+        coefficients: (k,) of the fit.
+        lower: (k, k) Cholesky factor of the inverse of their covariance.
+    """
+    left = rows[:, :, 0] - rows[:, :, 1:] @ coefficients
+    columns = rows[:, :, 1:].reshape(-1, len(coefficients))
+    spread = np.square(solve_triangular(lower, columns.T, lower=True)).sum(axis=0)
+    squares: Array = np.square(left) + spread.reshape(left.shape)
+    return squares
+
+
+def band_means(values: Sequence[Array], bands: Sequence[npt.NDArray[np.intp]]) -> Array:
+    """Mean (A, BANDS) within each band of values (A, B) of each flight; 0 where no flight has rows."""
+    counts = np.bincount(np.concatenate(bands), minlength=BANDS)
+    together, band = np.concatenate(values, axis=1), np.concatenate(bands)
+    sums = np.stack([np.bincount(band, own, BANDS) for own in together])
+    mean: Array = sums / np.maximum(counts, 1)
     return mean

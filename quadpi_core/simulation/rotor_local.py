@@ -218,29 +218,40 @@ class RotorLocalModel:
 
     def record(self, motor_time_constant: float = np.inf) -> npt.NDArray[np.void]:
         """Record VEHICLE (1,) for the compiled physics."""
-        vehicle = self.vehicle
-        record = np.zeros(1, dtype=VEHICLE)
-        values = {
-            "mass": vehicle.mass_kg,
-            "gravity": vehicle.gravity_m_s2,
-            "air_density": vehicle.air_density_kg_m3,
-            "inertia": vehicle.inertia,
-            "inverse_inertia": inverse(vehicle.inertia),
-            "rotor_positions": vehicle.rotor_positions,
-            "rotor_spins": vehicle.rotor_spins,
-            "rotor_radius": vehicle.rotor_radius_m,
-            "hover_induced_velocity": vehicle.hover_induced_velocity,
-            "hover_rotor_speed": self.hover_rotor_speed,
-            "motor_time_constant": motor_time_constant,
-            "rotor_speed_max": vehicle.rotor_speed_max_rad_s,
-            "airframe_area": airframe_area(vehicle),
-        }
-        values |= {
-            column.name: getattr(self.coefficients, column.name) for column in fields(self.coefficients)
-        }
-        for name, value in values.items():
-            record[name] = value
+        record = vehicle_record(self.vehicle, self.hover_rotor_speed, motor_time_constant)
+        for column in fields(self.coefficients):
+            record[column.name] = getattr(self.coefficients, column.name)
         return record
+
+
+def vehicle_record(
+    vehicle: Vehicle, hover_rotor_speed: float, motor_time_constant: float = np.inf
+) -> npt.NDArray[np.void]:
+    """Record VEHICLE (1,) of a vehicle without aerodynamics.
+
+    Args:
+        vehicle: whose body it holds.
+        hover_rotor_speed: [rad/s] that carries the weight in still air.
+        motor_time_constant: [s] of the rotors.
+    """
+    record = np.zeros(1, dtype=VEHICLE)
+    for name, value in {
+        "mass": vehicle.mass_kg,
+        "gravity": vehicle.gravity_m_s2,
+        "air_density": vehicle.air_density_kg_m3,
+        "inertia": vehicle.inertia,
+        "inverse_inertia": inverse(vehicle.inertia),
+        "rotor_positions": vehicle.rotor_positions,
+        "rotor_spins": vehicle.rotor_spins,
+        "rotor_radius": vehicle.rotor_radius_m,
+        "hover_induced_velocity": vehicle.hover_induced_velocity,
+        "hover_rotor_speed": hover_rotor_speed,
+        "motor_time_constant": motor_time_constant,
+        "rotor_speed_max": vehicle.rotor_speed_max_rad_s,
+        "airframe_area": airframe_area(vehicle),
+    }.items():
+        record[name] = value
+    return record
 
 
 def airframe_area(vehicle: Vehicle) -> float:

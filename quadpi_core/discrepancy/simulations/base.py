@@ -22,9 +22,8 @@ from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
-from quadpi_core.simulation.linear import inverse
-from quadpi_core.simulation.records import STATE, VEHICLE
-from quadpi_core.simulation.rotor_local import airframe_area
+from quadpi_core.simulation.records import STATE
+from quadpi_core.simulation.rotor_local import vehicle_record
 from quadpi_core.simulation.section import Section
 from quadpi_core.vehicle import Vehicle
 
@@ -127,25 +126,7 @@ class Simulation(ABC):
 
     def record(self) -> npt.NDArray[np.void]:
         """Record `simulation.records.VEHICLE` (1,) with what effects look at; no aerodynamics."""
-        vehicle = self.vehicle
-        record = np.zeros(1, dtype=VEHICLE)
-        for name, value in {
-            "mass": vehicle.mass_kg,
-            "gravity": vehicle.gravity_m_s2,
-            "air_density": vehicle.air_density_kg_m3,
-            "inertia": vehicle.inertia,
-            "inverse_inertia": inverse(vehicle.inertia),
-            "rotor_positions": vehicle.rotor_positions,
-            "rotor_spins": vehicle.rotor_spins,
-            "rotor_radius": vehicle.rotor_radius_m,
-            "hover_induced_velocity": vehicle.hover_induced_velocity,
-            "hover_rotor_speed": self.hover_rotor_speed,
-            "motor_time_constant": np.inf,
-            "rotor_speed_max": vehicle.rotor_speed_max_rad_s,
-            "airframe_area": airframe_area(vehicle),
-        }.items():
-            record[name] = value
-        return record
+        return vehicle_record(self.vehicle, self.hover_rotor_speed)
 
 
 def airspeed(flight: Flight) -> Array:
