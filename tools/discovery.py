@@ -25,7 +25,15 @@ sys.path.insert(0, str(ROOT / "test" / "discovery"))
 sys.path.append(str(ROOT / "tools"))
 
 from blind import elsewhere  # noqa: E402
-from blind.cases import SINGLE, SIZES, Case, Hidden, all_cases, short_cases  # noqa: E402
+from blind.cases import (  # noqa: E402
+    SINGLE,
+    SIZES,
+    Case,
+    Hidden,
+    all_cases,
+    development_cases,
+    short_cases,
+)
 from blind.scoring import Answer, confusion, failures, figures  # noqa: E402
 from blind.searching import searched  # noqa: E402
 from paper_tables import replaced, stamp  # noqa: E402
@@ -149,15 +157,24 @@ def as_json(results: Sequence[dict[str, Any]], answers: Sequence[Answer]) -> dic
 def main() -> None:
     """Run, print the figures, write out/discovery.json and the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--short", action="store_true", help="a few cases; the page stays as it is")
-    parser.add_argument("--cases", type=int, help="so many of all, evenly mixed; the page stays as it is")
+    few = parser.add_mutually_exclusive_group()
+    few.add_argument("--short", action="store_true", help="a few cases; the page stays as it is")
+    few.add_argument(
+        "--development",
+        action="store_true",
+        help="cases of other seeds, to look at while the search changes; the page stays as it is",
+    )
+    few.add_argument("--cases", type=int, help="so many of all, evenly mixed; the page stays as it is")
     parser.add_argument("--workers", type=int, help="processes; default: one per core")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "discovery", help="for results by case")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "discovery.json")
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     options = parser.parse_args()
-    cases = short_cases() if options.short else all_cases()[: options.cases]
-    if not (options.short or elsewhere.available()):
+    whole = not (options.short or options.development or options.cases)
+    cases = all_cases()[: options.cases]
+    if options.short or options.development:
+        cases = short_cases() if options.short else development_cases()
+    if whole and not elsewhere.available():
         print("no rotorpy here: its flights are left out; `make bench` installs it")
     results = run(cases, options.work / fingerprint(), options.workers)
     answers = scored(results)
@@ -170,7 +187,7 @@ def main() -> None:
     print("\n\n".join(tables.values()))
     with whole_output(options.json) as temporary:
         temporary.write_text(json.dumps(as_json(results, answers), indent=1), encoding="utf-8")
-    if options.short or options.cases:
+    if not whole:
         return
     page = options.page.read_text(encoding="utf-8")
     for name, content in tables.items():

@@ -124,15 +124,24 @@ def _plans(scenario: str) -> Sequence[FlightPlan]:
 
 def all_cases(*, seeds: int = 5, nulls: int = 100, sizes: Sequence[float] = SIZES) -> list[Case]:
     """Every case, in an order that a seed shuffles: the first of them are a fair sample."""
-    truths = [Hidden(NULL, (), 0.0, 10_000 + seed) for seed in range(nulls)]
-    for seed in range(seeds):
-        truths += [Hidden(SINGLE, (name,), size, seed) for name in EFFECTS for size in sizes]
-        truths += [Hidden(OUT, (name,), 1.0, seed) for name in OUTSIDE]
-        truths += [Hidden(PAIR, pair, 1.0, seed) for pair in PAIRS]
-    truths += [Hidden(POOR, (name,), 1.0, 20_000) for name in EFFECTS]
+    truths = _truths(range(seeds), range(10_000, 10_000 + nulls), 20_000, sizes)
     if elsewhere.available():
         truths += [Hidden(ELSE, (name,), 1.0, 0) for name in elsewhere.EFFECTS]
     return _sealed(truths)
+
+
+def development_cases() -> list[Case]:
+    """Of seeds that no other case has: to look at while the search changes."""
+    return _sealed(_truths(range(1000, 1001), range(11_000, 11_020), 21_000, SIZES))
+
+
+def _truths(seeds: range, nulls: range, poor: int, sizes: Sequence[float]) -> list[Hidden]:
+    truths = [Hidden(NULL, (), 0.0, seed) for seed in nulls]
+    for seed in seeds:
+        truths += [Hidden(SINGLE, (name,), size, seed) for name in EFFECTS for size in sizes]
+        truths += [Hidden(OUT, (name,), 1.0, seed) for name in OUTSIDE]
+        truths += [Hidden(PAIR, pair, 1.0, seed) for pair in PAIRS]
+    return truths + [Hidden(POOR, (name,), 1.0, poor) for name in EFFECTS]
 
 
 def short_cases() -> list[Case]:
