@@ -8,7 +8,7 @@ import importlib.metadata
 
 import pytest
 
-from benchmarks import UnavailableError, simulate_bags, simulation_realtime, simulation_vs_rotorpy
+from benchmarks import UnavailableError, simulate_bags, simulation_realtime, simulation_vs_rotorpy, soak
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 
@@ -41,3 +41,13 @@ def test_without_rotorpy_its_benchmark_is_skipped(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(importlib.metadata, "version", absent)
     with pytest.raises(UnavailableError, match="rotorpy"):
         simulation_vs_rotorpy.run()
+
+
+def test_soak_counts_what_is_missing_between_and_at_the_end() -> None:
+    begun_ns, sample_ns = 1_700_000_000_000_000_000, 2_000_000
+    heard = soak.Heard(begun_ns)
+    for sample in (500, 501, 503, 504):
+        heard.take(b"\0" * 4 + soak._STAMP.pack(*divmod(begun_ns + sample * sample_ns, 1_000_000_000)))
+    assert heard.lost(begun_ns + 504 * sample_ns) == 1
+    assert heard.lost(begun_ns + 510 * sample_ns) == 7
+    assert heard.flown_s == pytest.approx(4 * 0.002)
