@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 import quadpi_core
-from quadpi_core.cli import app, group_bags
+from quadpi_core.cli import app
+from quadpi_core.cli.models import group_bags
 from quadpi_core.errors import QuadpiError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording

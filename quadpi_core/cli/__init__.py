@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command line `quadpi`. Known errors print one line and exit with status 2.
+
+Each command imports what it needs when it runs, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from quadpi_core import __version__
+from quadpi_core.cli.interruption import Interruptible, interrupt_on_sigterm
+from quadpi_core.cli.live import demo, replay
+from quadpi_core.cli.logs import import_, info
+from quadpi_core.cli.models import evaluate, identify
+from quadpi_core.cli.simulation import discrepancy, simulate, validate
+from quadpi_core.errors import QuadpiError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    cls=Interruptible,
+    help="How far can an aerodynamic model of a quadrotor be trusted?",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("import")(import_)
+# In the order in which `--help` lists them.
+for command in (info, identify, evaluate, replay, simulate, validate, discrepancy, demo):
+    app.command()(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"quadpi {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """How far can an aerodynamic model of a quadrotor be trusted?"""
+
+
+def main() -> None:
+    """Entry point of the command `quadpi`."""
+    interrupt_on_sigterm()
+    try:
+        app()
+    except QuadpiError as error:
+        print(f"quadpi: {error}", file=sys.stderr)
+        sys.exit(2)

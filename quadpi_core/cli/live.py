@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands of the live path: replay, demo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from quadpi_core.cli.options import (
+    Adaptive,
+    Bags,
+    Confidence,
+    FileWorkers,
+    JsonFile,
+    ModelFolder,
+    OptionalVehicle,
+    Scheduler,
+)
+from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+from quadpi_core.errors import QuadpiError
+
+
+def replay(
+    model: ModelFolder,
+    bags: Bags,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Bag to write; for several flights, a folder for theirs.")
+    ],
+    confidence: Confidence = None,
+    adaptive: Adaptive = False,
+    vehicle: OptionalVehicle = None,
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
+    from dataclasses import asdict
+
+    from quadpi_core.models import AerodynamicModel
+    from quadpi_core.monitor import MonitorSettings
+    from quadpi_core.monitor.replay import replay as replay_bag
+    from quadpi_core.monitor.replay import replay_all, replay_outputs
+    from quadpi_core.report.progress import counting
+    from quadpi_core.vehicle import Vehicle
+
+    several = len(bags) > 1
+    check_outputs([model, *bags], *(replay_outputs(bags, output) if several else [output]), json_file)
+    the_model = AerodynamicModel.load(model)
+    the_vehicle = Vehicle.load(vehicle or the_model.vehicle)
+    the_model.require(the_vehicle)
+    settings = MonitorSettings(adaptive=adaptive)
+    console = open_console()
+    if several:
+        with counting(console, "Flights", len(bags)) as progress:
+            replayed = replay_all(
+                the_model,
+                the_vehicle,
+                bags,
+                output,
+                confidence=confidence,
+                settings=settings,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
+        summary = {"flights": {name: asdict(flight) for name, flight in replayed.items()}}
+    else:
+        summary = asdict(
+            replay_bag(the_model, the_vehicle, bags[0], output, confidence=confidence, settings=settings)
+        )
+    console.print_json(data=summary)
+    write_result(json_file, summary)
+
+
+def demo(
+    data: Annotated[
+        Path | None,
+        typer.Option(envvar="QUADPI_DATA", help="Folder of real flights; default: the bundled ones."),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for all that the demo makes.")
+    ] = Path("out/demo"),
+    rate: Annotated[float, typer.Option(help="Speed of the live replay; 1 is real time.")] = 1.0,
+) -> None:
+    """Run the whole story: identify, evaluate, replay a flight through the live nodes, report."""
+    try:
+        # The one place where the command line reaches for ROS: the demo starts the live nodes.
+        from quadpi_ros.demo import run_demo
+    except ModuleNotFoundError as error:
+        raise QuadpiError(f"the demo needs ROS 2 for its live nodes ({error}): run `make demo`") from error
+
+    run_demo(data, output, rate, open_console())

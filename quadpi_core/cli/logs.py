@@ -1,0 +1,82 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands on logs: import, info."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from quadpi_core.cli.options import FileWorkers, JsonFile, OptionalVehicle, Scheduler, VehicleName
+from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+
+
+def import_(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="Logs of any known format, tables or bags: docs/import-logs.md lists them."),
+    ],
+    vehicle: VehicleName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],
+    mapping: Annotated[
+        str | None,
+        typer.Option(
+            help="What columns or messages of others are, or an autopilot's rotor order: a name in "
+            "config/mappings (tables, autopilots) or config/adapters (bags), or a file."
+        ),
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
+    ] = False,
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
+) -> None:
+    """Convert flight logs to MCAP bags with the standard topics."""
+    from quadpi_core.logs.importing import import_logs
+    from quadpi_core.report.progress import counting
+    from quadpi_core.vehicle import Vehicle
+
+    check_outputs(logs, folders=[output])
+    console = open_console()
+    the_vehicle = Vehicle.load(vehicle)
+    with counting(console, "Logs", len(logs)) as progress:
+        bags = import_logs(
+            logs,
+            the_vehicle,
+            output,
+            mapping,
+            align=align,
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
+    for bag, imu_samples, topics, alignment, missing in bags:
+        console.print(f"{bag}: {imu_samples} IMU samples; topics {', '.join(topics)}", soft_wrap=True)
+        if alignment is not None:
+            console.print(
+                f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
+                f"{alignment.correlation:.3f} over {alignment.matches} samples"
+            )
+        for sentence in missing:
+            console.print(f"  {sentence}", soft_wrap=True)
+
+
+def info(
+    path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
+    vehicle: OptionalVehicle = None,
+    mapping: Annotated[
+        str | None, typer.Option(help="Mapping for a table or bag, as `import` takes it.")
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
+    from quadpi_core.report.info import describe
+
+    check_outputs([path], json_file)
+    tables, data = describe(path, vehicle, mapping)
+    console = open_console()
+    for table in tables:
+        console.print(table)
+    write_result(json_file, data)

@@ -1,0 +1,233 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands on models: identify, evaluate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from quadpi_core.cli.options import (
+    Adaptive,
+    Bags,
+    Confidence,
+    FileWorkers,
+    HtmlFile,
+    JsonFile,
+    OptionalVehicle,
+    PublishedDevice,
+    Scheduler,
+    VehicleName,
+)
+from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+from quadpi_core.errors import QuadpiError
+
+
+def identify(
+    bags: Bags,
+    vehicle: VehicleName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
+    method: Annotated[
+        Literal["polynomial", "bootstrap", "quality-driven"], typer.Option(help="Kind of model.")
+    ] = "polynomial",
+    candidates: Annotated[
+        str, typer.Option(help="Candidate pools: a name in config/candidates, or a YAML file.")
+    ] = "quadrotor",
+    axes: Annotated[
+        str | None, typer.Option(help="Axes to identify, such as Fx,Fz,My; default: all.")
+    ] = None,
+    settings: Annotated[
+        Literal["default", "paper"], typer.Option(help="Calibrated on held-out flights, or as in the paper.")
+    ] = "default",
+    stop: Annotated[
+        Literal["pse", "r2", "bic", "leave-one-flight-out"] | None,
+        typer.Option(help="When to stop adding terms; default: the settings' rule."),
+    ] = None,
+    cutoff_hz: Annotated[
+        float | None, typer.Option(help="Cut-off of the low-pass over all signals; default: 30, paper: 100.")
+    ] = None,
+    confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
+    false_alarms_per_hour: Annotated[
+        float, typer.Option(help="Rate that the limits of the alarm are calibrated to.")
+    ] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the networks of an ensemble.")] = 0,
+    device: Annotated[
+        Literal["cpu", "cuda"], typer.Option(help="That trains an ensemble; flying needs none.")
+    ] = "cpu",
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Identify a model on flights; every flight calibrates the intervals while it is left out."""
+    from quadpi_core.identification import CUTOFF_HZ, prepare_flights, require_options
+    from quadpi_core.identification import identify as identify_model
+    from quadpi_core.models.pool import load_pools, select_axes
+    from quadpi_core.models.storage import require_replaceable
+    from quadpi_core.report.progress import counting, identifying
+    from quadpi_core.report.tables import held_out_table, selection_table
+    from quadpi_core.vehicle import Vehicle
+
+    check_outputs(bags, json_file, html_file, folders=[output])
+    require_replaceable(output)
+    console = open_console()
+    cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
+    the_vehicle = Vehicle.load(vehicle)
+    pools = select_axes(load_pools(candidates), axes)
+    require_options(pools, method=method, settings=settings, stop=stop, confidence=confidence, device=device)
+    with counting(console, "Reading flights", len(bags)) as read:
+        flights = prepare_flights(
+            bags, the_vehicle, cutoff, workers=workers, scheduler=scheduler, progress=read
+        )
+    with identifying(console) as progress:
+        model = identify_model(
+            flights,
+            the_vehicle,
+            pools,
+            cutoff_hz=cutoff,
+            method=method,
+            settings=settings,
+            stop=stop,
+            confidence=confidence,
+            seed=seed,
+            device=device,
+            false_alarms_per_hour=false_alarms_per_hour,
+            progress=progress,
+        ).save(output)
+    for axis in model.axes:
+        if model.selection[axis]:
+            console.print(selection_table(model.selection[axis], axis))
+    names = ", ".join(flight.name for flight in model.flights)
+    console.print(
+        f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
+    )
+    console.print(model.calibration(), soft_wrap=True)
+    console.print(model.alarm_limits.sentence(), soft_wrap=True)
+    if held_out := held_out_table(model):
+        console.print(held_out)
+    if json_file or html_file:
+        groups = {"identification": [flight.name for flight in flights]}
+        _report(model, flights, groups, confidence, json_file, html_file)
+
+
+def evaluate(
+    paths: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Model folders, then flights, which together form the group `all`; none: the paper's own "
+            "table, of simulated flights in a wind tunnel."
+        ),
+    ] = None,
+    group: Annotated[
+        list[str] | None,
+        typer.Option(help="A group of flights: NAME=BAG, with commas or repeated for several bags."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder for the paper's bags and models, to go on from."),
+    ] = None,
+    confidence: Confidence = None,
+    adaptive: Adaptive = False,
+    vehicle: OptionalVehicle = None,
+    device: PublishedDevice = None,
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
+    from quadpi_core.comparison import compare, given_comparison, is_model_folder
+    from quadpi_core.report.comparison import comparison_table, write_comparison_page
+    from quadpi_core.report.tables import evaluation_table
+
+    console = open_console()
+    if paths or group:
+        if output is not None:
+            raise QuadpiError(
+                "-o: keeps what the paper's table is made from, where no model and flight is given"
+            )
+        if device is not None:
+            raise QuadpiError("--device: trains for the paper's table, where no model and flight is given")
+        if not paths:
+            raise QuadpiError(
+                "no model given: name model folders first, or nothing at all for the paper's table"
+            )
+        folders = [path for place, path in enumerate(paths) if place == 0 or is_model_folder(path)]
+        members = group_bags([path for path in paths if path not in folders], group or [])
+        check_outputs([*folders, *(path for bags in members.values() for path in bags)], json_file, html_file)
+        comparison = given_comparison(
+            folders, members, vehicle=vehicle, confidence=confidence, workers=workers, scheduler=scheduler
+        )
+    else:
+        from quadpi_core.validation.windtunnel import wind_tunnel
+
+        if vehicle is not None:
+            raise QuadpiError(
+                "--vehicle: the paper's table is of the HDBeetle; of others name models and flights"
+            )
+        kept = (None, None) if output is None else (output / "bags", output / "models")
+        check_outputs([], json_file, html_file, folders=kept)
+        with console.status("") as status:
+            comparison = wind_tunnel(
+                confidence=0.95 if confidence is None else confidence,
+                device=device or "cpu",
+                folder=output,
+                workers=workers,
+                scheduler=scheduler,
+                progress=status.update,
+            )
+    models = comparison.models
+    if len(models) == 1:
+        (model,) = models.values()
+        flights, level = comparison.flights[model.cutoff_hz], comparison.confidence
+        evaluation = _report(
+            model, flights, comparison.groups, level, json_file, html_file, adaptive=adaptive
+        )
+        console.print(evaluation_table(evaluation))
+        return
+    results, compared = compare(comparison, adaptive=adaptive)
+    console.print(comparison_table(compared))
+    write_result(json_file, compared)
+    if html_file is not None:
+        write_comparison_page(html_file, compared, results, models)
+
+
+def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
+    """Flights by group, from the positional bags (group `all`) and the texts NAME=BAG[,BAG…].
+
+    Raises:
+        QuadpiError: for a text without a name or bag, and where no bag is given at all.
+    """
+    members: dict[str, list[Path]] = {"all": list(bags)} if bags else {}
+    for text in groups:
+        name, _, names = text.partition("=")
+        paths = names.split(",")
+        if not (name and all(paths)):
+            raise QuadpiError(f"--group {text}: expected NAME=BAG")
+        members.setdefault(name, []).extend(Path(path) for path in paths)
+    if not members:
+        raise QuadpiError("no flights given: name bags, or groups of bags with --group NAME=BAG")
+    return members
+
+
+def _report(
+    model: Any,
+    flights: Sequence[Any],
+    groups: Mapping[str, Sequence[str]],
+    confidence: float,
+    json_file: Path | None,
+    html_file: Path | None,
+    *,
+    adaptive: bool = False,
+) -> dict[str, Any]:
+    from quadpi_core.identification import judge
+    from quadpi_core.report.html import write_report
+
+    results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)
+    write_result(json_file, evaluation)
+    if html_file is not None:
+        write_report(html_file, evaluation, results, model)
+    return evaluation

@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What commands do with what they write."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from quadpi_core.errors import QuadpiError
+from quadpi_core.paths import require_file, require_folder, write_json
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence[Path | None] = ()) -> None:
+    """Refuse what cannot be written, and an output in the place of an input or another output, or within."""
+    taken = [path.resolve() for path in inputs]
+    for output in filter(None, (*folders, *files)):
+        place = output.resolve()
+        if any(place.is_relative_to(path) for path in taken):
+            raise QuadpiError(f"{output}: would replace or alter an input or another output; choose another")
+        taken.append(place)
+    for folder in filter(None, folders):
+        require_folder(folder)
+    for file in filter(None, files):
+        require_file(file)
+
+
+def write_result(json_file: Path | None, data: dict[str, Any]) -> None:
+    """Write what a command found, where `--json` names a file."""
+    if json_file is not None:
+        write_json(json_file, data)
+
+
+def open_console() -> Console:
+    """The terminal; rich is imported only here."""
+    from rich.console import Console
+
+    return Console()
