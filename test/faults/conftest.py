@@ -132,8 +132,8 @@ def sensors(bebop2):
 
 @pytest.fixture(scope="session")
 def fly_onboard(bebop2):
-    """fly_onboard(sent) → Flown: what estimator and monitor make of that."""
-    return lambda sent: Onboard(*bebop2).fly(sent)
+    """fly_onboard(sent, …) → Flown: what estimator and monitor make of that, see :meth:`Onboard.fly`."""
+    return lambda sent, *spoil: Onboard(*bebop2).fly(sent, *spoil)
 
 
 @pytest.fixture(scope="session")

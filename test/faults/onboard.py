@@ -13,6 +13,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.logs import messages
+from quadpi_core.logs.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm import CAUSES, LEVEL_OK
@@ -29,6 +30,7 @@ from quadpi_core.simulation.faults import Fault, Sent, apply_faults
 from quadpi_core.vehicle import Vehicle
 
 RATE_HZ = 500.0
+Spoil = Callable[[str, Payloads], Payloads]
 _NEVER = -(2**63)
 _MESSAGES: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
     "imu": (messages.pack_imu, messages.unpack_imu),
@@ -133,10 +135,10 @@ class Onboard:
         self._odometry_ns: list[int] = []
         self._health = {topic: TopicHealth(RATE_HZ if topic == "imu" else None) for topic in _MESSAGES}
 
-    def fly(self, sent: Mapping[str, Sent]) -> Flown:
-        """Take everything in the order in which it arrives."""
+    def fly(self, sent: Mapping[str, Sent], spoil: Spoil = lambda _, payloads: payloads) -> Flown:
+        """Take everything in the order in which it arrives; `spoil` alters the messages of a topic."""
         imu_ns, arrived_ns, status = [], [], []
-        for at_ns, topic, payload in _arriving(sent):
+        for at_ns, topic, payload in _arriving(sent, spoil):
             try:
                 sample = _MESSAGES[topic][1](payload)
             except LogError as error:
@@ -217,12 +219,12 @@ class Onboard:
             self._paired = []
 
 
-def _arriving(sent: Mapping[str, Sent]) -> Iterator[tuple[int, str, bytes]]:
+def _arriving(sent: Mapping[str, Sent], spoil: Spoil) -> Iterator[tuple[int, str, bytes]]:
     """Messages in order of arrival; of the same instant the IMU first."""
     order = []
     for rank, topic in enumerate(_MESSAGES):
         if topic in sent:
-            payloads = _MESSAGES[topic][0](sent[topic].stream)
+            payloads = spoil(topic, _MESSAGES[topic][0](sent[topic].stream))
             order += [(int(ns), rank, k, topic, payloads) for k, ns in enumerate(sent[topic].arrival_ns)]
     for at_ns, _, index, topic, payloads in sorted(order, key=lambda item: item[:3]):
         yield at_ns, topic, payloads[index]

@@ -111,7 +111,10 @@ def test_attitude_in_the_message_rotates_body_vectors_into_enu(rng):
         np.testing.assert_allclose(forward_enu, world_ned_to_enu(forward_ned[sample]), atol=1e-14)
 
 
-@pytest.mark.parametrize("orientation", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1)])
+@pytest.mark.parametrize(
+    "orientation",
+    [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1), (np.inf, 0.0, 0.0, 1.0), (np.inf, -np.inf, 0.0, 0.0)],
+)
 def test_orientation_that_is_no_unit_quaternion_is_refused(rng, orientation):
     payloads = messages.pack_pose(PoseStream(TIME_NS, np.zeros((N, 3)), attitudes(rng)))
     broken = bytearray(payloads[4])
