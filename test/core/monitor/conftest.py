@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
@@ -121,4 +123,30 @@ def model_of(fitted: Mapping[str, FittedAxis], vehicle: Vehicle, inputs: Array) 
         identity="swings@000000000000",
         # The coefficients mean nothing, so that the measured wrench is far off: no miss counts.
         alarm_limits=AlarmLimits(miscoverage_s=np.full(len(AXES), 1e9)),
+    )
+
+
+@pytest.fixture
+def envelope() -> Envelope:
+    """Every input within ±1, margins and limits round numbers."""
+    inputs = len(INPUT_NAMES)
+    return Envelope(
+        lower=np.full(inputs, -1.0),
+        upper=np.full(inputs, 1.0),
+        margin=np.full(inputs, 0.1),
+        leverage_peak=np.full(6, 0.01),
+        width_peak=np.full(6, 1.2),
+        leverage_limit=np.full(6, 0.02),
+        width_limit=np.full(6, 1.5),
+    )
+
+
+@pytest.fixture
+def calibrated(envelope: Envelope) -> Envelope:
+    """Limits of the alarm at twice the range, 8 times the leverage and 2 times the width of training."""
+    return replace(
+        envelope,
+        margin=np.full(len(INPUT_NAMES), 0.5),
+        leverage_limit=8.0 * envelope.leverage_peak,
+        width_limit=2.0 * envelope.width_peak,
     )

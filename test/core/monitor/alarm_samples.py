@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples and limits that the tests of the alarm share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+
+import numpy as np
+
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
+from quadpi_core.monitor.output import Alarms
+
+RATE_HZ = 500
+STEP_NS = 1_000_000_000 // RATE_HZ
+SETTINGS = MonitorSettings(persistence_s=0.1, release_s=0.5, alarm_rate_hz=10.0)
+U, Q, OMEGA = INPUT_INDEX["u"], INPUT_INDEX["q"], INPUT_INDEX["omega_avg"]
+ALLOWANCE = 0.128
+LIMITS = AlarmLimits(ALLOWANCE, np.full(6, 1.0), flights=20, hours=0.5)
+FX, MY = 0, 4
+
+
+class Samples:
+    """Samples well inside the envelope, to be disturbed by a test."""
+
+    def __init__(self, seconds: float) -> None:
+        count = round(seconds * RATE_HZ)
+        self.time_ns = 1_000_000_000 + STEP_NS * np.arange(count, dtype=np.int64)
+        self.usable = np.ones(count, dtype=np.bool_)
+        self.inputs = np.zeros((count, len(INPUT_NAMES)))
+        self.leverage = np.full((count, 6), 0.005)
+        self.width = np.ones((count, 6))
+        self.velocity = np.zeros((count, 3))
+        self.measured = np.zeros((count, 6))
+        self.faults = np.zeros(count, dtype=np.int64)
+
+    def between(self, start_s: float, stop_s: float) -> slice:
+        return slice(round(start_s * RATE_HZ), round(stop_s * RATE_HZ))
+
+    def parts(self, alarm: Alarm, block: int) -> Iterator[Alarms]:
+        """What the alarm says of one block after the other."""
+        for start in range(0, len(self.time_ns), block):
+            keep = slice(start, start + block)
+            used = self.usable[keep]
+            yield alarm.step(
+                self.time_ns[keep],
+                used,
+                self.faults[keep],
+                Judged(
+                    self.inputs[keep][used],
+                    self.velocity[keep][used],
+                    self.leverage[keep][used],
+                    self.width[keep][used],
+                    self.measured[keep][used],
+                    np.full((np.count_nonzero(used), 6), -1.0),
+                    np.full((np.count_nonzero(used), 6), 1.0),
+                ),
+            )
+
+    def run(self, alarm: Alarm, block: int | None = None) -> Alarms:
+        parts = list(self.parts(alarm, block or len(self.time_ns)))
+        return Alarms(
+            **{
+                field.name: np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(Alarms)
+            }
+        )
+
+
+def changes(rows: Alarms) -> list[tuple[float, int, int]]:
+    """(seconds since the first sample, level, causes) where the published state changes."""
+    state = np.stack((rows.level, rows.causes), axis=1)
+    new = np.r_[True, np.any(np.diff(state.astype(int), axis=0) != 0, axis=1)]
+    seconds = (rows.time_ns - 1_000_000_000) * 1e-9
+    return [
+        (round(float(seconds[i]), 6), int(rows.level[i]), int(rows.causes[i])) for i in np.flatnonzero(new)
+    ]
+
+
+def missing_shares(samples: Samples, axis: int, share: float, start_s: float, stop_s: float) -> None:
+    """Misses of one axis, evenly spread, between two instants."""
+    keep = samples.between(start_s, stop_s)
+    count = len(samples.time_ns[keep])
+    missed = np.floor(share * np.arange(1, count + 1)) > np.floor(share * np.arange(count))
+    samples.measured[keep, axis] = np.where(missed, 2.0, 0.0)

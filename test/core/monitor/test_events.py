@@ -1,0 +1,70 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The log of alarms, and the words for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.monitor.alarm import EXTRAPOLATION, Alarm
+from quadpi_core.monitor.events import KEPT, EventLog
+from quadpi_core.monitor.reasons import reasons
+from test.core.monitor.alarm_samples import FX, LIMITS, MY, SETTINGS, Samples, U, missing_shares
+
+
+def test_reasons_are_plain_words(envelope):
+    samples = Samples(1.0)
+    samples.inputs[:, U] = 1.4
+    samples.leverage[:, FX] = 0.062
+    samples.width[:, MY] = 1.8
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    assert reasons(rows, len(rows) - 1) == (
+        "u 1.4 x the training range",
+        "Fx leverage 6.2 x its peak in training",
+        "My width 1.5 x its peak in training",
+    )
+    assert reasons(rows, 0) == ()
+
+
+def test_the_log_holds_start_end_peak_and_reasons(envelope):
+    samples = Samples(4.0)
+    samples.inputs[samples.between(1.0, 2.0), U] = 1.8
+    samples.inputs[samples.between(1.5, 1.6), U] = 3.6
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    opened, closed = EventLog().take(rows)
+    assert (opened.number, opened.cause, opened.end_ns) == (1, EXTRAPOLATION, 0)
+    assert opened.start_ns == closed.start_ns == samples.time_ns[0] + 1_098_000_000
+    assert closed.end_ns == closed.time_ns == samples.time_ns[0] + 2_498_000_000
+    assert closed.peak_evidence == pytest.approx(3.6 / 1.2)
+    assert closed.reasons == ("u 3.6 x the training range",)
+
+
+def test_the_log_holds_alarms_and_no_warnings(calibrated):
+    samples = Samples(5.0)
+    samples.inputs[samples.between(1.0, 4.0), U] = 1.4
+    samples.inputs[samples.between(2.0, 3.0), U] = 2.1
+    opened, closed = EventLog().take(samples.run(Alarm(calibrated, LIMITS, SETTINGS)))
+    assert opened.start_ns == samples.time_ns[0] + 2_098_000_000
+    assert closed.end_ns == samples.time_ns[0] + 3_498_000_000
+
+
+def test_the_log_is_bounded_and_forgets_the_oldest(envelope):
+    samples = Samples(120.0)
+    on = (np.arange(len(samples.inputs)) // 400) % 2 == 1
+    samples.inputs[on, U] = 1.8
+    log = EventLog()
+    log.take(samples.run(Alarm(envelope, LIMITS, SETTINGS)))
+    assert len(log.events) == KEPT
+    assert [event.number for event in log.events] == list(range(75 - KEPT + 1, 76))
+
+
+def test_blocks_give_the_same_events(envelope):
+    samples = Samples(6.0)
+    samples.inputs[samples.between(1.0, 2.0), U] = 1.8
+    missing_shares(samples, MY, 0.9, 2.0, 6.0)
+    whole = EventLog().take(samples.run(Alarm(envelope, LIMITS, SETTINGS)))
+    log, alarm = EventLog(), Alarm(envelope, LIMITS, SETTINGS)
+    parts = [event for rows in samples.parts(alarm, 7) for event in log.take(rows)]
+    assert len(whole) == 3
+    assert parts == whole
