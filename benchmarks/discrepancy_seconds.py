@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 from benchmarks import Result
 from quadpi_core.discrepancy import VehicleSimulation, discover
 from quadpi_core.flight import Flight
-from quadpi_core.identification import CUTOFF_HZ, airborne
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.identification import CUTOFF_HZ
+from quadpi_core.signals.fusion import fuse_airborne
 from quadpi_core.simulation.effects import read_effects
-from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.noise import SensorSuite
-from quadpi_core.simulation.reference import STEP_HZ
+from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 NAMES = ("discrepancy_seconds",)
@@ -61,8 +60,5 @@ def _flights() -> Iterator[Flight]:
     effects = read_effects(HIDDEN, "benchmark")
     plans = [*load_scenario("discovery").flights, *load_scenario("discovery_check").flights]
     for plan in plans[:FLIGHTS]:
-        truth = simulate_flight(plan.name, vehicle, plan.reference(STEP_HZ), effects=effects, seed=plan.seed)
-        sensed = sense(truth, vehicle.vehicle, suite, effects, (), plan.seed)
-        yield airborne(
-            fuse(sensed.recording, vehicle.vehicle, CUTOFF_HZ["default"]), vehicle.vehicle.gravity_m_s2
-        )
+        _, sensed = fly_and_sense(replace(plan, effects=effects), vehicle, suite)
+        yield fuse_airborne(sensed.recording, vehicle.vehicle, CUTOFF_HZ["default"])

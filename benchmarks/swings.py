@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.identification import identify, prepare_flights
+from quadpi_core.identification import identify
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.pool import load_pools
+from quadpi_core.prepared import prepare_flights
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "neurobem"

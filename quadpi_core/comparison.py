@@ -11,11 +11,12 @@ from typing import Any
 
 from quadpi_core import __version__
 from quadpi_core.errors import ModelError
-from quadpi_core.identification import PreparedFlight, judge, prepare_flights
 from quadpi_core.intervals.evaluate import FlightResult
+from quadpi_core.judging import judge
 from quadpi_core.logs import FORMATS
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.storage import MODEL_FILE
+from quadpi_core.prepared import PreparedFlight, prepare_flights
 from quadpi_core.vehicle import Vehicle
 
 
@@ -88,7 +89,7 @@ def given_comparison(
         groups: files of the flights in each group; a flight may be in several.
         vehicle: name or path of the vehicle file; default: the one that the first model names.
         confidence: of the intervals; default: the models' own.
-        workers: see :func:`quadpi_core.identification.prepare_flights`.
+        workers: see :func:`quadpi_core.prepared.prepare_flights`.
         scheduler: see there.
 
     Raises:
@@ -119,7 +120,7 @@ def compare(
 
     Args:
         comparison: of at least one model.
-        adaptive: see :func:`quadpi_core.identification.predict_flight`.
+        adaptive: see :func:`quadpi_core.judging.predict_flight`.
 
     Returns:
         Per model one result per flight, and plain JSON: `quadpi_version`, `vehicle`, `confidence`,

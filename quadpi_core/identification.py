@@ -1,26 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From bags to a model, and from a model and bags to its intervals judged: the offline main path."""
+"""From flights to a model: the offline main path, between `prepared` and `judging`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from quadpi_core.errors import LogError, ModelError
-from quadpi_core.flight import AXES, Flight, Recording
-from quadpi_core.frames import Array
-from quadpi_core.inputs import flight_inputs
-from quadpi_core.intervals.adaptive import AdaptiveFactor
-from quadpi_core.intervals.evaluate import FlightResult, evaluate_flights
-from quadpi_core.logs import read_recording
-from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
-from quadpi_core.logs.plausibility import check_plausible
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.ensembles.bootstrap import BootstrapEnsemble
@@ -32,12 +23,8 @@ from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.rules import require_confidence
 from quadpi_core.models.selection import StopRule
-from quadpi_core.monitor.assessment import alarm_of_flight
 from quadpi_core.monitor.calibration import calibrate_alarm, hover_rotor_speed, left_out
-from quadpi_core.monitor.live import LiveSamples, live_samples
-from quadpi_core.parallel import map_files
-from quadpi_core.signals.fusion import fuse
-from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.prepared import PreparedFlight
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -51,39 +38,6 @@ MethodName: TypeAlias = Literal["polynomial", "bootstrap", "quality-driven"]
 CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
 # Each is left out in turn to calibrate the intervals.
 _FEWEST_FLIGHTS = 2
-# The rotors carry the vehicle while their thrust exceeds this share of its weight.
-_CARRYING_SHARE = 0.5
-
-
-@dataclass(frozen=True)
-class PreparedFlight:
-    """A flight ready for identification or evaluation.
-
-    Attributes:
-        name: file stem.
-        sha256: hash of the sensor streams, the same for every copy of the flight.
-        time: (N,) s.
-        inputs: (N, 19) input vectors X.
-        wrench: (N, 6) measured wrench.
-        height: (N,) m above the origin of the world.
-        live: what a monitor would have had of the flight, which the alarm is calibrated and assessed on. None
-            where the states are given and no sensor was read: then these are what it would have had.
-    """
-
-    name: str
-    sha256: str
-    time: Array
-    inputs: Array
-    wrench: Array
-    height: Array
-    live: LiveSamples | None = None
-
-    @property
-    def judged(self) -> LiveSamples:
-        """What the alarm goes by."""
-        if self.live is not None:
-            return self.live
-        return LiveSamples(self.inputs, self.wrench, np.ones(len(self.time), dtype=np.bool_))
 
 
 class Step(str):
@@ -119,88 +73,6 @@ class Step(str):
         step.task, step.done, step.total = task, state.epoch, state.epochs
         step.loss, step.coverage = state.loss, state.coverage
         return step
-
-
-def prepare_flights(
-    paths: Sequence[Path],
-    vehicle: Vehicle,
-    cutoff_hz: float,
-    *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda _: None,
-) -> list[PreparedFlight]:
-    """Read, fuse and filter bags; only the part in the air is kept.
-
-    Args:
-        paths: bags, or logs that need no mapping.
-        vehicle: that flew.
-        cutoff_hz: of the low-pass over all signals.
-        workers: see :func:`quadpi_core.parallel.map_files`; the flights are the same whatever does the work.
-        scheduler: see there.
-        progress: see there.
-
-    Raises:
-        LogError: for what cannot be read or used, and a flight present twice, naming the files.
-        SignalError: naming the file, where the signals cannot be fused.
-        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
-    """
-    flights = map_files(
-        _prepare, paths, shared=(vehicle, cutoff_hz), workers=workers, scheduler=scheduler, progress=progress
-    )
-    refuse_duplicates(zip(map(str, paths), (flight.sha256 for flight in flights), strict=True))
-    return flights
-
-
-def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
-    vehicle, cutoff_hz = task
-    recording = _read(path, vehicle)
-    flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
-    at_ns = flight.start_ns + np.rint(1e9 * flight.time).astype(np.int64)
-    return PreparedFlight(
-        name=flight.name,
-        sha256=recording_hash(recording),
-        time=flight.time,
-        inputs=flight_inputs(flight, vehicle),
-        wrench=measured_wrench(flight, vehicle),
-        height=-flight.position[:, 2],
-        live=live_samples(recording, vehicle, cutoff_hz, at_ns),
-    )
-
-
-def _read(path: Path, vehicle: Vehicle) -> Recording:
-    recording = read_recording(path, vehicle)
-    check_plausible(recording, vehicle)
-    return recording
-
-
-def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight, str]:
-    """A flight read, fused and filtered, the part in the air, with the hash of its sensor streams.
-
-    Raises:
-        LogError: for what cannot be read or used, naming the file.
-        SignalError: naming the file, where the signals cannot be fused.
-    """
-    recording = _read(path, vehicle)
-    flight = airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
-    return flight, recording_hash(recording)
-
-
-def airborne(flight: Flight, gravity: float) -> Flight:
-    """The flight from lift-off to touch-down: on the ground the wrench is not aerodynamic.
-
-    Thrust is taken as the multiple of Σω² that fits the specific force over the whole flight, so that neither
-    hover before a fast flight nor a long wait on the ground shifts the bound.
-
-    Raises:
-        LogError: naming the file, if the rotors never carry the vehicle.
-    """
-    squares = np.square(flight.rotor_speeds).sum(axis=1)
-    thrust_m_s2 = -squares * (flight.specific_force[:, 2] @ squares) / max(squares @ squares, 1.0)
-    carrying = np.flatnonzero(thrust_m_s2 > _CARRYING_SHARE * gravity)
-    if len(carrying) == 0:
-        raise LogError(f"{flight.source}: topic rotor_speeds: the rotors never carry the vehicle")
-    return flight.slice(slice(int(carrying[0]), int(carrying[-1]) + 1))
 
 
 def identify(
@@ -373,86 +245,3 @@ def _naming(axis: str) -> Iterator[None]:
 
 def _selection_log(estimator: StepwisePolynomial | Ensemble) -> list[dict[str, Any]]:
     return estimator.selection_log() if isinstance(estimator, StepwisePolynomial) else []
-
-
-def predict_flight(
-    model: AerodynamicModel,
-    flight: PreparedFlight,
-    confidence: float,
-    *,
-    adaptive: bool = False,
-    with_alarm: bool = False,
-) -> FlightResult:
-    """What the model says of one flight, beside what was measured.
-
-    Args:
-        model: of the vehicle that flew.
-        flight: passed the low-pass of the model.
-        confidence: nominal coverage of the intervals.
-        adaptive: intervals that adapt to the measurement as the flight goes, as the monitor's may.
-        with_alarm: run the alarm as well; it goes by the model's own intervals either way.
-    """
-    evaluation = model.evaluate(flight.inputs, confidence)
-    lower, upper = evaluation.lower, evaluation.upper
-    if adaptive:
-        rate_hz = 1.0 / float(np.median(np.diff(flight.time)))
-        lower, upper = AdaptiveFactor(confidence, rate_hz).step(flight.wrench, lower, upper)
-    alarm = None
-    if with_alarm:
-        alarm = alarm_of_flight(model, flight.time, flight.judged, confidence)
-    return FlightResult(
-        name=flight.name,
-        axes=model.axes,
-        time=flight.time,
-        measured=flight.wrench,
-        predicted=evaluation.predicted,
-        lower=lower,
-        upper=upper,
-        inputs=flight.inputs,
-        height=flight.height,
-        alarm=alarm,
-    )
-
-
-def judge(
-    model: AerodynamicModel,
-    flights: Sequence[PreparedFlight],
-    groups: Mapping[str, Sequence[str]],
-    confidence: float,
-    *,
-    adaptive: bool = False,
-) -> tuple[list[FlightResult], dict[str, Any]]:
-    """What the model says of flights, and how good that is.
-
-    Args:
-        model: of the vehicle that flew.
-        flights: passed the low-pass of the model.
-        groups: names of the flights in each group.
-        confidence: nominal coverage of the intervals.
-        adaptive: see :func:`predict_flight`.
-
-    Returns:
-        One result per flight, and the JSON of :func:`quadpi_core.intervals.evaluate.evaluate_flights`.
-
-    Raises:
-        EvaluationError: for groups and flights that do not fit.
-    """
-
-    def at(level: float) -> Iterator[FlightResult]:
-        return (predict_flight(model, flight, level, adaptive=adaptive) for flight in flights)
-
-    results = [
-        predict_flight(model, flight, confidence, adaptive=adaptive, with_alarm=True) for flight in flights
-    ]
-    evaluation = evaluate_flights(
-        results,
-        groups,
-        model.training_range,
-        confidence,
-        model=model.identity,
-        vehicle=model.vehicle,
-        method=model.method,
-        adaptive=adaptive,
-        at_confidence=at,
-    )
-    return results, evaluation

@@ -13,11 +13,13 @@ from rich.markup import escape
 from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.identification import CUTOFF_HZ, identify, judge, prepare_flights
+from quadpi_core.identification import CUTOFF_HZ, identify
+from quadpi_core.judging import judge
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
 from quadpi_core.paths import bags_directory, write_json
+from quadpi_core.prepared import prepare_flights
 from quadpi_core.report.html import write_report
 from quadpi_core.report.live import LiveReplay
 from quadpi_core.report.tables import evaluation_table, held_out_table

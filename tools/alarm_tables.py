@@ -25,11 +25,9 @@ from quadpi_core.frames import Array
 from quadpi_core.identification import (
     CUTOFF_HZ,
     MethodName,
-    PreparedFlight,
     identify,
-    predict_flight,
-    prepare_flights,
 )
+from quadpi_core.judging import predict_flight
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import AerodynamicModel
@@ -46,6 +44,7 @@ from quadpi_core.monitor.alarm import (
 from quadpi_core.monitor.assessment import auroc
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.prepared import PreparedFlight, prepare_flights
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario

@@ -31,11 +31,11 @@ from quadpi_core.discrepancy.addition import augmented  # noqa: E402
 from quadpi_core.discrepancy.reflight import rollouts  # noqa: E402
 from quadpi_core.errors import DiscrepancyError  # noqa: E402
 from quadpi_core.flight import AXES, Flight  # noqa: E402
-from quadpi_core.identification import CUTOFF_HZ, airborne  # noqa: E402
+from quadpi_core.identification import CUTOFF_HZ  # noqa: E402
 from quadpi_core.logs import read_recording  # noqa: E402
 from quadpi_core.paths import data_directory, whole_output  # noqa: E402
 from quadpi_core.report.markdown import table  # noqa: E402
-from quadpi_core.signals.fusion import fuse  # noqa: E402
+from quadpi_core.signals.fusion import fuse_airborne  # noqa: E402
 from quadpi_core.vehicle import Vehicle  # noqa: E402
 
 # A simulation of a few numbers knows them less well than one that was identified.
@@ -129,8 +129,7 @@ def read_flights(case: Case) -> list[Flight]:
     paths = sorted(data_directory().glob(case.pattern))[:: case.every]
     if not paths:
         raise SystemExit(f"no flights {case.pattern} in {data_directory()}: set QUADPI_DATA")
-    fused = (fuse(read_recording(path, vehicle), vehicle, CUTOFF_HZ["default"]) for path in paths)
-    return [airborne(flight, vehicle.gravity_m_s2) for flight in fused]
+    return [fuse_airborne(read_recording(path, vehicle), vehicle, CUTOFF_HZ["default"]) for path in paths]
 
 
 def section(case: Case) -> str:

@@ -63,10 +63,11 @@ def identify(
     html_file: HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
-    from quadpi_core.identification import CUTOFF_HZ, prepare_flights, require_options
+    from quadpi_core.identification import CUTOFF_HZ, require_options
     from quadpi_core.identification import identify as identify_model
     from quadpi_core.models.pool import load_pools, select_axes
     from quadpi_core.models.storage import require_replaceable
+    from quadpi_core.prepared import prepare_flights
     from quadpi_core.report.progress import counting, identifying
     from quadpi_core.report.tables import held_out_table, selection_table
     from quadpi_core.vehicle import Vehicle
@@ -223,7 +224,7 @@ def _report(
     *,
     adaptive: bool = False,
 ) -> dict[str, Any]:
-    from quadpi_core.identification import judge
+    from quadpi_core.judging import judge
     from quadpi_core.report.html import write_report
 
     results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)

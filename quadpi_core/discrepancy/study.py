@@ -16,9 +16,10 @@ from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.where import Where, locate
 from quadpi_core.flight import Flight
-from quadpi_core.identification import CUTOFF_HZ, read_flight
+from quadpi_core.identification import CUTOFF_HZ
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.parallel import map_files
+from quadpi_core.prepared import read_flight
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,9 @@ from quadpi_core.signals.resample import (
 from quadpi_core.signals.smoother import smooth
 from quadpi_core.vehicle import Vehicle
 
+# The rotors carry the vehicle while their thrust exceeds this share of its weight.
+_CARRYING_SHARE = 0.5
+
 
 class Estimate(NamedTuple):
     """State and IMU biases at stamps (M,); position in the world, velocity in body axes."""
@@ -99,6 +102,28 @@ def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
         position=on_grid(estimate.time_ns, estimate.position),
         **filtered._asdict(),
     )
+
+
+def fuse_airborne(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
+    """The part of a flight in the air: :func:`fuse`, then :func:`airborne`, and what they raise."""
+    return airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
+
+
+def airborne(flight: Flight, gravity: float) -> Flight:
+    """The flight from lift-off to touch-down: on the ground the wrench is not aerodynamic.
+
+    Thrust is taken as the multiple of Σω² that fits the specific force over the whole flight, so that neither
+    hover before a fast flight nor a long wait on the ground shifts the bound.
+
+    Raises:
+        LogError: naming the file, if the rotors never carry the vehicle.
+    """
+    squares = np.square(flight.rotor_speeds).sum(axis=1)
+    thrust_m_s2 = -squares * (flight.specific_force[:, 2] @ squares) / max(squares @ squares, 1.0)
+    carrying = np.flatnonzero(thrust_m_s2 > _CARRYING_SHARE * gravity)
+    if len(carrying) == 0:
+        raise LogError(f"{flight.source}: topic rotor_speeds: the rotors never carry the vehicle")
+    return flight.slice(slice(int(carrying[0]), int(carrying[-1]) + 1))
 
 
 def _estimate(recording: Recording, vehicle: Vehicle) -> Estimate:

@@ -20,7 +20,7 @@ from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reachable import require_reachable
 from quadpi_core.simulation.reference import STEP_HZ
-from quadpi_core.simulation.sensors import sense
+from quadpi_core.simulation.sensors import Sensed, sense
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
@@ -81,12 +81,15 @@ def simulate(
     return [replace(flight, bag=output / flight.bag.name) for flight in flights]
 
 
-def _one(
-    plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite, folder: Path, done: Stamps
-) -> SimulatedFlight:
+def fly_plan(plan: FlightPlan, vehicle: SimulatedVehicle, done: Stamps | None = None) -> Truth:
+    """What happens in a flight; `done` as in :func:`quadpi_core.simulation.flying.simulate_flight`.
+
+    Raises:
+        SimulationError: see :func:`simulate`.
+    """
     reference = plan.reference(STEP_HZ)
     require_reachable(plan, vehicle, reference)
-    truth = simulate_flight(
+    return simulate_flight(
         plan.name,
         vehicle,
         reference,
@@ -95,8 +98,26 @@ def _one(
         seed=plan.seed,
         done=done,
     )
+
+
+def fly_and_sense(
+    plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite, done: Stamps | None = None
+) -> tuple[Truth, Sensed]:
+    """:func:`fly_plan`, and what the sensors send of it.
+
+    Raises:
+        SimulationError: see :func:`simulate`.
+    """
+    truth = fly_plan(plan, vehicle, done)
+    effects = vehicle.with_own(plan.effects)
+    return truth, sense(truth, vehicle.vehicle, suite, effects, plan.faults, plan.seed)
+
+
+def _one(
+    plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite, folder: Path, done: Stamps
+) -> SimulatedFlight:
+    truth, sensed = fly_and_sense(plan, vehicle, suite, done)
     bag = folder / f"{plan.name}.mcap"
-    sensed = sense(truth, vehicle.vehicle, suite, vehicle.with_own(plan.effects), plan.faults, plan.seed)
     write_simulated_bag(bag, plan, truth, sensed)
     return SimulatedFlight(plan, truth, bag)
 

@@ -11,10 +11,8 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import Flight
 from quadpi_core.logs.bags import bag_vehicle
 from quadpi_core.simulation.bags import read_truth
-from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.plan import FlightPlan
-from quadpi_core.simulation.reachable import require_reachable
-from quadpi_core.simulation.reference import STEP_HZ
+from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 
@@ -35,17 +33,7 @@ def simulated_flights(
     for plan in plans:
         progress(plan.name)
         vehicle = SimulatedVehicle.load(plan.vehicle)
-        reference = plan.reference(STEP_HZ)
-        require_reachable(plan, vehicle, reference)
-        truth = simulate_flight(
-            plan.name,
-            vehicle,
-            reference,
-            known_wind=plan.known_wind,
-            effects=plan.effects,
-            seed=plan.seed,
-        )
-        flights.append(truth.flight())
+        flights.append(fly_plan(plan, vehicle).flight())
     return flights
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 
 from quadpi_core import __version__
 from quadpi_core.errors import ModelError
-from quadpi_core.identification import MethodName, PreparedFlight, Settings, identify
+from quadpi_core.identification import MethodName, Settings, identify
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.paths import write_json
+from quadpi_core.prepared import PreparedFlight
 from quadpi_core.vehicle import Vehicle
 
 # Parts of the package that no model depends on.

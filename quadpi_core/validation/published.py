@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadpi_core.flight import Flight
-from quadpi_core.identification import MethodName, PreparedFlight, Settings
+from quadpi_core.identification import MethodName, Settings
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.pool import load_pools
+from quadpi_core.prepared import PreparedFlight
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.noise import SensorSuite, StateNoise, contaminate
 from quadpi_core.simulation.scenario import load_scenario

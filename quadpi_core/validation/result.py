@@ -12,9 +12,9 @@ import numpy as np
 from quadpi_core import __version__
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.identification import PreparedFlight
 from quadpi_core.intervals import metrics
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.prepared import PreparedFlight
 from quadpi_core.simulation.noise import StateNoise
 from quadpi_core.validation.case import ValidationCase
 from quadpi_core.validation.realisations import HIGHEST, LOWEST, Counts, Tally

@@ -14,8 +14,9 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from quadpi_core.comparison import Comparison
-from quadpi_core.identification import CUTOFF_HZ, MethodName, Settings, prepare_flights
+from quadpi_core.identification import CUTOFF_HZ, MethodName, Settings
 from quadpi_core.models.pool import load_pools
+from quadpi_core.prepared import prepare_flights
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
@@ -79,7 +80,7 @@ def wind_tunnel(
         confidence: of the intervals.
         device: that trains the ensembles.
         folder: where `bags` and `models` are kept, and models taken from when they come from the same.
-        workers: see :func:`quadpi_core.identification.prepare_flights`; as many flights fly at a time.
+        workers: see :func:`quadpi_core.prepared.prepare_flights`; as many flights fly at a time.
         scheduler: see there.
         progress: called with what is being done.
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Flights of the bundled bags beside the simulation that flew them, and an effect that it then lacks."""
+"""Flights of the bundled bags beside the simulation that flew them, an effect it lacks; random states."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from quadpi_core.discrepancy import VehicleSimulation
 from quadpi_core.discrepancy.study import Study, study
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.identification import read_flight
 from quadpi_core.paths import bags_directory
+from quadpi_core.prepared import read_flight
 from quadpi_core.simulation.effects import effect_wrench
 from quadpi_core.vehicle import Vehicle
 
@@ -69,3 +69,22 @@ def dragged(simulation, flights) -> list[Flight]:
 def found(simulation, dragged) -> Study:
     """What a search finds in the flights with drag."""
     return study(simulation, dragged, names=SOUGHT)
+
+
+@pytest.fixture(scope="session")
+def random_states():
+    """random_states(model, samples, seed): fast flight in any attitude, up to 5 m above the ground."""
+
+    def draw(model, samples, seed):
+        rng = np.random.default_rng(seed)
+        attitude = rng.normal(size=(samples, 4))
+        return model.states(
+            rng.normal(0.0, 5.0, (samples, 3)),
+            rng.normal(0.0, 4.0, (samples, 3)),
+            rng.uniform(200.0, 1200.0, (samples, 4)),
+            rotor_accelerations=rng.normal(0.0, 1000.0, (samples, 4)),
+            position=rng.uniform(-5.0, 0.0, (samples, 3)),
+            attitude=attitude / np.linalg.norm(attitude, axis=1, keepdims=True),
+        )
+
+    return draw

@@ -12,11 +12,13 @@ import pytest
 
 from quadpi_core.errors import LogError, ModelError
 from quadpi_core.flight import AXES
-from quadpi_core.identification import airborne, identify, judge, predict_flight, prepare_flights
+from quadpi_core.identification import identify
+from quadpi_core.judging import judge, predict_flight
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.pool import CandidatePool, load_pools
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.prepared import prepare_flights
+from quadpi_core.signals.fusion import airborne, fuse
 from quadpi_core.vehicle import Vehicle
 
 CUTOFF_HZ = 20.0

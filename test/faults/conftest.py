@@ -13,11 +13,12 @@ import pytest
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import OdometryStream, WindStream
-from quadpi_core.identification import identify, prepare_flights
+from quadpi_core.identification import identify
 from quadpi_core.logs import read_recording
 from quadpi_core.models import AerodynamicModel, load_pools
 from quadpi_core.models.methods import METHODS
 from quadpi_core.paths import bags_directory
+from quadpi_core.prepared import prepare_flights
 from quadpi_core.signals.ekf_kernels import EstimatorStatus
 from quadpi_core.simulation.faults import Fault
 from quadpi_core.vehicle import Vehicle

@@ -4,19 +4,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
 
-from quadpi_core.identification import CUTOFF_HZ, airborne
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.identification import CUTOFF_HZ
+from quadpi_core.signals.fusion import fuse_airborne
 from quadpi_core.simulation.choice import parse_effects
 from quadpi_core.simulation.effects import read_effects
-from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.noise import SensorSuite
-from quadpi_core.simulation.reference import STEP_HZ
+from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 FLOWN = ("forward", "climb", "throttle", "turns")
@@ -37,12 +36,8 @@ def flown(plans):
         effects = parse_effects(texts) if texts else read_effects(None, "test")
         flights = []
         for plan in plans.values():
-            truth = simulate_flight(
-                plan.name, vehicle, plan.reference(STEP_HZ), effects=effects, seed=plan.seed
-            )
-            sensed = sense(truth, vehicle.vehicle, suite, effects, (), plan.seed)
-            fused = fuse(sensed.recording, vehicle.vehicle, CUTOFF_HZ["default"])
-            flights.append(airborne(fused, vehicle.vehicle.gravity_m_s2))
+            _, sensed = fly_and_sense(replace(plan, effects=effects), vehicle, suite)
+            flights.append(fuse_airborne(sensed.recording, vehicle.vehicle, CUTOFF_HZ["default"]))
         return flights
 
     return fly

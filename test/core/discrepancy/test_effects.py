@@ -43,17 +43,8 @@ def model():
 
 
 @pytest.fixture(scope="module")
-def states(model):
-    rng, samples = np.random.default_rng(3), 40
-    attitude = rng.normal(size=(samples, 4))
-    return model.states(
-        rng.normal(0.0, 5.0, (samples, 3)),
-        rng.normal(0.0, 4.0, (samples, 3)),
-        rng.uniform(200.0, 1200.0, (samples, 4)),
-        rotor_accelerations=rng.normal(0.0, 1000.0, (samples, 4)),
-        position=rng.uniform(-5.0, 0.0, (samples, 3)),
-        attitude=attitude / np.linalg.norm(attitude, axis=1, keepdims=True),
-    )
+def states(model, random_states):
+    return random_states(model, 40, seed=3)
 
 
 @EACH

@@ -13,9 +13,8 @@ from quadpi_core.discrepancy import AugmentedSimulation, discover, load_simulati
 from quadpi_core.discrepancy.reflight import Track, coverages, fly_again, reflights
 from quadpi_core.discrepancy.rollout import rollout, rollout_floor
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.identification import airborne
 from quadpi_core.logs import read_recording
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.signals.fusion import fuse_airborne
 from quadpi_core.simulation.effects import read_effects
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.reference import STEP_HZ
@@ -108,8 +107,7 @@ def test_flights_of_bags_are_flown_again(quadpi, tmp_path):
     assert quadpi("simulate", "discovery", *chosen, "-o", tmp_path, "--effect", effect).status == 0
     vehicle = Vehicle.load("bebop2")
     flights = [
-        airborne(fuse(read_recording(tmp_path / f"{name}.mcap", vehicle), vehicle, 30.0), 9.8)
-        for name in names
+        fuse_airborne(read_recording(tmp_path / f"{name}.mcap", vehicle), vehicle, 30.0) for name in names
     ]
     found = discover(load_simulation("bebop2"), flights, names=("inflow_damping", "cg_offset"))
     result = reflights(found)

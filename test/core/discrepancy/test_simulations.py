@@ -22,11 +22,12 @@ from quadpi_core.discrepancy import (
 from quadpi_core.discrepancy.simulations.recorded import RecordedSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError, SimulationError, VehicleError
 from quadpi_core.flight import WrenchStream
-from quadpi_core.identification import airborne, identify, prepare_flights
+from quadpi_core.identification import identify
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.models.pool import load_pools
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.prepared import prepare_flights
+from quadpi_core.signals.fusion import fuse, fuse_airborne
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effects import EFFECTS, read_effects
 from quadpi_core.vehicle import Vehicle
@@ -208,7 +209,7 @@ def model(bags, tmp_path_factory):
 def test_a_model_predicts_and_keeps_its_intervals(model, bags):
     simulation = load_simulation(str(model))
     vehicle = Vehicle.load("neurobem")
-    flight = airborne(fuse(read_recording(bags[0], vehicle), vehicle, 30.0), vehicle.gravity_m_s2)
+    flight = fuse_airborne(read_recording(bags[0], vehicle), vehicle, 30.0)
     wrench, (lower, upper) = simulation.wrench(flight), simulation.intervals(flight)
     assert np.all((lower < wrench) & (wrench < upper))
     # Of a flight that it was identified on, it explains most.
@@ -243,7 +244,7 @@ def test_a_recorded_wrench_is_aligned_by_its_stamps(recorded_bags):
     simulation = load_simulation("recorded", "neurobem", recorded_bags)
     assert isinstance(simulation, RecordedSimulation)
     vehicle = Vehicle.load("neurobem")
-    flight = airborne(fuse(read_recording(recorded_bags[1], vehicle), vehicle, 30.0), vehicle.gravity_m_s2)
+    flight = fuse_airborne(read_recording(recorded_bags[1], vehicle), vehicle, 30.0)
     expected = -1.56e-6 * np.square(flight.rotor_speeds).sum(axis=1)
     found = simulation.wrench(flight)
     assert np.std(found[:, 2] - expected) < 0.05 * np.std(expected)

@@ -11,10 +11,11 @@ from dataclasses import replace
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quadpi_core.identification import identify, prepare_flights
+from quadpi_core.identification import identify
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import Bag
 from quadpi_core.models.pool import CandidatePool
+from quadpi_core.prepared import prepare_flights
 from quadpi_core.report.style import GROUPS, METHODS, method_colours
 from quadpi_core.vehicle import Vehicle
 

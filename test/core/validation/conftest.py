@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import Flight
-from quadpi_core.identification import PreparedFlight, identify
+from quadpi_core.identification import identify
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.models.pool import CandidatePool
+from quadpi_core.prepared import PreparedFlight
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.noise import StateNoise, contaminate
 from quadpi_core.simulation.scenario import load_scenario

@@ -18,8 +18,8 @@ import numpy as np
 from quadpi_core.discrepancy import CallableSimulation
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.identification import CUTOFF_HZ, airborne
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.identification import CUTOFF_HZ
+from quadpi_core.signals.fusion import fuse_airborne
 from quadpi_core.simulation.flying import START_NS
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.simulation.plan import FlightPlan
@@ -99,8 +99,7 @@ def flights_of(
         if plan.name in FLIGHTS:
             noise = zlib.crc32(f"{seed} {plan.name}".encode())
             sensed = sense(_flown(plan, parameters), owned, suite, {}, (), noise)
-            fused = fuse(sensed.recording, owned, CUTOFF_HZ["default"])
-            flights.append(airborne(fused, owned.gravity_m_s2))
+            flights.append(fuse_airborne(sensed.recording, owned, CUTOFF_HZ["default"]))
     return flights
 
 

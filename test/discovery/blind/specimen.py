@@ -13,8 +13,8 @@ import numpy as np
 from blind.formulas import hidden, row
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotate_body_to_world
-from quadpi_core.identification import CUTOFF_HZ, airborne
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.identification import CUTOFF_HZ
+from quadpi_core.signals.fusion import fuse_airborne
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.simulation.plan import FlightPlan
@@ -87,7 +87,7 @@ class Specimen:
         # The accelerometer sits where the file has the centre of gravity.
         placed = replace(suite, imu=replace(suite.imu, position=tuple(-self.centre)))
         sensed = sense(truth, owned, placed, {}, (), seed)
-        return airborne(fuse(sensed.recording, owned, CUTOFF_HZ["default"]), owned.gravity_m_s2)
+        return fuse_airborne(sensed.recording, owned, CUTOFF_HZ["default"])
 
     def _truth(self, plan: FlightPlan) -> Truth:
         formulas = {**self.formulas, "airframe_offset": tuple(self.centre)}

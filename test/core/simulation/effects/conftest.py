@@ -26,18 +26,8 @@ def record(model):
 
 
 @pytest.fixture(scope="session")
-def states(model):
-    """Fast flight in any attitude, up to 5 m above the ground."""
-    rng, samples = np.random.default_rng(1), 300
-    attitude = rng.normal(size=(samples, 4))
-    return model.states(
-        rng.normal(0.0, 5.0, (samples, 3)),
-        rng.normal(0.0, 4.0, (samples, 3)),
-        rng.uniform(200.0, 1200.0, (samples, 4)),
-        rotor_accelerations=rng.normal(0.0, 1000.0, (samples, 4)),
-        position=rng.uniform(-5.0, 0.0, (samples, 3)),
-        attitude=attitude / np.linalg.norm(attitude, axis=1, keepdims=True),
-    )
+def states(model, random_states):
+    return random_states(model, 300, seed=1)
 
 
 @pytest.fixture(scope="session")
