@@ -120,7 +120,7 @@ class Design:
         for start, table in zip(_starts(self._tables[place]), self._tables[place], strict=True):
             own = weights[start : start + table.shape[2]]
             if own.any():
-                total += table @ own
+                total += table[:, :, : len(own)] @ own
         return total
 
     def refresh(self) -> None:
@@ -225,17 +225,19 @@ class Design:
         return [self.combined(place, found.left) for place in range(len(self.flights))]
 
     def loudness(self, index: int, found: Fit) -> float:
-        """Root mean square of what a candidate adds in a fit over that of the noise, in its loudest axis."""
+        """Root mean square of what a candidate adds in a fit over that of the noise of one axis.
+
+        Less what tolerances would take for theirs: of two that cancel each other nothing is heard.
+        """
         block = self.blocks[index]
-        weights = np.zeros(self._width)
+        weights = np.zeros(len(self.gram))
         weights[block.parameters] = found.of(block.parameters)
         if block.offset is not None:
             weights[block.offset] = -1.0
-        squares, noise = np.zeros(len(AXES)), np.zeros(len(AXES))
-        for place, band in enumerate(self.bands):
-            squares += np.square(self.combined(place, weights)).sum(axis=1)
-            noise += self.noise[:, band].sum(axis=1)
-        return float(np.sqrt(np.max(squares / noise)))
+        projected = self.gram[self.tolerances] @ weights
+        precision = self.gram[np.ix_(self.tolerances, self.tolerances)] + np.eye(len(self.tolerances))
+        squares = weights @ self.gram @ weights - projected @ np.linalg.solve(precision, projected)
+        return float(np.sqrt(squares / sum(map(len, self.bands))))
 
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""

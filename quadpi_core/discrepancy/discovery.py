@@ -177,7 +177,7 @@ def _effect(found: Found, index: int, reported: Fit) -> FoundEffect:
     deviation = np.zeros(len(values))
     deviation[list(candidate.free)] = found.fit.deviation(block.parameters) * candidate.scale
     rivals = found.rivals[index]
-    odds = sum(np.exp(-behind) for _, behind in rivals)
+    odds = sum(against for _, against in rivals)
     names = tuple(dict.fromkeys(design.candidates[rival].name for rival, _ in rivals))
     manoeuvres = (candidate.effect.shown_by, *(design.candidates[r].effect.shown_by for r, _ in rivals))
     return FoundEffect(

@@ -10,11 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.discrepancy.design import Design
-from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.evidence import Fit, residual_weights
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-
-_RESIDUAL = np.zeros(1, dtype=np.intp)
 
 
 class Gap(NamedTuple):
@@ -33,16 +31,20 @@ class Gap(NamedTuple):
 
 
 def gap(design: Design, chosen: Sequence[int]) -> Gap:
-    """The gap of each flight with parameters found on all others."""
+    """The gap of each flight with parameters found on all others; as it is where no effect was chosen.
+
+    Coefficients alone are not moved: without an effect that is missing they would go beyond their tolerances.
+    """
     before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
     samples = 0
+    unchanged = residual_weights(1, ())
     for place, found in enumerate(left_out_fits(design, chosen)):
-        before += np.square(design.rows(place, _RESIDUAL)).sum(axis=(1, 2))
-        after += np.square(design.combined(place, found.left)).sum(axis=1)
+        before += np.square(design.combined(place, unchanged)).sum(axis=1)
+        after += np.square(design.combined(place, found.left if chosen else unchanged)).sum(axis=1)
         floor += design.noise[:, design.bands[place]].sum(axis=1)
         samples += len(design.flights[place].thinned)
     removable = np.sum(np.maximum(before - floor, 0.0) / floor)
-    kept = np.sum((after - floor) / floor)
+    kept = np.sum(np.maximum(after - floor, 0.0) / floor)
     return Gap(
         before=np.sqrt(before / samples),
         after=np.sqrt(after / samples),

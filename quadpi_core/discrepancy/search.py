@@ -28,8 +28,10 @@ _ROUNDS = 3
 _FURTHER_SHARE, _FURTHER = 0.05, (20.0, 100.0)
 # Odds of about a hundred and fifty, whatever the calibration says.
 _LEAST_EVIDENCE = 5.0
-# A set is named alone where its evidence exceeds that of every other by this: odds of about a hundred.
-NAMED_ALONE = 4.6
+# A set is named alone where its evidence exceeds that of every other by this: odds of about a hundred. Laws
+# are not exact either: one that is off by a third leaves this share of what an effect gained, and another
+# effect that does as well may be the true one.
+NAMED_ALONE, _ALIKE = 4.6, 0.1
 # Of the typical size: what is smaller is no finding, however certain.
 _SMALLEST = 0.13
 # Of the noise: what is less closes no gap. In a hover all motion is noise of the estimator, and so are the
@@ -53,7 +55,8 @@ class Found:
         fit: of them.
         gain: evidence of the set over none.
         threshold: that a further effect has to exceed.
-        rivals: per chosen candidate, other candidates that do as well in its place.
+        rivals: per chosen candidate, others that do about as well in its place, best first, each with its
+            odds against the chosen one.
         left: what generic functions predict beyond the set.
         named: (6,) squares that the effects take away beside the coefficients as they were found, in
             variances of the noise of `left`.
@@ -220,11 +223,13 @@ def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit:
 
 
 def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, list[tuple[int, float]]]:
-    """For each chosen candidate those that do about as well in its place, with how much worse they do."""
+    """For each chosen candidate those that do about as well in its place, with their odds."""
     rivals: dict[int, list[tuple[int, float]]] = {}
     for index in chosen:
         others = tuple(other for other in chosen if other != index)
         names = {design.candidates[other].name for other in chosen}
+        gained = found.log_evidence - _require(design.fit(others)).log_evidence
+        margin = max(NAMED_ALONE, _ALIKE * gained)
         close = []
         for rival, candidate in enumerate(design.candidates):
             if candidate.name in names:
@@ -232,9 +237,10 @@ def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, li
             swapped = design.fit(tuple(sorted((*others, rival))))
             if swapped is None or not _sizeable(design, (rival,), swapped):
                 continue
-            if found.log_evidence - swapped.log_evidence < NAMED_ALONE:
-                close.append((rival, found.log_evidence - swapped.log_evidence))
-        rivals[index] = sorted(close, key=lambda item: item[1])
+            behind = found.log_evidence - swapped.log_evidence
+            if behind < margin:
+                close.append((rival, float(np.exp(-behind * NAMED_ALONE / margin))))
+        rivals[index] = sorted(close, key=lambda item: -item[1])
     return rivals
 
 

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Verdicts of the search: nothing, an effect, what no effect explains, and effects that look alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy import discover
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.simulation.effects import effect_wrench
+
+ALIKE = ("payload", "thrust_coefficient", "body_drag")
+
+
+def test_nothing_is_missing_in_flights_of_the_simulation(simulation, flights):
+    found = discover(simulation, flights)
+    assert (found.verdict, found.effects, found.unexplained) == ("none", (), 0.0)
+    assert np.array_equal(found.gap.after, found.gap.before)
+
+
+def test_what_is_missing_is_named_among_all(simulation, dragged):
+    found = discover(simulation, dragged)
+    assert found.verdict == "effects"
+    assert [effect.name for effect in found.effects] == ["body_drag"]
+    assert found.effects[0].rivals == ()
+    assert found.effects[0].probability > 0.99
+    assert found.gap.reduction > 0.98
+
+
+def test_what_no_effect_explains_is_unknown_and_told(simulation, dragged):
+    """The library without the effect that is there."""
+    found = discover(simulation, dragged, names=["payload", "rate_damping"])
+    assert found.verdict == "unknown"
+    assert found.unexplained > 0.5
+    assert {"Fx", "Fy"} <= set(found.unexplained_by)
+    assert any("u" in function for function in found.unexplained_by["Fx"])
+    assert (found.effects, found.gap.reduction) == ((), 0.0)
+
+
+def test_effects_that_look_alike_are_one_set(simulation, flights, pushed):
+    """Level hover, held: another weight and another thrust are one force along z."""
+    weightless, vehicle = [], simulation.vehicle
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    for place, flight in enumerate(flights):
+        rng = np.random.default_rng(place)
+        load = 1.0 + 0.002 * rng.standard_normal((len(flight), 1))
+        still = replace(
+            flight,
+            velocity=np.zeros_like(flight.velocity),
+            rates=np.zeros_like(flight.rates),
+            angular_acceleration=np.zeros_like(flight.rates),
+            attitude=np.tile([1.0, 0.0, 0.0, 0.0], (len(flight), 1)),
+            rotor_speeds=simulation.hover_rotor_speed * np.sqrt(np.repeat(load, 4, axis=1)),
+        )
+        wrench = simulation.wrench(still)
+        still = replace(still, specific_force=wrench[:, :3] / vehicle.mass_kg)
+        lost = np.zeros_like(wrench)
+        lost[:, 2] = 0.15 * weight
+        noise = np.array([0.05, 0.05, 0.05, 0.001, 0.001, 0.001]) * rng.standard_normal(wrench.shape)
+        weightless.append(pushed(still, vehicle, lost + noise))
+    found = discover(simulation, weightless, names=ALIKE)
+    assert found.verdict == "effects"
+    (effect,) = found.effects
+    assert {"payload", "thrust_coefficient"} <= {effect.name, *effect.rivals}
+    assert effect.probability < 0.9
+    assert found.as_dict()["ambiguous"] == [[effect.name, *effect.rivals]]
+    assert len(effect.shown_by) > 1
+
+
+def test_every_flight_has_to_be_of_the_vehicle(simulation, flights):
+    with pytest.raises(
+        DiscrepancyError, match=r"flown by vehicle other, but the simulation bebop2 is of bebop2"
+    ):
+        discover(simulation, [flights[0], replace(flights[1], vehicle="other")])
+
+
+def test_a_driving_law_that_few_flights_tell_is_kept(simulation, flights, pushed):
+    """Of two flights, one in drag along x alone and one along y alone, each left out is a surprise."""
+    made = []
+    none = {"x_n_s2_m2": 0.0, "y_n_s2_m2": 0.0, "z_n_s2_m2": 0.0}
+    for flight, name in zip(flights, ("x_n_s2_m2", "y_n_s2_m2"), strict=False):
+        drag = {**none, name: 0.01}
+        added = effect_wrench("body_drag", drag, simulation.states(flight), simulation.record())
+        made.append(pushed(flight, simulation.vehicle, added))
+    found = discover(simulation, made, names=["body_drag"])
+    assert [effect.name for effect in found.effects] == ["body_drag"]
