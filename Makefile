@@ -16,9 +16,14 @@ help: ## list these targets
 demo: environment ## identify, predict, replay through live nodes, report (DEMO_ARGS="--data FOLDER --rate 4")
 	@$(BIN)/quadpi demo $(DEMO_ARGS)
 
-test: ## all tests (TEST_ARGS="-k intervals -x")
+test: ## all tests, those of live nodes by themselves (TEST_ARGS="-k intervals -x" for some)
 	@sh tools/bootstrap.sh --train
+ifdef TEST_ARGS
 	@$(BIN)/python -m pytest $(TEST_ARGS)
+else
+	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile --ignore test/ros
+	@$(BIN)/python -m pytest test/ros
+endif
 
 lint: environment ## ruff and mypy, as CI runs them
 	@$(BIN)/ruff check
