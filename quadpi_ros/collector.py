@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from quadpi_core.flight import Stamps
-from quadpi_core.logs import messages
+from quadpi_core.logs import result_messages
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
 from quadpi_core.monitor.output import Predictions
@@ -69,7 +69,7 @@ class AlarmFollower:
         self._state = (LEVEL_OK, 0)
         self._named: set[str] = set()
 
-    def follow(self, alarms: messages.ReportedAlarms) -> AlarmChange | None:
+    def follow(self, alarms: result_messages.ReportedAlarms) -> AlarmChange | None:
         """The change that one alarm message brings; None if it brings none."""
         level, causes = int(alarms.level[0]), int(alarms.causes[0])
         inputs = alarms.inputs_outside[0] if level != LEVEL_OK else ()
@@ -180,11 +180,11 @@ class Collector(Listener):
 
     def predictions(self) -> Predictions:
         """Every prediction so far."""
-        return messages.unpack_predictions(Payloads.join(self._predictions))
+        return result_messages.unpack_predictions(Payloads.join(self._predictions))
 
-    def alarms(self) -> messages.ReportedAlarms:
+    def alarms(self) -> result_messages.ReportedAlarms:
         """Every alarm message so far."""
-        return messages.unpack_alarms(Payloads.join(self._alarms))
+        return result_messages.unpack_alarms(Payloads.join(self._alarms))
 
     def _take_prediction(self, payload: bytes) -> None:
         self._arrived_ns.append(time.monotonic_ns())
@@ -192,6 +192,6 @@ class Collector(Listener):
 
     def _take_alarm(self, payload: bytes) -> None:
         self._alarms.append(payload)
-        change = self._follower.follow(messages.unpack_alarms(payload))
+        change = self._follower.follow(result_messages.unpack_alarms(payload))
         if change is not None and self._on_alarm is not None:
             self._on_alarm(change)

@@ -14,7 +14,7 @@ from quadpi.srv import LoadModel
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import RotorSpeedStream, Stamps
-from quadpi_core.logs import messages
+from quadpi_core.logs import messages, result_messages
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, Predictions
@@ -66,7 +66,7 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
     for samples in (hover, missing):
         predictions, alarms, _ = monitor.step(*samples)
         _pack(monitor, predictions, messages.BODY_FRAME)
-        messages.pack_alarms(alarms)
+        result_messages.pack_alarms(alarms)
     pairing = Pairing()
     for time_ns in (0, 1):
         pairing.add_wind(time_ns, hover.wind[0])
@@ -109,9 +109,9 @@ class Results:
             _publish_all(self._publish_first, _pack(self.monitors[self._first], predictions, self._frame_id))
         if len(alarms.time_ns):
             self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
-            _publish_all(self._publish_alarm, messages.pack_alarms(alarms, self._frame_id))
+            _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, self._frame_id))
         if events:
-            _publish_all(self._publish_log, messages.pack_events(events, self._frame_id))
+            _publish_all(self._publish_log, result_messages.pack_events(events, self._frame_id))
         for (name, publish), other in zip(self._publish_others, others, strict=True):
             if len(other.time_ns):
                 _publish_all(publish, _pack(self.monitors[name], other, self._frame_id))
@@ -141,7 +141,7 @@ class Results:
 
 
 def _pack(monitor: Monitor, predictions: Predictions, frame_id: str) -> Payloads:
-    return messages.pack_predictions(
+    return result_messages.pack_predictions(
         predictions,
         model=monitor.model.identity,
         confidence=monitor.confidence,

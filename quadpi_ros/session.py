@@ -14,8 +14,9 @@ import yaml
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.messages import ReportedAlarms, unpack_stamps
+from quadpi_core.logs.messages import unpack_stamps
 from quadpi_core.logs.payloads import Payloads
+from quadpi_core.logs.result_messages import ReportedAlarms
 from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, alarm_time
 from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.ekf_initial import COLLECT_NS

@@ -24,6 +24,7 @@ from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.logs.payloads import Payloads
+from quadpi_core.logs.result_messages import ReportedAlarms, unpack_alarms, unpack_predictions
 from quadpi_core.monitor.output import Predictions
 from quadpi_core.vehicle import Vehicle
 
@@ -173,7 +174,7 @@ def _arrivals(names: Mapping[str, str], topics: Mapping[str, Topic]) -> dict[str
     return arrivals
 
 
-def read_outputs(path: Path | str) -> tuple[Predictions | None, messages.ReportedAlarms | None]:
+def read_outputs(path: Path | str) -> tuple[Predictions | None, ReportedAlarms | None]:
     """Read what the monitor published; None where the bag lacks the topic.
 
     Raises:
@@ -184,8 +185,8 @@ def read_outputs(path: Path | str) -> tuple[Predictions | None, messages.Reporte
         prediction, alarm = find_topic(bag, "prediction"), find_topic(bag, "extrapolation_alarm")
         topics = bag.read([connection.topic for connection in (prediction, alarm) if connection])
     return (
-        unpacked_topic(path, topics[prediction.topic], messages.unpack_predictions) if prediction else None,
-        unpacked_topic(path, topics[alarm.topic], messages.unpack_alarms) if alarm else None,
+        unpacked_topic(path, topics[prediction.topic], unpack_predictions) if prediction else None,
+        unpacked_topic(path, topics[alarm.topic], unpack_alarms) if alarm else None,
     )
 
 

@@ -10,17 +10,12 @@ no message of its type; values are not judged here (see `Recording.check`), exce
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
-    AXES,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -38,20 +33,14 @@ from quadpi_core.frames import (
     world_enu_to_ned,
     world_ned_to_enu,
 )
-from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.definitions import codec
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.logs.stamps import header_stamps
 from quadpi_core.logs.values import (
     ODOMETRY_VALUES,
-    PREDICTION_VALUES,
     attitude_values,
     odometry_values,
-    prediction_values,
 )
-from quadpi_core.monitor.events import AlarmEvent
-from quadpi_core.monitor.output import Alarms, Predictions
-from quadpi_core.monitor.reasons import reasons
 from quadpi_core.vehicle import Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
@@ -79,7 +68,7 @@ _BODY_VECTORS = {
 }
 _NANOSECONDS = 1_000_000_000
 _ABSENT = -1.0
-_FLU_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
+FLU_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
 _XYZW = [1, 2, 3, 0]
 
 
@@ -108,7 +97,7 @@ def pack_imu(stream: ImuStream, frame_id: str = BODY_FRAME) -> Payloads:
     return codec(IMU).encode(
         len(stream),
         {
-            **_header(stream.time_ns, frame_id),
+            **header_columns(stream.time_ns, frame_id),
             "orientation": np.array([0.0, 0.0, 0.0, 1.0]),
             "orientation_covariance": orientation_covariance,
             "angular_velocity": body_frd_to_flu(stream.angular_velocity),
@@ -136,7 +125,7 @@ def pack_pose(stream: PoseStream, frame_id: str = WORLD_FRAME) -> Payloads:
     return codec(POSE).encode(
         len(stream),
         {
-            **_header(stream.time_ns, frame_id),
+            **header_columns(stream.time_ns, frame_id),
             "pose.position": world_ned_to_enu(stream.position),
             "pose.orientation": quaternion_frd_ned_to_flu_enu(stream.attitude)[:, _XYZW],
         },
@@ -209,7 +198,7 @@ def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: s
         if len(rows):
             velocity = stream.velocity[rows]
             linear = body_frd_to_flu(velocity) if in_body else world_ned_to_enu(velocity)
-            columns = {**_header(stream.time_ns[rows], frame), "twist.linear": linear}
+            columns = {**header_columns(stream.time_ns[rows], frame), "twist.linear": linear}
             parts.append(codec(TWIST).encode(len(rows), columns))
             orders.append(rows)
     return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
@@ -232,7 +221,7 @@ def unpack_wind(payloads: Payloads | bytes) -> WindStream:
 
 def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
     """Encode as geometry_msgs/Vector3Stamped."""
-    columns = {**_header(stream.time_ns, frame_id), "vector": world_ned_to_enu(stream.velocity)}
+    columns = {**header_columns(stream.time_ns, frame_id), "vector": world_ned_to_enu(stream.velocity)}
     return codec(WIND).encode(len(stream), columns)
 
 
@@ -243,7 +232,7 @@ def unpack_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
 
 def pack_rotor_speeds(stream: RotorSpeedStream, frame_id: str = BODY_FRAME) -> Payloads:
     """Encode as quadpi/RotorSpeeds."""
-    columns = {**_header(stream.time_ns, frame_id), "rotor_speeds": stream.speeds}
+    columns = {**header_columns(stream.time_ns, frame_id), "rotor_speeds": stream.speeds}
     return codec(ROTOR_SPEEDS).encode(len(stream), columns)
 
 
@@ -259,14 +248,14 @@ def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> RotorSpeedStrea
 
 def pack_erpm(time_ns: Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Payloads:
     """Encode electrical speeds (N, 4) in rev/min as quadpi/Erpm."""
-    return codec(ERPM).encode(len(time_ns), {**_header(time_ns, frame_id), "erpm": erpm})
+    return codec(ERPM).encode(len(time_ns), {**header_columns(time_ns, frame_id), "erpm": erpm})
 
 
 def unpack_body_vectors(payloads: Payloads | bytes, type_name: str) -> tuple[Stamps, Array]:
     """Decode :data:`WRENCH` or :data:`ACCELERATION` in body axes: stamps and (N, 6), linear then angular."""
     columns = codec(type_name).decode(payloads)
     linear, angular = (columns[field] for field in _BODY_VECTORS[type_name])
-    return header_stamps(columns), _mirrored(np.concatenate((linear, angular), axis=1))
+    return header_stamps(columns), mirrored(np.concatenate((linear, angular), axis=1))
 
 
 def unpack_simulated(payloads: Payloads | bytes) -> WrenchStream:
@@ -279,190 +268,13 @@ def pack_body_vectors(
 ) -> Payloads:
     """Encode vectors (N, 6) of body axes, linear then angular, as :data:`WRENCH` or :data:`ACCELERATION`."""
     linear, angular = _BODY_VECTORS[type_name]
-    in_flu = _mirrored(vectors)
-    columns = {**_header(time_ns, frame_id), linear: in_flu[:, :3], angular: in_flu[:, 3:]}
+    in_flu = mirrored(vectors)
+    columns = {**header_columns(time_ns, frame_id), linear: in_flu[:, :3], angular: in_flu[:, 3:]}
     return codec(type_name).encode(len(time_ns), columns)
 
 
-def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
-    """Decode quadpi/WrenchPrediction."""
-    (time_ns, values), places = codec(PREDICTION).decode_stamped(payloads), codec(PREDICTION).places
-    lower, upper = _mirrored_bounds(values[:, places["lower"]], values[:, places["upper"]])
-    return Predictions(
-        time_ns=time_ns,
-        predicted=_mirrored(values[:, places["predicted"]]),
-        lower=lower,
-        upper=upper,
-        measured=_mirrored(values[:, places["measured"]]),
-        relative_width=values[:, places["relative_width"]].copy(),
-    )
-
-
-def pack_predictions(
-    predictions: Predictions,
-    *,
-    model: str,
-    confidence: float,
-    axes: Sequence[str],
-    frame_id: str = BODY_FRAME,
-) -> Payloads:
-    """Encode as quadpi/WrenchPrediction.
-
-    Args:
-        predictions: N rows.
-        model: identity of the model.
-        confidence: nominal coverage of the interval.
-        axes: names of the axes that the model holds.
-        frame_id: body frame.
-    """
-    values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
-    prediction_values(
-        predictions.predicted,
-        predictions.lower,
-        predictions.upper,
-        predictions.measured,
-        predictions.relative_width,
-        values,
-    )
-    return codec(PREDICTION).encode_stamped(
-        predictions.time_ns,
-        values,
-        (
-            ("header.frame_id", frame_id),
-            ("model", model),
-            ("confidence", confidence),
-            ("axes", _axis_flags(tuple(axes))),
-        ),
-    )
-
-
-@cache
-def _axis_flags(axes: tuple[str, ...]) -> int:
-    return sum(1 << AXES.index(axis) for axis in axes)
-
-
-@dataclass(frozen=True)
-class ReportedAlarms:
-    """What alarm messages say; one row per message (see `monitor.output.Alarms`).
-
-    Attributes:
-        envelope_distance: (M,) how far the worst input lies outside its training range.
-        inputs_outside: names of the inputs outside the envelope, the farthest first, per message.
-        reasons: why the causes are not ok, in plain words, per message.
-    """
-
-    time_ns: Stamps
-    level: npt.NDArray[np.uint8]
-    causes: npt.NDArray[np.uint8]
-    cause_level: npt.NDArray[np.uint8]
-    cause_health: npt.NDArray[np.uint8]
-    cause_evidence: Array
-    leverage: Array
-    width: Array
-    miscoverage: Array
-    miss_share: Array
-    envelope_distance: Array
-    inputs_outside: list[tuple[str, ...]]
-    reasons: list[tuple[str, ...]]
-
-
-_ALARM_NUMBERS = (
-    "level",
-    "causes",
-    "cause_level",
-    "cause_health",
-    "cause_evidence",
-    "leverage",
-    "width",
-    "miscoverage",
-    "miss_share",
-)
-
-
-def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
-    """Decode quadpi/ExtrapolationAlarm."""
-    columns = codec(ALARM).decode(payloads)
-    return ReportedAlarms(
-        time_ns=header_stamps(columns),
-        **{name: columns[name].copy() for name in _ALARM_NUMBERS},
-        envelope_distance=columns["envelope_distance"].copy(),
-        inputs_outside=_texts(columns["inputs_outside"]),
-        reasons=_texts(columns["reasons"]),
-    )
-
-
-def pack_alarms(alarms: Alarms, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first."""
-    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
-    for row in range(len(alarms)):
-        groups.setdefault((_inputs_outside(alarms.input_excess[row]), reasons(alarms, row)), []).append(row)
-    parts, orders = [], []
-    for (outside, told), members in groups.items():
-        rows = np.array(members)
-        columns = {
-            **_header(alarms.time_ns[rows], frame_id),
-            **{name: getattr(alarms, name)[rows] for name in _ALARM_NUMBERS},
-            "envelope_distance": alarms.input_excess[rows].max(axis=1),
-            "inputs_outside": outside,
-            "reasons": told,
-        }
-        parts.append(codec(ALARM).encode(len(rows), columns))
-        orders.append(rows)
-    return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
-
-
-def pack_events(events: Sequence[AlarmEvent], frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as quadpi/AlarmEvent, one message per event."""
-    parts = []
-    for event in events:
-        columns = {
-            **_header(np.array([event.time_ns]), frame_id),
-            **_time("start", event.start_ns),
-            **_time("end", event.end_ns),
-            "number": event.number,
-            "cause": event.cause,
-            "peak_evidence": event.peak_evidence,
-            "reasons": event.reasons,
-        }
-        parts.append(codec(EVENT).encode(1, columns))
-    return Payloads.concatenate(parts)
-
-
-def unpack_events(payloads: Payloads | bytes) -> list[AlarmEvent]:
-    """Decode quadpi/AlarmEvent."""
-    columns = codec(EVENT).decode(payloads)
-    told = _texts(columns["reasons"])
-    times, starts, ends = (header_stamps(columns, prefix) for prefix in ("header.stamp.", "start.", "end."))
-    return [
-        AlarmEvent(
-            number=int(columns["number"][k]),
-            cause=int(columns["cause"][k]),
-            time_ns=int(times[k]),
-            start_ns=int(starts[k]),
-            end_ns=int(ends[k]),
-            peak_evidence=float(columns["peak_evidence"][k]),
-            reasons=words,
-        )
-        for k, words in enumerate(told)
-    ]
-
-
-def _inputs_outside(excess: Array) -> tuple[str, ...]:
-    if not excess.any():
-        return ()
-    return tuple(INPUT_NAMES[k] for k in np.argsort(-excess, kind="stable") if excess[k] > 0.0)
-
-
-def _texts(column: npt.NDArray[Any]) -> list[tuple[str, ...]]:
-    return [tuple(text.decode(errors="replace") for text in texts) for texts in column]
-
-
-def _time(name: str, time_ns: int) -> dict[str, int]:
-    seconds, nanoseconds = divmod(time_ns, _NANOSECONDS)
-    return {f"{name}.sec": seconds, f"{name}.nanosec": nanoseconds}
-
-
-def _header(time_ns: Stamps, frame_id: str) -> dict[str, Any]:
+def header_columns(time_ns: Stamps, frame_id: str) -> dict[str, Any]:
+    """Columns of a std_msgs/Header, for :meth:`quadpi_core.logs.cdr.Codec.encode`."""
     seconds, nanoseconds = np.divmod(time_ns, _NANOSECONDS)
     return {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds, "header.frame_id": frame_id}
 
@@ -476,13 +288,6 @@ def _attitude(orientation_xyzw: Array) -> Array:
     return attitude
 
 
-def _mirrored(wrench: Array) -> Array:
+def mirrored(wrench: Array) -> Array:
     """Pairs of body vectors (N, 6) between FRD and FLU; adding zero keeps -0.0 out of the messages."""
-    return wrench * _FLU_SIGNS + 0.0
-
-
-def _mirrored_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Bounds (N, 6) between FRD and FLU: they swap on an axis that changes sign."""
-    one, other = _mirrored(lower), _mirrored(upper)
-    swapped = _FLU_SIGNS < 0.0
-    return np.where(swapped, other, one), np.where(swapped, one, other)
+    return wrench * FLU_SIGNS + 0.0

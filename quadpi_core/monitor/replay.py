@@ -15,7 +15,7 @@ from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array
-from quadpi_core.logs import decode_recording, messages
+from quadpi_core.logs import decode_recording, messages, result_messages
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.logs.mcap import Topic
 from quadpi_core.logs.mcap_writer import write_mcap
@@ -111,15 +111,15 @@ def replay(
         output_topic(
             "prediction",
             predictions.time_ns,
-            messages.pack_predictions(
+            result_messages.pack_predictions(
                 predictions, model=model.identity, confidence=monitor.confidence, axes=model.axes
             ),
         )
     )
-    topics.append(output_topic("extrapolation_alarm", alarms.time_ns, messages.pack_alarms(alarms)))
+    topics.append(output_topic("extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms)))
     if events:
         stamps = np.array([event.time_ns for event in events])
-        topics.append(output_topic("alarm_log", stamps, messages.pack_events(events)))
+        topics.append(output_topic("alarm_log", stamps, result_messages.pack_events(events)))
     write_mcap(
         Path(output),
         topics,

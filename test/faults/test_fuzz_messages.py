@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadpi_core.logs import messages
+from quadpi_core.logs import messages, result_messages
 from quadpi_core.logs.adapters import ADAPTERS, AdapterSettings
 from quadpi_core.logs.adapters.settings import BodySettings, RotorSettings, StateSettings
 from quadpi_core.logs.definitions import codec
@@ -31,10 +31,10 @@ CORE = {
     messages.WIND: messages.unpack_wind,
     messages.ROTOR_SPEEDS: messages.unpack_rotor_speeds,
     messages.ERPM: partial(messages.unpack_erpm, vehicle=Vehicle.load("hdbeetle")),
-    messages.PREDICTION: messages.unpack_predictions,
-    messages.ALARM: messages.unpack_alarms,
+    messages.PREDICTION: result_messages.unpack_predictions,
+    messages.ALARM: result_messages.unpack_alarms,
     messages.EVENT: lambda payloads: [
-        np.array([event.time_ns for event in messages.unpack_events(payloads)], dtype=np.int64)
+        np.array([event.time_ns for event in result_messages.unpack_events(payloads)], dtype=np.int64)
     ],
     messages.WRENCH: partial(messages.unpack_body_vectors, type_name=messages.WRENCH),
 }

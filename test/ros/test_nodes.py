@@ -21,7 +21,7 @@ pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from quadpi_core.errors import ModelError
-from quadpi_core.logs.messages import ReportedAlarms
+from quadpi_core.logs.result_messages import ReportedAlarms
 from quadpi_core.monitor import MonitorSettings
 from quadpi_ros.collector import AlarmFollower
 from quadpi_ros.estimator_node import EstimatorParameters

@@ -17,7 +17,7 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import messages, read_recording
+from quadpi_core.logs import messages, read_recording, result_messages
 from quadpi_core.logs.bags import bag_topics, has_topic, output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.logs.definitions import codec
 from quadpi_core.logs.mcap import Bag, Topic
@@ -163,13 +163,13 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         excess,
         np.zeros(N, np.int64),
     )
-    packed = messages.pack_predictions(predictions, model="m", confidence=0.95, axes=AXES)
+    packed = result_messages.pack_predictions(predictions, model="m", confidence=0.95, axes=AXES)
     write_bag(
         path,
         recording,
         [
             output_topic("prediction", time_ns, packed),
-            output_topic("extrapolation_alarm", time_ns, messages.pack_alarms(alarms)),
+            output_topic("extrapolation_alarm", time_ns, result_messages.pack_alarms(alarms)),
         ],
     )
     found_predictions, found_alarms = read_outputs(path)

@@ -9,7 +9,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import AXES, ImuStream, OdometryStream, PoseStream, RotorSpeedStream, WindStream
 from quadpi_core.frames import rotation_matrix, world_ned_to_enu
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import messages
+from quadpi_core.logs import messages, result_messages
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.monitor.events import AlarmEvent
@@ -181,7 +181,9 @@ def test_bounds_swap_on_axes_that_change_sign(rng):
         measured=rng.normal(size=(N, 6)),
         relative_width=rng.uniform(size=(N, 6)),
     )
-    payloads = messages.pack_predictions(predictions, model="poly 0123456789ab", confidence=0.95, axes=AXES)
+    payloads = result_messages.pack_predictions(
+        predictions, model="poly 0123456789ab", confidence=0.95, axes=AXES
+    )
     for sample, one in enumerate(reference(payloads, messages.PREDICTION)):
         assert one.lower_fx == predictions.lower[sample, 0]
         assert one.lower_fy == -predictions.upper[sample, 1]
@@ -190,12 +192,12 @@ def test_bounds_swap_on_axes_that_change_sign(rng):
         assert one.measured_my == -predictions.measured[sample, 4]
         assert one.relative_width_my == predictions.relative_width[sample, 4]
         assert (one.model, one.confidence, one.axes) == ("poly 0123456789ab", 0.95, 63)
-    assert_same(messages.unpack_predictions(payloads), predictions)
+    assert_same(result_messages.unpack_predictions(payloads), predictions)
 
 
 def test_axes_that_are_not_held_stay_plain_zero():
     zeros = np.zeros((N, 6))
-    payloads = messages.pack_predictions(
+    payloads = result_messages.pack_predictions(
         Predictions(TIME_NS, zeros, zeros, zeros, zeros, zeros), model="m", confidence=0.9, axes=()
     )
     assert not np.signbit(typestore().deserialize_cdr(payloads[0], messages.PREDICTION).upper_fy)
@@ -223,7 +225,7 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         input_excess=excess,
         faults=np.full(N, GYRO_FROZEN),
     )
-    payloads = messages.pack_alarms(alarms)
+    payloads = result_messages.pack_alarms(alarms)
     outside = [(), ("u",), ("mu_x", "u"), (), (), ("u",), ()]
     for sample, one in enumerate(reference(payloads, messages.ALARM)):
         assert tuple(one.inputs_outside) == outside[sample]
@@ -233,7 +235,7 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         for name in ("width", "cause_level", "cause_health", "cause_evidence", "miscoverage", "miss_share"):
             np.testing.assert_array_equal(getattr(one, name), getattr(alarms, name)[sample])
         assert tuple(one.reasons) == reasons(alarms, sample)
-    unpacked = messages.unpack_alarms(payloads)
+    unpacked = result_messages.unpack_alarms(payloads)
     assert unpacked.reasons == [reasons(alarms, sample) for sample in range(N)]
     assert any(unpacked.reasons)
     assert unpacked.inputs_outside == outside
@@ -246,13 +248,13 @@ def test_events_survive_their_message():
         AlarmEvent(1, 1, 5_000_000_001, 5_000_000_001, 0, 1.5, ("u 1.4 x the training range", "gap")),
         AlarmEvent(1, 1, 7_000_000_001, 5_000_000_001, 7_000_000_001, 2.5, ()),
     ]
-    payloads = messages.pack_events(events)
+    payloads = result_messages.pack_events(events)
     for event, payload in zip(events, payloads, strict=True):
         one = typestore().deserialize_cdr(payload, messages.EVENT)
         assert (one.number, one.cause, one.peak_evidence) == (1, 1, event.peak_evidence)
         assert one.end.sec * 10**9 + one.end.nanosec == event.end_ns
         assert tuple(one.reasons) == event.reasons
-    assert messages.unpack_events(payloads) == events
+    assert result_messages.unpack_events(payloads) == events
 
 
 def test_stamp_with_more_than_a_second_of_nanoseconds_is_refused(rng):
