@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -21,9 +22,9 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.pool import CandidatePool
-from quadpi_core.models.rules import require_confidence
+from quadpi_core.models.rules import HeldOutRule, require_confidence
 from quadpi_core.models.selection import StopRule
-from quadpi_core.monitor.calibration import calibrate_alarm, hover_rotor_speed, left_out
+from quadpi_core.monitor.calibration import calibrate_alarm, hover_rotor_speed, left_out, live_errors
 from quadpi_core.prepared import PreparedFlight
 from quadpi_core.vehicle import Vehicle
 
@@ -135,15 +136,17 @@ def identify(
     compiled = METHODS[method].compile(fitted)
     factors = compiled.factors(confidence)
     evidence = compiled.evaluate(inputs, factors)
-    coverage = {axis: estimators[axis].held_out_coverage(confidence) for axis in axes}
+    held_out = {axis: errors for axis in axes if (errors := estimators[axis].held_out_) is not None}
+    live = live_errors(flights, held_out, lambda rows: compiled.evaluate(rows, factors)) if held_out else []
+    rules = {
+        axis: rule.covering([flight.errors[axis] for flight in live])
+        for axis in held_out
+        if isinstance(rule := fitted[axis].rule, HeldOutRule)
+    }
+    fitted |= {axis: replace(estimators[axis].fitted_, rule=rule) for axis, rule in rules.items()}
     envelope, limits = calibrate_alarm(
         Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
-        left_out(
-            flights,
-            {axis: (fitted[axis].rule, estimators[axis].held_out_) for axis in axes},
-            confidence,
-            lambda rows: compiled.evaluate(rows, factors),
-        ),
+        left_out(flights, rules, live, confidence) if rules else [],
         confidence=confidence,
         rate_per_hour=false_alarms_per_hour,
         hover_rotor_speed=hover_rotor_speed(inputs, wrench, vehicle.mass_kg * vehicle.gravity_m_s2),
@@ -161,7 +164,8 @@ def identify(
         flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
         selection={axis: _selection_log(estimators[axis]) for axis in axes},
         held_out_coverage={
-            axis: [] if shares is None else shares.tolist() for axis, shares in coverage.items()
+            axis: rules[axis].held_out_coverage(held_out[axis], confidence).tolist() if axis in rules else []
+            for axis in axes
         },
         alarm_limits=limits,
     )

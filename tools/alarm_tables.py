@@ -247,7 +247,7 @@ def signals(job: Job) -> str:
         known = np.array([[np.nan if area is None else area for area in row] for row in found])
         rows.append(["mean", "", *map(_area, np.nanmean(known, axis=0))])
         heading = ["identified on → judged on", "samples missed", *names.values()]
-        parts.append(f"**{method}**\n\n{_table(heading, rows)}")
+        parts.append(f"**{method}**\n\n{table(heading, rows)}")
     return "\n\n".join(parts)
 
 
@@ -255,7 +255,8 @@ def _area(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
 
 
-def _table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """In Markdown."""
     lines = [heading, ["---"] * len(heading), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -350,7 +351,7 @@ def rates(job: Job) -> str:
         "alarms per hour (95 %)",
         "warned",
     )
-    return _table(heading, rows)
+    return table(heading, rows)
 
 
 TABLES: dict[str, Callable[[Job], str]] = {"rates": rates, "signals": signals}

@@ -161,6 +161,14 @@ class HeldOutRule:
         ]
         return [flight.scores() > factor for flight, factor in zip(held_out, factors, strict=True)]
 
+    def covering(self, held_out: Sequence[FlightErrors]) -> HeldOutRule:
+        """The rule whose factors also cover other errors of the same flights, each when it was left out."""
+        factors = self.flight_factors.copy()
+        for k, flight in enumerate(held_out):
+            if len(flight.inside) and np.mean(flight.inside) >= FEWEST_INSIDE:
+                factors[k] = np.maximum(factors[k], flight.factors())
+        return HeldOutRule(factors, self.flights_inside)
+
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, as stored with a model."""
         return {

@@ -20,6 +20,7 @@ own interval and k between the allowed share of misses and the alternative (`mod
 over its limit is the score, and takes the place of the charge: full at 1, half full at ½, empty at ¼.
 
 On the ground neither EXTRAPOLATION nor MISCOVERAGE is judged, for there the wrench is not aerodynamic.
+While the state settles (`monitor.preparation.SETTLE_NS`) the sums of MISCOVERAGE stay as they are.
 """
 
 from __future__ import annotations
@@ -106,6 +107,8 @@ class Judged(NamedTuple):
         velocity: (U, 3) over ground, m/s.
         leverage, relative_width: (U, 6).
         measured, lower, upper: (U, 6) measured wrench and the model's own interval.
+        settled: (U,) False while a state that has just begun, or come back, still errs: its misses say
+            nothing of the model.
     """
 
     inputs: Array
@@ -115,6 +118,7 @@ class Judged(NamedTuple):
     measured: Array
     lower: Array
     upper: Array
+    settled: npt.NDArray[np.bool_]
 
 
 class Alarm:

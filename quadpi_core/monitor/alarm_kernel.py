@@ -16,7 +16,8 @@ from quadpi_core.monitor.faults import IN_FLIGHT_ONLY
 LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
 CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
-# Judged; not judged on the ground; nor for want of usable samples; judged by limits without a stated rate.
+# Judged; not judged on the ground, nor misses while the state settles; nor for want of usable samples; judged
+# by limits without a stated rate.
 ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
 
 WARNING_CHARGE = 0.5
@@ -63,7 +64,7 @@ SILENT, STANDING_FOR, STATE_SIZE = NEAR_CHARGE + 1, NEAR_CHARGE + 2, NEAR_CHARGE
 # Places of the integers of a row, and of those remembered.
 ROW_TIME, ROW_LEVEL, ROW_CAUSES, ROW_CAUSE_LEVEL, ROW_HEALTH, ROW_FAULTS = 0, 1, 2, 3, 6, 9
 ROW_INTEGERS = 10
-PREVIOUS, FLYING, NAMED, TOLD, MEMORY_SIZE = 10, 11, 12, 13, 14
+PREVIOUS, FLYING, SETTLED, NAMED, TOLD, MEMORY_SIZE = 10, 11, 12, 13, 14, 15
 
 
 @njit(cache=True)
@@ -182,6 +183,8 @@ def _judge_causes(limits: Any, state: Any, memory: Any) -> bool:
     memory[ROW_LEVEL], memory[ROW_CAUSES] = LEVEL_OK, 0
     for cause in range(len(CAUSES)):
         own_health = ACTIVE if CAUSES[cause] == BAD_DATA else health
+        if CAUSES[cause] == MISCOVERAGE and memory[SETTLED] == 0 and health != UNAVAILABLE:
+            own_health = WAITING
         charge, before = state[CHARGE + cause], memory[ROW_CAUSE_LEVEL + cause]
         if CAUSES[cause] == EXTRAPOLATION:
             level = _level_of_two(charge, state[NEAR_CHARGE], before)
@@ -207,6 +210,7 @@ def advance(
     measured: Any,
     lower: Any,
     upper: Any,
+    settled: Any,
     limits: Any,
     state: Any,
     memory: Any,
@@ -225,14 +229,16 @@ def advance(
         if usable[i]:
             state[SILENT] = 0.0
             _follow_ground(inputs[used], velocity[used], limits, state, memory, step_s)
+            memory[SETTLED] = settled[used]
             if memory[FLYING] != 0:
                 worst, beyond, near = _extrapolation(inputs[used], leverage[used], width[used], limits, state)
                 state[ROW_EVIDENCE] = max(state[ROW_EVIDENCE], worst)
                 _charge(worst > 1.0, step_s, limits, state, CHARGE)
                 _charge(near, step_s, limits, state, NEAR_CHARGE)
-                state[CHARGE + 1] = _miscoverage(
-                    measured[used], lower[used], upper[used], limits, state, step_s
-                )
+                if settled[used]:
+                    state[CHARGE + 1] = _miscoverage(
+                        measured[used], lower[used], upper[used], limits, state, step_s
+                    )
                 state[ROW_EVIDENCE + 1] = max(state[ROW_EVIDENCE + 1], state[CHARGE + 1])
             used += 1
         else:

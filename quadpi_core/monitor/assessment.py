@@ -79,6 +79,8 @@ def alarm_of_flight(
             wrench,
             evaluation.lower,
             evaluation.upper,
+            # What is known has settled.
+            np.ones(len(inputs), dtype=np.bool_),
         ),
     )
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)

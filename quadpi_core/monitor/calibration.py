@@ -159,13 +159,24 @@ def calibrate_alarm(
     )
 
 
-def left_out(
+class LiveErrors(NamedTuple):
+    """One flight, left out, as the live path would have had it.
+
+    Attributes:
+        rows: (M,) which of its samples these are.
+        errors: by axis held, of M samples.
+    """
+
+    rows: npt.NDArray[np.int64]
+    errors: dict[str, FlightErrors]
+
+
+def live_errors(
     flights: Sequence[Judged],
-    axes: Mapping[str, tuple[Any, Sequence[FlightErrors] | None]],
-    confidence: float,
+    held_out: Mapping[str, Sequence[FlightErrors]],
     evaluate: Callable[[Array], Evaluation],
-) -> list[LeftOut]:
-    """Signals of the flights of an identification; none where its intervals rest on no flights left out.
+) -> list[LiveErrors]:
+    """Errors on each flight, left out, of the live path.
 
     Errors, spread and leverage of a flight left out are known for the smoothed states that it would have been
     identified on. What the causal states of the live path change of them, the model of all flights tells: to
@@ -173,27 +184,49 @@ def left_out(
 
     Args:
         flights: that were identified on.
-        axes: per axis held its rule and the errors on each flight, left out; every so manieth sample of it.
-        confidence: of the intervals.
-        evaluate: the model of all flights, with these intervals.
+        held_out: by axis held, the errors on each flight, left out; every so manieth sample of it.
+        evaluate: the model of all flights.
     """
-    if any(errors is None or not isinstance(rule, HeldOutRule) for rule, errors in axes.values()):
-        return []
-    live: dict[str, list[FlightErrors]] = {axis: [] for axis in axes}
-    signals = []
+    live = []
     for k, flight in enumerate(flights):
-        errors = {axis: held_out[k] for axis, (_, held_out) in axes.items() if held_out is not None}
+        errors = {axis: of_flights[k] for axis, of_flights in held_out.items()}
         step = -(-len(flight.time) // len(next(iter(errors.values())).error))
         known = flight.judged.known[::step]
         rows = np.arange(0, len(flight.time), step)[known]
         changes = _changes(flight, rows, evaluate)
-        for axis, one in errors.items():
-            live[axis].append(changes.of(one, known, AXES.index(axis)))
+        live.append(
+            LiveErrors(rows, {axis: changes.of(one, known, AXES.index(axis)) for axis, one in errors.items()})
+        )
+    return live
+
+
+def left_out(
+    flights: Sequence[Judged],
+    rules: Mapping[str, HeldOutRule],
+    live: Sequence[LiveErrors],
+    confidence: float,
+) -> list[LeftOut]:
+    """Signals of the flights of an identification, each left out, on the live path.
+
+    Args:
+        flights: that were identified on.
+        rules: by axis held.
+        live: as :func:`live_errors` gives it.
+        confidence: of the intervals.
+    """
+    misses = {
+        axis: rule.held_out_misses([one.errors[axis] for one in live], confidence)
+        for axis, rule in rules.items()
+    }
+    signals = []
+    for k, (flight, (rows, errors)) in enumerate(zip(flights, live, strict=True)):
         leverage, width = np.zeros((2, len(rows), len(AXES)))
-        for axis, errors_there in live.items():
-            column, now = AXES.index(axis), errors_there[-1]
+        miss = np.full((len(rows), len(AXES)), np.nan)
+        for axis, now in errors.items():
+            column = AXES.index(axis)
             width[:, column] = 0.0 if now.width is None else now.width
             leverage[:, column] = 0.0 if now.leverage is None else now.leverage
+            miss[:, column] = misses[axis][k]
         signals.append(
             LeftOut(
                 flight.time[rows],
@@ -201,13 +234,9 @@ def left_out(
                 *Envelope.flight_range(flight.inputs),
                 leverage,
                 width,
-                np.full((len(rows), len(AXES)), np.nan),
+                miss,
             )
         )
-    for axis, (rule, _) in axes.items():
-        misses = rule.held_out_misses(live[axis], confidence)
-        for signal, missed in zip(signals, misses, strict=True):
-            signal.miss[:, AXES.index(axis)] = missed
     return signals
 
 
@@ -256,6 +285,8 @@ def _ranges_of_others(flights: Sequence[LeftOut]) -> list[tuple[Array, Array]]:
 
 
 def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
+    if len(flight.inputs) == 0:
+        return 0.0
     lower, upper = others
     return float(np.mean(np.all((flight.inputs >= lower) & (flight.inputs <= upper), axis=1)))
 

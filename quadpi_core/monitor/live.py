@@ -25,7 +25,8 @@ class LiveSamples(NamedTuple):
     Attributes:
         inputs: (N, 19) input vectors.
         wrench: (N, 6) measured, N and Nm, body axes.
-        known: (N,) False where the monitor had nothing to judge; the rows there mean nothing.
+        known: (N,) False where the monitor had nothing to judge, or the state had not settled; the rows there
+            mean nothing.
     """
 
     inputs: Array
@@ -42,15 +43,16 @@ def live_samples(recording: Recording, vehicle: Vehicle, cutoff_hz: float, at_ns
     """
     rate_hz = nominal_rate(recording.imu.time_ns)
     preparation = Preparation(vehicle, rate_hz, cutoff_hz)
-    stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 6))]
+    stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 7))]
     for part in monitored(recording, vehicle, rate_hz)[0]:
         preparation.reset()
         prepared = preparation.step(*part)
         stamps.append(prepared.time_ns[prepared.usable])
-        rows.append(np.concatenate((prepared.inputs, prepared.measured), axis=1))
+        rows.append(np.column_stack((prepared.inputs, prepared.measured, prepared.settled)))
     time_ns, values = np.concatenate(stamps), np.concatenate(rows)
     if len(time_ns) == 0:
         raise LogError(f"{recording.source}: no sample that a monitor could judge")
     values, known = interpolate(time_ns, values, at_ns, MAX_GAP_NS)
-    inputs, wrench = np.split(values, [len(INPUT_NAMES)], axis=1)
+    inputs, wrench, settled = np.split(values, [len(INPUT_NAMES), len(INPUT_NAMES) + 6], axis=1)
+    known &= settled[:, 0] == 1.0
     return LiveSamples(np.ascontiguousarray(inputs), np.ascontiguousarray(wrench), known)

@@ -106,7 +106,7 @@ class Monitor:
 
     def _evaluate(self, prepared: Prepared) -> tuple[Predictions, npt.NDArray[np.bool_], Judged]:
         """Predictions of the usable samples, which samples these are, and what the alarm goes by."""
-        time_ns, usable, inputs, measured, velocity, _ = prepared
+        time_ns, usable, inputs, measured, velocity, _, settled = prepared
         used_ns = time_ns if len(inputs) == len(time_ns) else time_ns[usable]
         predicted, own_lower, own_upper, leverage, relative_width = self.model.evaluate(
             inputs, self.confidence
@@ -115,7 +115,7 @@ class Monitor:
         if self._adaptive is not None:
             lower, upper = self._adaptive.step(measured, lower, upper)
         predictions = Predictions(used_ns, predicted, lower, upper, measured, relative_width)
-        judged = Judged(inputs, velocity, leverage, relative_width, measured, own_lower, own_upper)
+        judged = Judged(inputs, velocity, leverage, relative_width, measured, own_lower, own_upper, settled)
         finite = np.empty(len(inputs), dtype=np.bool_)
         if not _all_finite(lower, upper, measured, leverage, inputs, finite):
             usable = usable.copy()
@@ -123,7 +123,7 @@ class Monitor:
             predictions = Predictions(
                 *(getattr(predictions, column.name)[finite] for column in fields(predictions))
             )
-            judged = Judged(*(column[finite] for column in judged))
+            judged = Judged._make(column[finite] for column in judged)
         return predictions, usable, judged
 
 

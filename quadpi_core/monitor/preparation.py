@@ -30,6 +30,11 @@ from quadpi_core.signals.filters import LowPass, Section, design_low_pass
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import Vehicle
 
+# After a state begins or comes back, its accelerometer bias is still being found: measured forces then leave
+# their intervals up to ten times as often (docs/alarm.md).
+SETTLE_NS = 1_000_000_000
+_NO_STAMP = np.iinfo(np.int64).min
+
 
 class Prepared(NamedTuple):
     """K samples, U of them usable.
@@ -41,6 +46,8 @@ class Prepared(NamedTuple):
         measured: (U, 6) their measured wrench, N and Nm, body axes.
         velocity: (U, 3) their velocity over ground, m/s, body axes.
         faults: (K,) what is wrong, bits of :mod:`quadpi_core.monitor.faults`.
+        settled: (U,) False for usable samples in the first :data:`SETTLE_NS` after the first one, or after
+            more than `MAX_GAP_NS` without any.
     """
 
     time_ns: Stamps
@@ -49,6 +56,7 @@ class Prepared(NamedTuple):
     measured: Array
     velocity: Array
     faults: npt.NDArray[np.int64]
+    settled: npt.NDArray[np.bool_]
 
 
 class Preparation:
@@ -67,11 +75,13 @@ class Preparation:
         design = design_low_pass(cutoff_hz, rate_hz)
         self._faults = FaultMemory.empty(vehicle, rate_hz)
         self._chain = ChainMemory.empty()
+        self._begun_ns = np.array([_NO_STAMP])
         self._known = (
             np.array((*design.first, *design.second, design.rate_hz)),
             *(*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia),
             *self._faults,
             *self._chain,
+            self._begun_ns,
         )
 
     def reset(self) -> None:
@@ -89,16 +99,17 @@ class Preparation:
             np.empty((count, len(AXES))),
             np.empty((count, 3)),
             np.empty(count, dtype=np.int64),
+            np.empty(count, dtype=np.bool_),
         )
         used = _prepare(values, *self._known, *prepared)
         if used == count:
             return prepared
-        inputs, measured, velocity = (
-            prepared.inputs[:used],
-            prepared.measured[:used],
-            prepared.velocity[:used],
+        return prepared._replace(
+            inputs=prepared.inputs[:used],
+            measured=prepared.measured[:used],
+            velocity=prepared.velocity[:used],
+            settled=prepared.settled[:used],
         )
-        return prepared._replace(inputs=inputs, measured=measured, velocity=velocity)
 
 
 # Arrays one by one: a tuple of them costs twice as much to hand over.
@@ -118,12 +129,14 @@ def _prepare(
     delays: Any,
     last_attitude: Any,
     started: Any,
+    begun_ns: Any,
     time_ns: Any,
     usable: Any,
     inputs: Any,
     measured: Any,
     velocity: Any,
     faults: Any,
+    settled: Any,
 ) -> int:
     """Judge and filter samples (K, 20); the number of usable ones, whose rows are filled."""
     design = LowPass(
@@ -143,6 +156,9 @@ def _prepare(
             continue
         if jump:
             forget(chain)
+        if started[0] == 0.0:
+            begun_ns[0] = time_ns[i]
+        settled[used] = time_ns[i] - begun_ns[0] >= SETTLE_NS
         filter_sample(design, chain, values[i], value[0], slope[0])
         attitude, rates = value[:, ATTITUDE], value[:, RATES]
         row = slice(used, used + 1)

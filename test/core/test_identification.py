@@ -74,6 +74,29 @@ def test_intervals_cover_new_flights(model, flights):
             assert np.mean(upper - lower) < 0.1 * np.ptp(measured)
 
 
+def test_intervals_cover_what_the_live_path_would_have_measured(flights, vehicle):
+    pools, rng = {"Fx": POOLS["Fx"]}, np.random.default_rng(8)
+
+    def noisier(flight):
+        wrench = flight.wrench + rng.normal(scale=0.1, size=flight.wrench.shape)
+        return replace(flight, live=flight.judged._replace(wrench=wrench))
+
+    flights = [replace(flight, live=None) for flight in flights]
+    plain = identify(flights[:3], vehicle, pools, cutoff_hz=CUTOFF_HZ)
+    wider = identify([noisier(flight) for flight in flights[:3]], vehicle, pools, cutoff_hz=CUTOFF_HZ)
+    np.testing.assert_array_equal(
+        wider.fitted["Fx"].arrays()["coefficients"], plain.fitted["Fx"].arrays()["coefficients"]
+    )
+    for flight in map(noisier, flights[3:]):
+        covered = []
+        for model in (plain, wider):
+            said = model.evaluate(flight.judged.inputs, 0.95)
+            measured = flight.judged.wrench[:, 0]
+            covered.append(np.mean((said.lower[:, 0] <= measured) & (measured <= said.upper[:, 0])))
+        assert covered[0] < 0.9
+        assert covered[1] > 0.94
+
+
 def test_judging_gives_the_calibration_curve_and_tells_of_adaptation(model, flights):
     groups = {"new": [flight.name for flight in flights[3:]]}
     results, own = judge(model, flights[3:], groups, 0.95)

@@ -51,6 +51,19 @@ def test_calibration_covers_each_flight_left_out_and_in_the_final_fit() -> None:
         np.testing.assert_array_equal(row, expected)
 
 
+def test_other_errors_of_the_same_flights_widen_and_never_narrow() -> None:
+    rng = np.random.default_rng(6)
+    flights = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.0, 2.0, 3.0)]
+    rule = calibrate(flights, flights)
+    other = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.5, 1.0)]
+    other.append(flight_errors(rng.normal(scale=9.0, size=2000), inside_share=FEWEST_INSIDE - 0.01))
+    wider = rule.covering(other)
+    np.testing.assert_array_equal(wider.flight_factors[0], other[0].factors())
+    np.testing.assert_array_equal(wider.flight_factors[1:], rule.flight_factors[1:])
+    nothing_known = flight_errors(np.empty(0))
+    np.testing.assert_array_equal(rule.covering([nothing_known] * 3).flight_factors, rule.flight_factors)
+
+
 def test_flight_outside_the_envelope_of_the_others_does_not_set_the_width() -> None:
     rng = np.random.default_rng(5)
     trained = [flight_errors(rng.normal(size=1000)) for _ in range(4)]

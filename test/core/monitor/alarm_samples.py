@@ -36,6 +36,7 @@ class Samples:
         self.velocity = np.zeros((count, 3))
         self.measured = np.zeros((count, 6))
         self.faults = np.zeros(count, dtype=np.int64)
+        self.settled = np.ones(count, dtype=np.bool_)
 
     def between(self, start_s: float, stop_s: float) -> slice:
         return slice(round(start_s * RATE_HZ), round(stop_s * RATE_HZ))
@@ -57,6 +58,7 @@ class Samples:
                     self.measured[keep][used],
                     np.full((np.count_nonzero(used), 6), -1.0),
                     np.full((np.count_nonzero(used), 6), 1.0),
+                    self.settled[keep][used],
                 ),
             )
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_OK, MISCOVERAGE, Alarm
+from quadpi_core.monitor.alarm import ACTIVE, LEVEL_ALARM, LEVEL_OK, MISCOVERAGE, WAITING, Alarm
 from quadpi_core.monitor.reasons import reasons
 from test.core.monitor.alarm_samples import (
     ALLOWANCE,
@@ -32,6 +32,28 @@ def test_misses_beyond_the_allowance_raise_the_axis_when_their_sum_reaches_its_l
     assert np.argmax(rows.miscoverage[raised]) == MY
     assert rows.miss_share[-1, MY] == pytest.approx(0.5, abs=0.05)
     assert "My outside its interval" in reasons(rows, raised)[0]
+
+
+def test_misses_count_once_the_state_has_settled(envelope):
+    samples = Samples(8.0)
+    samples.measured[:, MY] = 2.0
+    unsettled = samples.between(0.0, 3.0)
+    samples.settled[unsettled] = False
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    seconds = 1e-9 * (rows.time_ns - samples.time_ns[0])
+    assert np.all(rows.cause_health[seconds < 3.0, :2] == [ACTIVE, WAITING])
+    assert np.all(rows.cause_health[seconds >= 3.0, :2] == ACTIVE)
+    raised = seconds[np.argmax(rows.level == LEVEL_ALARM)]
+    assert raised == pytest.approx(3.0 + 1.0 / (1.0 - ALLOWANCE), abs=0.02)
+
+
+def test_an_alarm_stands_while_the_state_settles_anew(envelope):
+    samples = Samples(8.0)
+    samples.measured[samples.between(0.0, 3.0), MY] = 2.0
+    samples.settled[samples.between(3.0, 6.0)] = False
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    seconds = 1e-9 * (rows.time_ns - samples.time_ns[0])
+    assert np.all(rows.level[(seconds > 2.0) & (seconds < 6.0)] == LEVEL_ALARM)
 
 
 def test_allowed_misses_raise_nothing_however_long(envelope):

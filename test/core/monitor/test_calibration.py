@@ -61,6 +61,7 @@ def raised(envelope: Envelope, limits: AlarmLimits, flight: LeftOut) -> dict[int
             np.nan_to_num(2.0 * flight.miss),
             np.full((count, 6), -1.0),
             np.full((count, 6), 1.0),
+            np.ones(count, dtype=np.bool_),
         ),
     )
     at_alarm = rows.cause_level == LEVEL_ALARM

@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Renew the table of docs/intervals.md: coverage on smoothed states and on those of the live path.
+
+The page is its own template, as that of `paper_tables`; flights and models are those of `alarm_tables`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from alarm_tables import (
+    ALIKE,
+    CONFIDENCE,
+    MANY,
+    REAL_VEHICLE,
+    VARIED,
+    VEHICLE,
+    Case,
+    Job,
+    model_of,
+    real_cases,
+    table,
+)
+from paper_tables import ROOT, replaced, stamp
+from scipy.stats import t as student_t
+
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.models import AerodynamicModel
+from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.prepared import PreparedFlight
+
+PAGE = ROOT / "docs" / "intervals.md"
+
+
+def coverage(model: AerodynamicModel, flight: PreparedFlight) -> tuple[Array, Array]:
+    """Share (6,) of the samples of a flight inside their interval: smoothed, as `quadpi evaluate`; live."""
+    live = flight.judged
+    shares = []
+    for inputs, wrench in (
+        (flight.inputs, flight.wrench),
+        (live.inputs[live.known], live.wrench[live.known]),
+    ):
+        said = model.evaluate(inputs, CONFIDENCE)
+        shares.append(np.mean((wrench >= said.lower) & (wrench <= said.upper), axis=0))
+    return shares[0], shares[1]
+
+
+def cell(shares: Array) -> str:
+    """Mean of the flights' coverages (F,) and its 95 % confidence interval, flights taken as independent."""
+    half = float(student_t.ppf(0.975, len(shares) - 1)) * float(np.std(shares, ddof=1)) / len(shares) ** 0.5
+    return f"{100.0 * float(np.mean(shares)):.1f} ± {100.0 * half:.1f}"
+
+
+def cases(job: Job) -> Iterator[tuple[str, list[Case]]]:
+    """Models of random flights on others of their kind, and of real flights each on the one left out."""
+    for kind in (ALIKE, VARIED):
+        training = job.prepared(job.random_bags("identified", kind, 2, MANY), VEHICLE)
+        unseen = job.prepared(job.random_bags("covered", kind, 3, job.flights), VEHICLE)
+        yield f"`{kind}`, {MANY} → {job.flights}", [Case(kind, VEHICLE, training, unseen)]
+    if real := real_cases(job):
+        assert all(case.vehicle == REAL_VEHICLE for case in real)
+        yield f"NeuroBEM, each by the {len(real) - 1} others", real
+
+
+def live(job: Job) -> str:
+    """Coverage of unseen flights per axis, on either states."""
+    rows = []
+    for name, group in cases(job):
+        shares = []
+        for case in group:
+            model = model_of(case.identified, case.vehicle)
+            shares += [coverage(model, flight) for flight in case.judged]
+        for k, states in enumerate(("smoothed", "live")):
+            by_axis = np.array([one[k] for one in shares]).T
+            rows.append([name, states, *map(cell, by_axis)])
+            print(" | ".join(rows[-1]), flush=True)
+    return table(["flights", "states", *AXES], rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Renew the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=data_directory(), help="folder that holds neurobem/")
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "intervals", help="for bags")
+    parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
+    parser.add_argument("--flights", type=int, default=12, help="unseen ones of each kind")
+    parser.add_argument("--flight-s", type=float, default=60.0, help="how long a random flight lasts")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    options = parser.parse_args(arguments)
+    job = Job(
+        work=options.work.resolve(),
+        data=options.data.resolve(),
+        seeds=1,
+        flights=options.flights,
+        flight_s=options.flight_s,
+        ensembles=False,
+        workers=options.workers,
+    )
+    page = replaced(
+        options.page.read_text(encoding="utf-8"), "live", f"{live(job)}\n\n*{stamp()}, polynomials*"
+    )
+    with whole_output(options.page) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
