@@ -20,6 +20,7 @@ from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effects import EFFECTS, Effect
+from quadpi_core.simulation.effects.definition import AERODYNAMIC
 from quadpi_core.vehicle import Vehicle
 
 # Typical sizes of the registry are those of the Bebop 2.
@@ -53,6 +54,12 @@ class Candidate:
     def name(self) -> str:
         """Of the effect."""
         return self.effect.name
+
+    @property
+    def form(self) -> float:
+        """Share by which the contribution of the effect may differ from what is computed of it."""
+        # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
+        return AERODYNAMIC if self.effect.kind == "wind" else self.effect.form
 
     def values(self, found: Array) -> Array:
         """All parameters (P,) from those found (k,)."""

@@ -15,7 +15,6 @@ from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit, residual_
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.definition import AERODYNAMIC, Effect
 
 # Of an effect whose law may be off: share by which its axes may differ, over that by which it may change.
 _AXES_OVER_FORM = 1.5
@@ -159,7 +158,7 @@ class Design:
         """Append the columns of a candidate about its point."""
         candidate, at, first = self.candidates[index], self.points[index], self._width
         found = linearise(candidate, self.flights, at)
-        if candidate.linear and _form_of(candidate.effect) > 0.0:
+        if candidate.linear and candidate.form > 0.0:
             self._in_time[index] = [columns for _, columns in found]
         for place, (here, columns) in enumerate(found):
             offset = columns @ (at / candidate.scale) - here
@@ -182,7 +181,7 @@ class Design:
         if not candidate.linear:
             self.blocks[index] = self._linearised(index)
         size = float(np.linalg.norm(at / candidate.scale))
-        if size == 0.0 or (_form_of(candidate.effect) == 0.0 and candidate.effect.kind != "sensor"):
+        if size == 0.0 or (candidate.form == 0.0 and candidate.effect.kind != "sensor"):
             return
         first = self._width
         contributions = [
@@ -202,7 +201,7 @@ class Design:
 
     def _form(self, candidate: Candidate, here: Array, place: int) -> Array:
         """Columns (M, 6, C): how the contribution of an effect may differ from its law."""
-        share = _form_of(candidate.effect)
+        share = candidate.form
         columns = []
         for axis, name in enumerate(AXES):
             if name in candidate.effect.axes:
@@ -225,29 +224,21 @@ class Design:
         return [self.combined(place, found.left) for place in range(len(self.flights))]
 
     def loudness(self, index: int, found: Fit) -> float:
-        """Root mean square of what a candidate adds in a fit over that of the noise of one axis.
-
-        Less what tolerances would take for theirs: of two that cancel each other nothing is heard.
-        """
+        """Root mean square of what a candidate adds in a fit over that of the noise, in its loudest axis."""
         block = self.blocks[index]
-        weights = np.zeros(len(self.gram))
+        weights = np.zeros(self._width)
         weights[block.parameters] = found.of(block.parameters)
         if block.offset is not None:
             weights[block.offset] = -1.0
-        projected = self.gram[self.tolerances] @ weights
-        precision = self.gram[np.ix_(self.tolerances, self.tolerances)] + np.eye(len(self.tolerances))
-        squares = weights @ self.gram @ weights - projected @ np.linalg.solve(precision, projected)
-        return float(np.sqrt(squares / sum(map(len, self.bands))))
+        squares, noise = np.zeros(len(AXES)), np.zeros(len(AXES))
+        for place, band in enumerate(self.bands):
+            squares += np.square(self.combined(place, weights)).sum(axis=1)
+            noise += self.noise[:, band].sum(axis=1)
+        return float(np.sqrt(np.max(squares / noise)))
 
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""
         return found.of(self.blocks[index].parameters) * self.candidates[index].scale
-
-
-def _form_of(effect: Effect) -> float:
-    """Share by which the contribution of an effect may differ from what is computed of it."""
-    # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
-    return AERODYNAMIC if effect.kind == "wind" else effect.form
 
 
 def _absorbed(here: Array, mean: Array) -> Array:

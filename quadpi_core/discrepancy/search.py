@@ -23,9 +23,10 @@ _DRAWS = 1000
 # Share of searches on flights without any effect that may name one.
 FALSE_ALARMS = 0.01
 _ROUNDS = 3
-# A further effect has to gain this share of what those before it gained, within these bounds: two laws of the
-# literature for one effect differ by so much that another effect may seem to mend the difference.
-_FURTHER_SHARE, _FURTHER = 0.05, (20.0, 100.0)
+# A further effect has to gain this share of what those before it gained, within bounds: two laws of the
+# literature for one effect differ by so much that another effect may seem to mend the difference. Another law
+# mends more of it than a number that is wrong in an exact one, which gains little where tolerances cover it.
+_FURTHER_SHARE, _FURTHER_LEAST, _FURTHER_NUMBER, _FURTHER_LAW = 0.05, 20.0, 100.0, 200.0
 # Odds of about a hundred and fifty, whatever the calibration says.
 _LEAST_EVIDENCE = 5.0
 # A set is named alone where its evidence exceeds that of every other by this: odds of about a hundred. Laws
@@ -39,7 +40,7 @@ _SMALLEST = 0.13
 _HEARD = 0.1
 # On flights left out: share of what was left of an axis, and of what an effect takes from all of them, by
 # which the effect may enlarge what is left of the axis. Coefficients settle elsewhere beside it.
-_GROWS = 0.1
+_GROWS = 0.5
 _FEW_FLIGHTS = 4
 # Of the discrepancy that can be predicted from flight to flight: what may stay without a name.
 UNEXPLAINED_SHARE = 0.05
@@ -101,8 +102,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
     chosen: tuple[int, ...] = ()
     found, gain = none, 0.0
     while len(chosen) < MOST_EFFECTS:
-        needed = threshold if not chosen else float(np.clip(_FURTHER_SHARE * gain, *_FURTHER))
-        further = _further(design, chosen, found, needed)
+        further = _further(design, chosen, found, gain, threshold)
         if further is None:
             break
         chosen, found, more = further
@@ -136,13 +136,26 @@ def _settle(design: Design) -> None:
         design.refresh()
 
 
+def _needed(candidate: Candidate, gain: float, threshold: float) -> float:
+    """Evidence that an effect has to gain beside others that gained some."""
+    if gain == 0.0:
+        return threshold
+    most = _FURTHER_LAW if candidate.form > 0.0 else _FURTHER_NUMBER
+    return float(np.clip(_FURTHER_SHARE * gain, _FURTHER_LEAST, most))
+
+
 def _further(
-    design: Design, chosen: tuple[int, ...], found: Fit, needed: float
+    design: Design, chosen: tuple[int, ...], found: Fit, gain: float, threshold: float
 ) -> tuple[tuple[int, ...], Fit, float] | None:
-    """The set with the best effect that stands beside those chosen, its fit, and what it gains."""
+    """The set with the best effect that stands beside those chosen, its fit, and what it gains.
+
+    The search ends at an effect that is not heard or does not gain enough: what is left is noise or another
+    law that looks like it, and any effect that does less well would be named for the same.
+    """
     for larger, fit in _grown(design, chosen):
         more = fit.log_evidence - found.log_evidence
-        if more < needed:
+        (added,) = set(larger) - set(chosen)
+        if more < _needed(design.candidates[added], gain, threshold) or design.loudness(added, fit) < _HEARD:
             break
         accepted = _accepted(design, chosen, larger, fit)
         if accepted is not None:
@@ -153,18 +166,17 @@ def _further(
 def _accepted(design: Design, chosen: tuple[int, ...], larger: tuple[int, ...], found: Fit) -> Fit | None:
     """Fit of the larger set beside the noise that it leaves; None, and nothing changed, if it does not stand.
 
-    The effect has to be heard, of some size with and without the room of its form, and must not drive flights
-    that are left out farther away in any axis.
+    The effect has to be of some size with and without the room of its form, and must not drive flights that
+    are left out farther away in any axis.
     """
     state = design.state()
-    if _is_heard(design, set(larger) - set(chosen), found):
-        before = left_out_squares(design, chosen)
-        refined = _refine(design, larger, found)
-        if _sizeable(design, larger, refined) and _stays(before, left_out_squares(design, larger), design):
-            design.weigh(design.noise_beside(larger, refined))
-            plain = design.fit(larger, form=False)
-            if plain is not None and _sizeable(design, larger, plain):
-                return _require(design.fit(larger))
+    before = left_out_squares(design, chosen)
+    refined = _refine(design, larger, found)
+    if _sizeable(design, larger, refined) and _stays(before, left_out_squares(design, larger), design):
+        design.weigh(design.noise_beside(larger, refined))
+        plain = design.fit(larger, form=False)
+        if plain is not None and _sizeable(design, larger, plain):
+            return _require(design.fit(larger))
     design.restore(state)
     return None
 
@@ -206,11 +218,6 @@ def _sizeable(design: Design, chosen: tuple[int, ...], found: Fit) -> bool:
     return all(np.abs(found.of(design.blocks[index].parameters)).max() > _SMALLEST for index in chosen)
 
 
-def _is_heard(design: Design, added: set[int], found: Fit) -> bool:
-    """Whether an effect is more than what noise of the states, passed through the simulation, looks like."""
-    return all(design.loudness(index, found) > _HEARD for index in added)
-
-
 def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit:
     """Linearise the chosen again where they fit together."""
     for _ in range(_ROUNDS):
@@ -228,8 +235,8 @@ def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, li
     for index in chosen:
         others = tuple(other for other in chosen if other != index)
         names = {design.candidates[other].name for other in chosen}
-        gained = found.log_evidence - _require(design.fit(others)).log_evidence
-        margin = max(NAMED_ALONE, _ALIKE * gained)
+        without = design.fit(others) or _require(design.fit(()))
+        margin = max(NAMED_ALONE, _ALIKE * (found.log_evidence - without.log_evidence))
         close = []
         for rival, candidate in enumerate(design.candidates):
             if candidate.name in names:
