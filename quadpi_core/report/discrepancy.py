@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
+from latex2mathml.converter import convert as mathml
 
 from quadpi_core.discrepancy.discovery import FoundEffect
 from quadpi_core.discrepancy.study import Study
@@ -149,7 +150,8 @@ def _effect(found: FoundEffect) -> str:
         for p, declared in zip(found.parameters, effect.parameters, strict=True)
     ]
     head = f'<tr><th class="text">parameter</th>{cells("th", ("value", "95 % interval", "unit"))}</tr>'
-    latex = (
+    formula = (
+        f"{mathml(effect.formula, display='block')}"
         f"<details><summary>LaTeX</summary><code>{escape(effect.formula)}</code></details>"
         if effect.formula
         else ""
@@ -158,7 +160,7 @@ def _effect(found: FoundEffect) -> str:
     return (
         f"<h3>{escape(text.words(found.name))} · {percent(found.probability)}</h3>"
         f'<p class="caption">{escape(summary)} Shows in {", ".join(found.axes)}. {escape(rest)}</p>'
-        f"{table(head, rows)}{apart}{latex}"
+        f"{formula}{table(head, rows)}{apart}"
     )
 
 
