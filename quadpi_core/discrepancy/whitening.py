@@ -25,7 +25,7 @@ BAND_HZ = 20.0
 # The noise is taken as white between these. The lowest band takes what is constant in a flight.
 _EDGES_HZ = (0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, BAND_HZ)
 _TAPER_S = 0.5
-_ROUNDS = 6
+_ROUNDS = 4
 
 
 class Spectrum(NamedTuple):
@@ -83,14 +83,23 @@ def estimate_noise(spectra: Sequence[Spectrum]) -> Array:
     Args:
         spectra: per flight the residual, and the columns that may explain it with a prior deviation of 1.
     """
+    alone = []
+    for axis in range(len(AXES)):
+        own = [Spectrum(flight.rows[axis : axis + 1], flight.band) for flight in spectra]
+        # From below, where the fit is that of least squares, the rounds settle quickly.
+        highest = np.concatenate([flight.rows[0, flight.band == BANDS - 1, 0] for flight in own])
+        lowest = max(np.mean(np.square(highest)), np.finfo(float).tiny)
+        alone.append(_settled(own, np.full((1, BANDS), lowest)))
+    # Together from the start, an axis that is taken for exact would bend the fit, and what that leaves of
+    # another would be taken for its noise for good.
+    return _settled(spectra, np.concatenate(alone))
+
+
+def _settled(spectra: Sequence[Spectrum], noise: Array) -> Array:
+    """Variance (A, BANDS) after some rounds on flights with A axes."""
     bands = [flight.band for flight in spectra]
     # A band that no flight is long enough for has the noise of the next.
     filled = np.flatnonzero(np.bincount(np.concatenate(bands), minlength=BANDS))
-    noise = np.empty((len(AXES), BANDS))
-    for axis in range(len(AXES)):
-        # From below, where the fit is that of least squares, the rounds settle quickly.
-        highest = np.concatenate([flight.rows[axis, flight.band == BANDS - 1, 0] for flight in spectra])
-        noise[axis] = max(np.mean(np.square(highest)), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
         weighted = [flight.rows / np.sqrt(noise[:, flight.band])[:, :, None] for flight in spectra]
         gram = np.sum([cross_gram(rows, rows) for rows in weighted], axis=0)
