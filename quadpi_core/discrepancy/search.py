@@ -107,6 +107,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
             break
         chosen, found, more = further
         gain += more
+        chosen, found = _without_idle(design, chosen, found, gain, threshold)
     rivals = _rivals(design, chosen, found)
     rows = design.left(found)
     names, spectra = generic_spectra(flights)
@@ -149,36 +150,54 @@ def _further(
 ) -> tuple[tuple[int, ...], Fit, float] | None:
     """The set with the best effect that stands beside those chosen, its fit, and what it gains.
 
-    The search ends at an effect that is not heard or does not gain enough: what is left is noise or another
-    law that looks like it, and any effect that does less well would be named for the same.
+    An effect that drives flights that are left out away gives its turn to the next. At one that is not heard,
+    too small or gains too little, the search ends: what is left is noise or another law that looks like it, and
+    any effect that does less well would be named for the same.
     """
+    before = left_out_squares(design, chosen)
     for larger, fit in _grown(design, chosen):
         more = fit.log_evidence - found.log_evidence
         (added,) = set(larger) - set(chosen)
         if more < _needed(design.candidates[added], gain, threshold) or design.loudness(added, fit) < _HEARD:
             break
-        accepted = _accepted(design, chosen, larger, fit)
-        if accepted is not None:
-            return larger, accepted, more
+        state = design.state()
+        refined = _refine(design, larger, fit)
+        if refined is not None and not _stays(before, left_out_squares(design, larger), design):
+            design.restore(state)
+            continue
+        beside = None if refined is None else _beside_what_it_leaves(design, larger, refined)
+        if beside is None:
+            design.restore(state)
+            break
+        return larger, beside, more
     return None
 
 
-def _accepted(design: Design, chosen: tuple[int, ...], larger: tuple[int, ...], found: Fit) -> Fit | None:
-    """Fit of the larger set beside the noise that it leaves; None, and nothing changed, if it does not stand.
+def _beside_what_it_leaves(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit | None:
+    """Fit of a set with what it leaves taken for noise; None where an effect is of no size then.
 
-    The effect has to be of some size with and without the room of its form, and must not drive flights that
-    are left out farther away in any axis.
+    Of no size by their laws alone, too: what the room of a form makes of an effect is not the effect.
     """
-    state = design.state()
-    before = left_out_squares(design, chosen)
-    refined = _refine(design, larger, found)
-    if _sizeable(design, larger, refined) and _stays(before, left_out_squares(design, larger), design):
-        design.weigh(design.noise_beside(larger, refined))
-        plain = design.fit(larger, form=False)
-        if plain is not None and _sizeable(design, larger, plain):
-            return _require(design.fit(larger))
-    design.restore(state)
-    return None
+    if not _sizeable(design, chosen, found):
+        return None
+    design.weigh(design.noise_beside(chosen, found))
+    plain = design.fit(chosen, form=False)
+    return design.fit(chosen) if plain is not None and _sizeable(design, chosen, plain) else None
+
+
+def _without_idle(
+    design: Design, chosen: tuple[int, ...], found: Fit, gain: float, threshold: float
+) -> tuple[tuple[int, ...], Fit]:
+    """The set without effects that are not needed any more, now that a better one is there."""
+    for index in chosen:
+        fewer = tuple(other for other in chosen if other != index)
+        rest = design.fit(fewer) if fewer else None
+        if rest is None or not _sizeable(design, fewer, rest):
+            continue
+        if found.log_evidence - rest.log_evidence < _needed(design.candidates[index], gain, threshold):
+            refined = _refine(design, fewer, rest)
+            return (chosen, found) if refined is None else (fewer, refined)
+    return chosen, found
 
 
 def left_out_squares(design: Design, chosen: Sequence[int]) -> Array:
@@ -218,15 +237,18 @@ def _sizeable(design: Design, chosen: tuple[int, ...], found: Fit) -> bool:
     return all(np.abs(found.of(design.blocks[index].parameters)).max() > _SMALLEST for index in chosen)
 
 
-def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit:
-    """Linearise the chosen again where they fit together."""
+def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit | None:
+    """Linearise the chosen again where they fit together; None where bounds then leave nothing of one."""
+    refined: Fit | None = found
     for _ in range(_ROUNDS):
+        if refined is None:
+            break
         for index in chosen:
             candidate = design.candidates[index]
-            design.move(index, candidate.within_bounds(design.parameters(index, found)))
+            design.move(index, candidate.within_bounds(design.parameters(index, refined)))
         design.refresh()
-        found = _require(design.fit(chosen))
-    return found
+        refined = design.fit(chosen)
+    return refined
 
 
 def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, list[tuple[int, float]]]:
