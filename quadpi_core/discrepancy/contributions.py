@@ -76,8 +76,13 @@ class Compared:
 
     @cached_property
     def states(self) -> npt.NDArray[np.void]:
-        """Records (M,) that wrench effects look at, thinned."""
-        return self.simulation.states(self.flight)[:: self.step].copy()
+        """Records (M,) that wrench effects look at, thinned; the force in them is the measured one.
+
+        A force acts where it acts whatever the simulation knows of it, and its noise has no part in moments.
+        """
+        states = self.simulation.states(self.flight)[:: self.step].copy()
+        states["wrench"][:, :3] = self.measured[:, :3]
+        return states
 
     @cached_property
     def record(self) -> npt.NDArray[np.void]:

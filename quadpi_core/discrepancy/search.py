@@ -151,8 +151,8 @@ def _further(
     """The set with the best effect that stands beside those chosen, its fit, and what it gains.
 
     An effect that drives flights that are left out away gives its turn to the next. At one that is not heard,
-    too small or gains too little, the search ends: what is left is noise or another law that looks like it, and
-    any effect that does less well would be named for the same.
+    too small or gains too little, the search ends: what is left is noise or another law that looks like it,
+    and any effect that does less well would be named for the same.
     """
     before = left_out_squares(design, chosen)
     for larger, fit in _grown(design, chosen):
