@@ -39,6 +39,8 @@ INPUT_NAMES = (
     "mu_v_in",
 )
 INPUT_INDEX = {name: index for index, name in enumerate(INPUT_NAMES)}
+# Which inputs are cosines of an angle: near 1 they go with its square.
+COSINES = np.array([name.startswith("cos_") for name in INPUT_NAMES])
 
 # Below this mean speed the rotors stand still and an advance ratio means nothing: it is set to 0.
 ROTORS_AT_REST_RAD_S = 1.0

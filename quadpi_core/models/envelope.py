@@ -23,13 +23,22 @@ import numpy.typing as npt
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.inputs import COSINES, INPUT_NAMES
 
 RANGE_QUANTILE = 0.001
 MARGIN = 0.1
 LEVERAGE_HEADROOM = 2.0
 WIDTH_HEADROOM = 1.25
 _CONSTANT = 1e-9
+
+
+def excess_of_cosine(outside: Any) -> Any:
+    """Distance outside the range of an angle, from that outside the range of its cosine, each in its scale.
+
+    An angle that goes 1.2 times as far as in training takes its cosine 1.9 times as far. To first order, of a
+    range about level flight; 0 stays 0.
+    """
+    return 0.5 * (np.sqrt(1.0 + outside) - 1.0)
 
 
 @dataclass(frozen=True)
@@ -141,9 +150,12 @@ class Envelope:
         return self.extent(self.lower, self.upper)
 
     def input_excess(self, inputs: Array) -> Array:
-        """Distance (N, 19) of inputs (N, 19) outside their training range in :attr:`scale`; 0 inside."""
-        outside = np.maximum(self.lower - inputs, inputs - self.upper)
-        return np.maximum(outside, 0.0) / self.scale
+        """Distance (N, 19) of inputs (N, 19) outside their training range in :attr:`scale`; 0 inside.
+
+        See :func:`excess_of_cosine` for those that are cosines.
+        """
+        outside = np.maximum(np.maximum(self.lower - inputs, inputs - self.upper), 0.0) / self.scale
+        return np.where(COSINES, excess_of_cosine(outside), outside)
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary for the model file, by input and axis name; :meth:`from_json` reads it."""

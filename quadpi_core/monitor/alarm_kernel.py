@@ -10,7 +10,8 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES as AXIS_NAMES
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models.envelope import excess_of_cosine
 from quadpi_core.monitor.faults import IN_FLIGHT_ONLY
 
 LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
@@ -67,6 +68,9 @@ ROW_INTEGERS = 10
 PREVIOUS, FLYING, SETTLED, NAMED, TOLD, MEMORY_SIZE = 10, 11, 12, 13, 14, 15
 
 
+_excess_of_cosine = njit(cache=True)(excess_of_cosine)
+
+
 @njit(cache=True)
 def _extrapolation(
     inputs: Any, leverage: Any, width: Any, limits: Any, state: Any
@@ -78,6 +82,8 @@ def _extrapolation(
     worst, beyond, near = 0.0, 0, False
     for k in range(INPUTS):
         outside = max(limits[LOWER + k] - inputs[k], inputs[k] - limits[UPPER + k]) / limits[SCALE + k]
+        if COSINES[k] and outside > 0.0:
+            outside = _excess_of_cosine(outside)
         distance = 1.0 + 2.0 * outside
         if distance > limits[NEAR_DISTANCE + k]:
             beyond |= 1 << k

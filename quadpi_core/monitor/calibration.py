@@ -29,9 +29,9 @@ from scipy.stats import chi2
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
-from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
+from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope, excess_of_cosine
 from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.rules import FEWEST_INSIDE, FlightErrors, HeldOutRule
 from quadpi_core.monitor.alarm import MonitorSettings
@@ -296,7 +296,8 @@ def _input_distance(inputs: Array, others: tuple[Array, Array]) -> Array:
     lower, upper = others
     half = 0.5 * Envelope.extent(lower, upper)
     distance: Array = np.abs(inputs - 0.5 * (lower + upper)) / half
-    return distance
+    outside = np.maximum(0.5 * (distance - 1.0), 0.0)
+    return np.where(COSINES & (outside > 0.0), 1.0 + 2.0 * excess_of_cosine(outside), distance)
 
 
 @dataclass(frozen=True)

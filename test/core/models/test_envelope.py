@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, MARGIN, WIDTH_HEADROOM, Envelope
 
 SAMPLES = 3000
-U = INPUT_INDEX["u"]
+U, COS_PHI = INPUT_INDEX["u"], INPUT_INDEX["cos_phi"]
 
 
 @pytest.fixture
@@ -44,8 +44,21 @@ def test_excess_counts_in_widths_of_the_range(training):
     width = envelope.upper - envelope.lower
     above = envelope.upper + 0.5 * width
     below = envelope.lower - 2.0 * width
-    np.testing.assert_allclose(envelope.input_excess(np.stack((above, below)))[0], 0.5)
-    np.testing.assert_allclose(envelope.input_excess(np.stack((above, below)))[1], 2.0)
+    excess = envelope.input_excess(np.stack((above, below)))[:, ~COSINES]
+    np.testing.assert_allclose(excess[0], 0.5)
+    np.testing.assert_allclose(excess[1], 2.0)
+
+
+@pytest.mark.parametrize("times", [1.0, 1.2, 2.0])
+def test_a_cosine_is_as_far_outside_as_its_angle(training, times):
+    most = 0.3
+    inputs = training["inputs"].copy()
+    angles = np.linspace(-most, most, SAMPLES // 3)
+    inputs[:, COS_PHI] = np.tile(np.cos(angles), 3)
+    envelope = Envelope.fit(**training | {"inputs": inputs})
+    sample = inputs[:1].copy()
+    sample[0, COS_PHI] = np.cos(times * most)
+    assert envelope.input_excess(sample)[0, COS_PHI] == pytest.approx(0.5 * (times - 1.0), abs=0.02)
 
 
 def test_one_spike_does_not_widen_the_range_but_a_flight_does(training):
