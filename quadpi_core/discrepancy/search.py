@@ -100,14 +100,17 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
     none = _require(design.fit(()))
     _settle(design)
     chosen: tuple[int, ...] = ()
+    idle: set[int] = set()
     found, gain = none, 0.0
     while len(chosen) < MOST_EFFECTS:
-        further = _further(design, chosen, found, gain, threshold)
+        further = _further(design, chosen, found, gain, threshold, idle)
         if further is None:
             break
-        chosen, found, more = further
+        larger, found, more = further
         gain += more
-        chosen, found = _without_idle(design, chosen, found, gain, threshold)
+        chosen, found = _without_idle(design, larger, found, gain, threshold)
+        # What was dropped does not come back: two could take turns for ever.
+        idle |= set(larger) - set(chosen)
     rivals = _rivals(design, chosen, found)
     rows = design.left(found)
     names, spectra = generic_spectra(flights)
@@ -146,9 +149,9 @@ def _needed(candidate: Candidate, gain: float, threshold: float) -> float:
 
 
 def _further(
-    design: Design, chosen: tuple[int, ...], found: Fit, gain: float, threshold: float
+    design: Design, chosen: tuple[int, ...], found: Fit, gain: float, threshold: float, idle: set[int]
 ) -> tuple[tuple[int, ...], Fit, float] | None:
-    """The set with the best effect that stands beside those chosen, its fit, and what it gains.
+    """The set with the best effect, not among the idle, that stands beside those chosen; its fit and gain.
 
     An effect that drives flights that are left out away gives its turn to the next. At one that is not heard,
     too small or gains too little, the search ends: what is left is noise or another law that looks like it,
@@ -158,6 +161,8 @@ def _further(
     for larger, fit in _grown(design, chosen):
         more = fit.log_evidence - found.log_evidence
         (added,) = set(larger) - set(chosen)
+        if added in idle:
+            continue
         if more < _needed(design.candidates[added], gain, threshold) or design.loudness(added, fit) < _HEARD:
             break
         state = design.state()
@@ -195,8 +200,12 @@ def _without_idle(
         if rest is None or not _sizeable(design, fewer, rest):
             continue
         if found.log_evidence - rest.log_evidence < _needed(design.candidates[index], gain, threshold):
+            state = design.state()
             refined = _refine(design, fewer, rest)
-            return (chosen, found) if refined is None else (fewer, refined)
+            if refined is not None:
+                design.weigh(design.noise_beside(fewer, refined))
+                return fewer, _require(design.fit(fewer))
+            design.restore(state)
     return chosen, found
 
 
