@@ -63,6 +63,8 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     """
     source = str(path)
     log = _load(source, path)
+    # A log that is damaged may hold bytes in the place of a number.
+    parameters = {n: float(v) for n, v in log.initial_parameters.items() if isinstance(v, int | float)}
     topics: dict[str, Columns] = {}
     for data in log.data_list:
         if data.multi_id == 0:
@@ -73,7 +75,7 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
-        rotor_speeds=_rotor_speeds(source, topics.get("esc_status"), log.initial_parameters, vehicle, order),
+        rotor_speeds=_rotor_speeds(source, topics.get("esc_status"), parameters, vehicle, order),
         pose=_pose(source, topics),
         odometry=_odometry(source, topics, imu),
         battery_v=_battery(topics.get("battery_status")),
@@ -195,7 +197,7 @@ def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
 def _rotor_speeds(
     source: str,
     columns: Columns | None,
-    parameters: dict[str, Any],
+    parameters: dict[str, float],
     vehicle: Vehicle | None,
     order: RotorOrder | None,
 ) -> RotorSpeedStream | None:
@@ -215,7 +217,9 @@ def _rotor_speeds(
     return usable(source, RotorSpeedStream(_stamps(columns), order.speeds(rpm, vehicle)))
 
 
-def _order(source: str, columns: Columns, parameters: dict[str, Any], vehicle: Vehicle | None) -> RotorOrder:
+def _order(
+    source: str, columns: Columns, parameters: dict[str, float], vehicle: Vehicle | None
+) -> RotorOrder:
     """Report of each rotor: from motor to report by actuator_function, from rotor to motor by position."""
     corners = [
         (parameters.get(f"CA_ROTOR{motor}_PX", 0.0), parameters.get(f"CA_ROTOR{motor}_PY", 0.0))

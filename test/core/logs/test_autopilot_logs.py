@@ -175,6 +175,18 @@ def test_what_is_no_log_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
+def test_a_parameter_that_is_no_number_is_as_none(
+    written: dict[str, Path], vehicle: Vehicle, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Damage in the type of a parameter leaves bytes."""
+    data = written[".ulg"].read_bytes()
+    assert data.count(b"float CA_ROTOR0_PX") == 1
+    written[".ulg"].write_bytes(data.replace(b"float CA_ROTOR0_PX", b"fl\xffat CA_ROTOR0_PX"))
+    recording = read_recording(written[".ulg"], vehicle)
+    assert recording.rotor_speeds is not None
+    assert "its motors are taken as quad X" in caplog.text
+
+
 @settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_no_damage_gives_a_traceback(
