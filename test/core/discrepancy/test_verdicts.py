@@ -5,11 +5,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover
+from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.search import _without_idle
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.simulation.effects import effect_wrench
 
@@ -88,3 +91,48 @@ def test_a_driving_law_that_few_flights_tell_is_kept(simulation, flights, pushed
         made.append(pushed(flight, simulation.vehicle, added))
     found = discover(simulation, made, names=["body_drag"])
     assert [effect.name for effect in found.effects] == ["body_drag"]
+
+
+class _Told:
+    """A design of which the evidence of each set is told."""
+
+    def __init__(self, evidence):
+        self.evidence = {tuple(sorted(chosen)): value for chosen, value in evidence.items()}
+        self.candidates = [
+            SimpleNamespace(name=f"effect {k}", form=0.0, within_bounds=lambda at: at) for k in range(3)
+        ]
+        self.blocks = [SimpleNamespace(parameters=np.array([k])) for k in range(3)]
+        self.weighed = 0
+
+    def fit(self, chosen, *_, **__):
+        columns = np.array(chosen, dtype=np.intp)
+        value = self.evidence[tuple(chosen)]
+        return Fit(value, columns, np.ones(len(columns)), np.eye(len(columns)), np.zeros(3))
+
+    def parameters(self, index, found):
+        return found.of(self.blocks[index].parameters)
+
+    def state(self):
+        return None
+
+    def move(self, *_):
+        pass
+
+    def refresh(self):
+        pass
+
+    def noise_beside(self, *_):
+        return np.ones(1)
+
+    def weigh(self, *_):
+        self.weighed += 1
+
+
+@pytest.mark.parametrize(("alone", "kept"), [(1190.0, (1,)), (900.0, (0, 1))])
+def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
+    """The first did well until the second came; that one does nearly as well, or does not, without it."""
+    design = _Told({(0,): 1000.0, (1,): alone, (0, 1): 1200.0})
+    chosen, found = _without_idle(design, (0, 1), design.fit((0, 1)), gain=1200.0, threshold=5.0)
+    assert chosen == kept
+    assert found.log_evidence == design.evidence[kept]
+    assert design.weighed == (kept != (0, 1))
