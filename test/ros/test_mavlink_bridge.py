@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -54,10 +54,12 @@ def _domain(ros_domain: int) -> Iterator[None]:
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+    """Below the ports of DDS and those that the system gives away: nobody takes it before the bridge does."""
+    for port in np.random.default_rng().permutation(np.arange(5000, 7400)).tolist():
+        with socket.socket(socket.AF_INET, kind) as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return int(port)
+    raise AssertionError("no free port")
 
 
 class Listener:
