@@ -46,6 +46,21 @@ class PreparedFlight:
     height: Array
     live: LiveSamples | None = None
 
+    @classmethod
+    def of(
+        cls, flight: Flight, vehicle: Vehicle, sha256: str, live: LiveSamples | None = None
+    ) -> PreparedFlight:
+        """Of a flight that passed the low-pass of its model."""
+        return cls(
+            name=flight.name,
+            sha256=sha256,
+            time=flight.time,
+            inputs=flight_inputs(flight, vehicle),
+            wrench=measured_wrench(flight, vehicle),
+            height=-flight.position[:, 2],
+            live=live,
+        )
+
     @property
     def judged(self) -> LiveSamples:
         """What the alarm goes by."""
@@ -90,15 +105,8 @@ def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
     recording = _read(path, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz)
     at_ns = flight.start_ns + np.rint(1e9 * flight.time).astype(np.int64)
-    return PreparedFlight(
-        name=flight.name,
-        sha256=recording_hash(recording),
-        time=flight.time,
-        inputs=flight_inputs(flight, vehicle),
-        wrench=measured_wrench(flight, vehicle),
-        height=-flight.position[:, 2],
-        live=live_samples(recording, vehicle, cutoff_hz, at_ns),
-    )
+    live = live_samples(recording, vehicle, cutoff_hz, at_ns)
+    return PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
 
 
 def _read(path: Path, vehicle: Vehicle) -> Recording:

@@ -171,9 +171,12 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     options = parser.parse_args()
     whole = not (options.short or options.development or options.cases)
-    cases = all_cases()[: options.cases]
-    if options.short or options.development:
-        cases = short_cases() if options.short else development_cases()
+    if options.short:
+        cases = short_cases()
+    elif options.development:
+        cases = development_cases()
+    else:
+        cases = all_cases()[: options.cases]
     if whole and not elsewhere.available():
         print("no rotorpy here: its flights are left out; `make bench` installs it")
     results = run(cases, options.work / fingerprint(), options.workers)

@@ -17,6 +17,7 @@ import numpy as np
 
 from quadpi_core.discrepancy.addition import augmented
 from quadpi_core.discrepancy.augmented import AugmentedSimulation
+from quadpi_core.discrepancy.contributions import residual
 from quadpi_core.discrepancy.discovery import Discovery
 from quadpi_core.discrepancy.rollout import HORIZON_S, RolloutError, rollout, rollout_floor
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
@@ -26,7 +27,6 @@ from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
 from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.logs.mcap import Bag
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
-from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.bags import read_truth
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.plan import FlightPlan
@@ -214,8 +214,8 @@ def coverages(
         predicted = model.wrench(flight)
         lower, upper = model.intervals(flight)
         for when, simulation in (("before", before), ("after", added)):
-            residual = measured_wrench(flight, simulation.vehicle) - simulation.wrench(flight)
-            held = (residual >= lower - predicted) & (residual <= upper - predicted)
+            left = residual(flight, simulation)
+            held = (left >= lower - predicted) & (left <= upper - predicted)
             inside[when] += held.sum(axis=0)
         samples += len(flight)
     return {

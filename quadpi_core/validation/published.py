@@ -10,11 +10,9 @@ from pathlib import Path
 
 from quadpi_core.flight import Flight
 from quadpi_core.identification import MethodName, Settings
-from quadpi_core.inputs import flight_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.pool import load_pools
 from quadpi_core.prepared import PreparedFlight
-from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.noise import SensorSuite, StateNoise, contaminate
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import LOG_HZ
@@ -136,11 +134,4 @@ def published_case(
 def _noisy(clean: Flight, vehicle: Vehicle, noise: StateNoise, seed: int) -> PreparedFlight:
     """A training flight with noise; no realisation of a validation flight has the same."""
     flight = contaminate(clean, noise, noise_seed(seed, f"{TRAINING} {clean.name}", 0))
-    return PreparedFlight(
-        name=flight.name,
-        sha256=flight_hash(flight),
-        time=flight.time,
-        inputs=flight_inputs(flight, vehicle),
-        wrench=measured_wrench(flight, vehicle),
-        height=-flight.position[:, 2],
-    )
+    return PreparedFlight.of(flight, vehicle, flight_hash(flight))
