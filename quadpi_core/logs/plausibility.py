@@ -7,6 +7,7 @@ Every test works on recordings that are not checked: samples that are not finite
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -29,7 +30,7 @@ _SPECIFIC_FORCE_G = (0.4, 2.5)
 _ATTITUDE_STEP_S = 0.05
 _TURNING_RAD_S = 0.3
 _LARGEST_RATIO = 10.0
-# An attitude that is only noisy may seem to turn at a multiple of the true rate.
+# Short steps of an attitude that is noisy seem to turn at a multiple of the true rate.
 _LARGEST_RATIO_OF_ATTITUDE = 30.0
 # Over this time no vehicle gains so much speed that its mean specific force is far from gravity's.
 _LONG_S = 5.0
@@ -117,16 +118,19 @@ def _rates(recording: Recording) -> Iterator[str]:
         )
         return
     for stream in _attitude_streams(recording):
-        gyro, attitude = _rotation_rates(recording.imu, stream)
+        gyro, attitude = _rotation_rates(recording.imu, stream, _ATTITUDE_STEP_S)
+        _, slower = _rotation_rates(recording.imu, stream, 2.0 * _ATTITUDE_STEP_S)
+        # Over twice the step, noise turns half as fast and the vehicle as fast as before.
+        turning = math.sqrt(max(4.0 * slower**2 - attitude**2, 0.0) / 3.0)
         if gyro > _TURNING_RAD_S and gyro > _LARGEST_RATIO * attitude:
             yield (
                 f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
                 f"{attitude:.3g}: looks like deg/s"
             )
-        elif attitude > _TURNING_RAD_S and attitude > _LARGEST_RATIO_OF_ATTITUDE * gyro:
+        elif turning > _TURNING_RAD_S and turning > _LARGEST_RATIO_OF_ATTITUDE * gyro:
             yield (
                 f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
-                f"{attitude:.3g}: looks like rad/s taken for deg/s, or a wrong unit of time"
+                f"{turning:.3g}: looks like rad/s taken for deg/s, or a wrong unit of time"
             )
 
 
@@ -136,8 +140,10 @@ def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStr
             yield stream
 
 
-def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tuple[float, float]:
-    """Median turn rate [rad/s] over short steps, by the integrated gyro and by the attitude."""
+def _rotation_rates(
+    imu: ImuStream, stream: PoseStream | OdometryStream, step_s: float
+) -> tuple[float, float]:
+    """Median turn rate [rad/s] over steps of that length, by the integrated gyro and by the attitude."""
     known = finite_rows(imu.angular_velocity) & np.r_[True, np.diff(imu.time_ns) > 0]
     seen = finite_rows(stream.attitude) & np.r_[True, np.diff(stream.time_ns) > 0]
     if known.sum() < 2 or seen.sum() < 2:
@@ -146,7 +152,7 @@ def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tupl
     angle = np.zeros_like(rates)
     angle[1:] = np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time)[:, np.newaxis], axis=0)
     clock, attitude = stream.time_ns[seen] * 1e-9, stream.attitude[seen]
-    stride = max(1, round(_ATTITUDE_STEP_S / max(float(np.median(np.diff(clock))), 1e-9)))
+    stride = max(1, round(step_s / max(float(np.median(np.diff(clock))), 1e-9)))
     clock, attitude = clock[::stride], attitude[::stride]
     if len(clock) < 2:
         return 0.0, 0.0
