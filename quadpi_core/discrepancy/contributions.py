@@ -196,7 +196,10 @@ def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
 
 
 def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> Flight:
-    """The flight as sensors without this effect would have given it."""
+    """The flight as sensors without this effect would have given it, through the same estimator.
+
+    What an effect adds to the IMU all the time, the estimator took for a bias: the flight is without it.
+    """
     time_ns = np.round(1e9 * flight.time).astype(np.int64)
     recording = Recording(
         name=flight.name,
@@ -208,7 +211,7 @@ def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> F
     )
     altered = effect.function(recording, vehicle, effect.undo(values))
     rotors, pose = altered.rotor_speeds, altered.pose
-    rates = altered.imu.angular_velocity
+    rates = _less_bias(altered.imu.angular_velocity, flight.rates)
     acceleration = flight.angular_acceleration
     if rates is not flight.rates:
         # The derivative belongs to the rates as they were filtered: turn it as they are turned.
@@ -224,12 +227,17 @@ def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> F
         flight,
         rates=rates,
         angular_acceleration=acceleration,
-        specific_force=altered.imu.specific_force,
+        specific_force=_less_bias(altered.imu.specific_force, flight.specific_force),
         rotor_speeds=shifted(rotors.speeds, rotor_delay),
         position=shifted(pose.position, pose_delay),
         attitude=shifted(pose.attitude, pose_delay),
         velocity=shifted(flight.velocity, pose_delay),
     )
+
+
+def _less_bias(altered: Array, values: Array) -> Array:
+    """Altered values (N, 3) with the mean that they had."""
+    return values if altered is values else altered + (values - altered).mean(axis=0)
 
 
 def _delayed(time: Array, values: Array, delay_s: float) -> Array:

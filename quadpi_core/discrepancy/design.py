@@ -181,7 +181,7 @@ class Design:
         if not candidate.linear:
             self.blocks[index] = self._linearised(index)
         size = float(np.linalg.norm(at / candidate.scale))
-        if size == 0.0 or (candidate.form == 0.0 and candidate.effect.kind != "sensor"):
+        if size == 0.0 or candidate.form == 0.0:
             return
         first = self._width
         contributions = [
@@ -190,12 +190,8 @@ class Design:
             else flight.added(candidate.effect, candidate.values(at))
             for place, flight in enumerate(self.flights)
         ]
-        mean = np.mean([here.mean(axis=0) for here in contributions], axis=0)
         for place, here in enumerate(contributions):
-            if candidate.effect.kind == "sensor":
-                self._append(place, _absorbed(here, mean))
-            else:
-                self._append(place, self._form(candidate, here, place))
+            self._append(place, self._form(candidate, here, place))
         form = np.arange(first, self._width)
         self.blocks[index] = replace(self.blocks[index], form=form, formed_at=size)
 
@@ -239,14 +235,6 @@ class Design:
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""
         return found.of(self.blocks[index].parameters) * self.candidates[index].scale
-
-
-def _absorbed(here: Array, mean: Array) -> Array:
-    """Columns (M, 6, 3): what the estimator took of a sensor's error for a bias of the accelerometer."""
-    columns = np.zeros((*here.shape, 3))
-    for axis in range(3):
-        columns[:, axis, axis] = mean[axis]
-    return columns
 
 
 def _starts(tables: Sequence[Array]) -> list[int]:

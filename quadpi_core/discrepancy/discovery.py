@@ -20,9 +20,10 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 
 _INTERVAL = 1.96
-# What is left of an axis matters where its squares are this multiple of those of the noise. Less is found on
-# flights without any effect, where coefficients within their tolerances act together.
-_MATTERS = 1.5
+# What is predicted of an axis beyond the effects matters where its squares are this multiple of those of the
+# noise: of flights without any effect, nothing is predicted at all. Where it is louder than the noise, the
+# axis is judged by itself, too: an effect may explain another axis so well that it hides this one.
+_MATTERS, _LOUD = 0.05, 1.5
 _FEWEST_FLIGHTS = 2
 
 
@@ -65,7 +66,8 @@ class Discovery:
     Attributes:
         verdict: "none", "effects" or "unknown".
         effects: that were named, largest first.
-        unexplained: share of the discrepancy that can be predicted but has no name.
+        unexplained: share of the discrepancy that can be predicted but has no name, of all axes together or
+            of a loud axis.
         unexplained_by: per axis that matters, what predicts it.
         gap: before and after.
         found: the search behind it.
@@ -140,11 +142,9 @@ def discover(
     found = search(compared, candidates(simulation.vehicle, names), seed)
     design = found.design
     rows = sum(len(band) for band in design.bands)
-    matters = found.left.gain > _MATTERS * rows
-    predictable = float(found.left.gain[matters].sum())
-    named = float(np.maximum(found.named, 0.0).sum())
-    share = predictable / (predictable + named) if predictable > 0.0 else 0.0
+    share = _unexplained(found, rows)
     unknown = share > UNEXPLAINED_SHARE
+    matters = found.left.gain > _MATTERS * rows
     reported = design.fit(found.chosen, form=False) or found.fit
     effects = [_effect(found, index, reported) for index in found.chosen]
     return Discovery(
@@ -155,6 +155,17 @@ def discover(
         gap=gap(design, found.chosen),
         found=found,
     )
+
+
+def _unexplained(found: Found, rows: int) -> float:
+    """Share of what can be predicted that has no name, of axes with so many rows."""
+    left, named = np.maximum(found.left.gain, 0.0), np.maximum(found.named, 0.0)
+    left[left <= _MATTERS * rows] = 0.0
+    if not left.any():
+        return 0.0
+    loud = (left > _LOUD * rows) & (left > named)
+    alone = left[loud] / (left[loud] + named[loud])
+    return float(max(left.sum() / (left.sum() + named.sum()), np.max(alone, initial=0.0)))
 
 
 def require_flights(count: int) -> None:

@@ -22,6 +22,9 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array, rotation_matrix
 
 _LAGS_S = (0.1, 0.4)
+# A force that depends on the place alone, as of a draught, is looked for at points so many arms of the
+# vehicle apart, where two flights at least were for so long, and at so many points at most.
+_SPACING_ARMS, _STAY_S, _POINTS = 7.0, 0.25, 60
 _ROUNDS = 4
 _RIDGE = (1.0, 10.0, 100.0, 1e3)
 
@@ -92,14 +95,51 @@ def functions(compared: Compared) -> tuple[list[str], Array]:
     return list(named), np.stack(list(named.values()), axis=1)
 
 
+def places(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
+    """Names and, per flight, values (M, 6, 3 P) of a force or moment of the world at P points of the ground.
+
+    It falls to nothing at the points around. What each axis of the body sees of north, east and down is a
+    function of that axis.
+    """
+    arm = np.linalg.norm(flights[0].simulation.vehicle.rotor_positions[:, :2], axis=1).mean()
+    positions = [flight.thinned.position[:, :2] / (_SPACING_ARMS * arm) for flight in flights]
+    low = np.min([position.min(axis=0) for position in positions], axis=0)
+    high = np.max([position.max(axis=0) for position in positions], axis=0)
+    north, east = (np.arange(np.floor(a), np.ceil(b) + 1.0) for a, b in zip(low, high, strict=True))
+    points = np.stack(np.meshgrid(north, east, indexing="ij"), axis=-1).reshape(-1, 2)
+    near = [_near(position, points) for position in positions]
+    stays = [n.sum(axis=0) / flight.thinned.rate_hz for n, flight in zip(near, flights, strict=True)]
+    second = np.sort(stays, axis=0)[-2]
+    known = np.argsort(-second, kind="stable")[:_POINTS]
+    known = known[second[known] > _STAY_S]
+    names = [f"place {axis}" for axis in ("north", "east", "down") for _ in known]
+    values = []
+    for flight, own in zip(flights, near, strict=True):
+        seen = np.swapaxes(rotation_matrix(flight.thinned.attitude), 1, 2)
+        table = (seen[:, :, :, None] * own[:, None, None, known]).reshape(len(own), 3, -1)
+        values.append(np.concatenate((table, table), axis=1))
+    return names, values
+
+
+def _near(position: Array, points: Array) -> Array:
+    """Hats (M, P) of height 1 at points (P, 2), from positions (M, 2), in spacings."""
+    away = np.abs(position[:, None] - points)
+    hats: Array = np.prod(np.maximum(1.0 - away, 0.0), axis=2)
+    return hats
+
+
 def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectrum]]:
-    """Names of the functions and their spectra for each flight: rows (1, B, J)."""
+    """Names of the functions and their spectra for each flight: rows (6, B, J)."""
+    place_names, place_values = places(flights)
     names: list[str] = []
     spectra = []
-    for flight in flights:
+    for flight, place in zip(flights, place_values, strict=True):
         names, values = functions(flight)
-        spectra.append(spectrum(values[:, None, :], flight.thinned.rate_hz))
-    return names, spectra
+        rate = flight.thinned.rate_hz
+        alike, local = spectrum(values[:, None, :], rate), spectrum(place, rate)
+        everywhere = np.broadcast_to(alike.rows, (len(AXES), *alike.rows.shape[1:]))
+        spectra.append(Spectrum(np.concatenate((everywhere, local.rows), axis=2), alike.band))
+    return [*names, *place_names], spectra
 
 
 def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:
@@ -117,7 +157,7 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
     gain, best = np.zeros(len(AXES)), []
     for axis in range(len(AXES)):
         own = [
-            Spectrum(np.dstack((rows[axis][None], flight.rows)), flight.band)
+            Spectrum(np.dstack((rows[axis][None], flight.rows[axis][None])), flight.band)
             for rows, flight in zip(left, spectra, strict=True)
         ]
         for _ in range(_ROUNDS):

@@ -14,6 +14,7 @@ from quadpi_core.discrepancy import discover
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import _without_idle
 from quadpi_core.errors import DiscrepancyError
+from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.simulation.effects import effect_wrench
 
 ALIKE = ("payload", "thrust_coefficient", "body_drag")
@@ -42,6 +43,21 @@ def test_what_no_effect_explains_is_unknown_and_told(simulation, dragged):
     assert {"Fx", "Fy"} <= set(found.unexplained_by)
     assert any("u" in function for function in found.unexplained_by["Fx"])
     assert (found.effects, found.gap.reduction) == ((), 0.0)
+
+
+def test_a_draught_at_one_place_is_unknown(simulation, flights, pushed):
+    """Flights pass it in other directions and with other headings; no function of motion knows it."""
+    drafty = []
+    for flight in flights:
+        away = flight.position[:, :2] - [1.5, 0.0]
+        east = np.zeros((len(flight), 3))
+        east[:, 1] = 0.8 * np.exp(-0.5 * np.sum(np.square(away), axis=1) / 0.7**2)
+        added = np.zeros((len(flight), 6))
+        added[:, :3] = rotate_world_to_body(flight.attitude, east)
+        drafty.append(pushed(flight, simulation.vehicle, added))
+    found = discover(simulation, drafty)
+    assert found.verdict == "unknown"
+    assert {functions[0] for functions in found.unexplained_by.values()} == {"place east"}
 
 
 def test_effects_that_look_alike_are_one_set(simulation, flights, pushed):
