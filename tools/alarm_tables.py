@@ -56,6 +56,8 @@ CONFIDENCE = 0.95
 SCENARIOS = ("training", "validation", "dash")
 # Flights that a model of random flights is identified on, and for the rates a second model of few.
 MANY, FEW = 12, FEWEST_FLIGHTS
+# Models before this one were looked at while limits were set: the table is of others.
+FIRST_SEED = 5
 # In which a state that begins in the air still settles.
 EARLY_S = 5.0
 # Of each axis the largest speed in m/s, and the frequencies in Hz that it is made of.
@@ -326,7 +328,7 @@ def rates(job: Job) -> str:
     vehicle, rows = Vehicle.load(VEHICLE), []
     for kind in (ALIKE, VARIED):
         found: dict[int, list[Counts]] = {MANY: [], FEW: []}
-        for seed in range(1, job.seeds + 1):
+        for seed in range(FIRST_SEED, FIRST_SEED + job.seeds):
             training = job.prepared(job.random_bags("rates", kind, 2 * seed, MANY), VEHICLE)
             bags = job.random_bags("unseen", kind, 2 * seed + 1, job.flights)
             for number, counts in found.items():
@@ -338,7 +340,7 @@ def rates(job: Job) -> str:
                 print(f"{kind}, model {seed} of {number} flights: {counts[-1]}", flush=True)
         for number, counts in found.items():
             start = [kind, str(number)]
-            rows += [[*start, str(seed), *count.row()] for seed, count in enumerate(counts, start=1)]
+            rows += [[*start, str(seed), *count.row()] for seed, count in enumerate(counts, start=FIRST_SEED)]
             rows.append([*start, "all", *Counts.total(counts).row()])
     heading = (
         "flights",

@@ -11,9 +11,10 @@ that is what theory says of a walk that drifts downward, with dependent steps to
 Glynn and Whitt 1994); for the rest it is the generalised Pareto law with the shape that so few maxima
 cannot tell set to zero.
 
-The mean excess is taken at the upper end of its confidence interval, with as many degrees of freedom as
-there are flights, not blocks: of four flights little can be said of once in an hour, and limits are
-wide.
+The mean excess is taken at the upper end of its confidence interval, with twice as many degrees of freedom
+as flights, not blocks. Where no theory gives the law, only flights that have a part in the excess count, by
+their effective number (Kish 1965): where one flight in twelve makes all of it, little can be said of once in
+an hour, and limits are wide.
 """
 
 from __future__ import annotations
@@ -330,11 +331,17 @@ class _Tail:
         ordered = np.sort(np.concatenate(maxima))[::-1]
         blocks = len(ordered)
         count = min(max(int(_TAIL_SHARE * blocks), _TAIL_BLOCKS), blocks // 2)
+        start = float(ordered[count])
         hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
-        freedom = 2.0 * len(series)
+        excess = np.array([np.maximum(of_flight - start, 0.0).sum() for of_flight in maxima])
+        total = float(excess.sum())
+        if total == 0.0:
+            return cls(start, _LEAST_EXCESS, count / hours)
+        # A walk is exponential whatever the flights.
+        flights = float(len(series)) if lasting is None else total**2 / float(np.sum(excess**2))
+        freedom = 2.0 * flights
         unsure = freedom / float(chi2.ppf(1.0 - _SURE, freedom))
-        excess = float(np.mean(ordered[:count] - ordered[count])) if count else 0.0
-        return cls(float(ordered[count]), max(excess * unsure, _LEAST_EXCESS), count / hours)
+        return cls(start, max(total / count * unsure, _LEAST_EXCESS), count / hours)
 
     def limit(self, rate_per_hour: float) -> float:
         """Level that is passed so often."""
