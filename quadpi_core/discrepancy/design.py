@@ -184,13 +184,12 @@ class Design:
         if size == 0.0 or candidate.form == 0.0:
             return
         first = self._width
-        contributions = [
-            self._in_time[index][place] @ (at / candidate.scale)
-            if candidate.linear
-            else flight.added(candidate.effect, candidate.values(at))
-            for place, flight in enumerate(self.flights)
-        ]
-        for place, here in enumerate(contributions):
+        for place, flight in enumerate(self.flights):
+            here = (
+                self._in_time[index][place] @ (at / candidate.scale)
+                if candidate.linear
+                else flight.added(candidate.effect, candidate.values(at))
+            )
             self._append(place, self._form(candidate, here, place))
         form = np.arange(first, self._width)
         self.blocks[index] = replace(self.blocks[index], form=form, formed_at=size)

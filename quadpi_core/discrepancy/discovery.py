@@ -18,6 +18,7 @@ from quadpi_core.discrepancy.search import UNEXPLAINED_SHARE, Found, search
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
+from quadpi_core.frames import Array
 
 _INTERVAL = 1.96
 # What is predicted of an axis beyond the effects matters where its squares are this multiple of those of the
@@ -142,28 +143,26 @@ def discover(
     found = search(compared, candidates(simulation.vehicle, names), seed)
     design = found.design
     rows = sum(len(band) for band in design.bands)
-    share = _unexplained(found, rows)
+    left = np.where(found.left.gain > _MATTERS * rows, found.left.gain, 0.0)
+    share = _unexplained(left, np.maximum(found.named, 0.0), _LOUD * rows)
     unknown = share > UNEXPLAINED_SHARE
-    matters = found.left.gain > _MATTERS * rows
     reported = design.fit(found.chosen, form=False) or found.fit
     effects = [_effect(found, index, reported) for index in found.chosen]
     return Discovery(
         verdict="unknown" if unknown else "effects" if effects else "none",
         effects=tuple(effects),
         unexplained=share,
-        unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if matters[i]},
+        unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if left[i]},
         gap=gap(design, found.chosen),
         found=found,
     )
 
 
-def _unexplained(found: Found, rows: int) -> float:
-    """Share of what can be predicted that has no name, of axes with so many rows."""
-    left, named = np.maximum(found.left.gain, 0.0), np.maximum(found.named, 0.0)
-    left[left <= _MATTERS * rows] = 0.0
+def _unexplained(left: Array, named: Array, loudness: float) -> float:
+    """Share without a name of squares (6,) left and named, of all axes or of one with more left than that."""
     if not left.any():
         return 0.0
-    loud = (left > _LOUD * rows) & (left > named)
+    loud = (left > loudness) & (left > named)
     alone = left[loud] / (left[loud] + named[loud])
     return float(max(left.sum() / (left.sum() + named.sum()), np.max(alone, initial=0.0)))
 

@@ -25,6 +25,7 @@ _LAGS_S = (0.1, 0.4)
 # A force that depends on the place alone, as of a draught, is looked for at points so many arms of the
 # vehicle apart, where two flights at least were for so long, and at so many points at most.
 _SPACING_ARMS, _STAY_S, _POINTS = 7.0, 0.25, 60
+_CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
 _ROUNDS = 4
 _RIDGE = (1.0, 10.0, 100.0, 1e3)
 
@@ -96,35 +97,37 @@ def functions(compared: Compared) -> tuple[list[str], Array]:
 
 
 def places(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
-    """Names and, per flight, values (M, 6, 3 P) of a force or moment of the world at P points of the ground.
+    """Names and, per flight, values (M, 3, 3 P) of a vector of the world at P points of the ground.
 
-    It falls to nothing at the points around. What each axis of the body sees of north, east and down is a
-    function of that axis.
+    It falls to nothing at the points around. What an axis of the body sees of north, east and down is a
+    function of that axis, for a force as for a moment.
     """
     arm = np.linalg.norm(flights[0].simulation.vehicle.rotor_positions[:, :2], axis=1).mean()
     positions = [flight.thinned.position[:, :2] / (_SPACING_ARMS * arm) for flight in flights]
-    low = np.min([position.min(axis=0) for position in positions], axis=0)
-    high = np.max([position.max(axis=0) for position in positions], axis=0)
-    north, east = (np.arange(np.floor(a), np.ceil(b) + 1.0) for a, b in zip(low, high, strict=True))
-    points = np.stack(np.meshgrid(north, east, indexing="ij"), axis=-1).reshape(-1, 2)
-    near = [_near(position, points) for position in positions]
-    stays = [n.sum(axis=0) / flight.thinned.rate_hz for n, flight in zip(near, flights, strict=True)]
+    corners = [(np.floor(position)[:, None] + _CORNERS).reshape(-1, 2) for position in positions]
+    points, which = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
+    ends = np.cumsum([len(own) for own in corners])[:-1]
+    stays = [
+        np.bincount(at, _hats(np.repeat(position, 4, axis=0) - own), len(points)) / flight.thinned.rate_hz
+        for at, position, own, flight in zip(
+            np.split(which.ravel(), ends), positions, corners, flights, strict=True
+        )
+    ]
     second = np.sort(stays, axis=0)[-2]
     known = np.argsort(-second, kind="stable")[:_POINTS]
     known = known[second[known] > _STAY_S]
     names = [f"place {axis}" for axis in ("north", "east", "down") for _ in known]
     values = []
-    for flight, own in zip(flights, near, strict=True):
+    for flight, position in zip(flights, positions, strict=True):
+        near = _hats(position[:, None] - points[known])
         seen = np.swapaxes(rotation_matrix(flight.thinned.attitude), 1, 2)
-        table = (seen[:, :, :, None] * own[:, None, None, known]).reshape(len(own), 3, -1)
-        values.append(np.concatenate((table, table), axis=1))
+        values.append((seen[:, :, :, None] * near[:, None, None]).reshape(len(near), 3, -1))
     return names, values
 
 
-def _near(position: Array, points: Array) -> Array:
-    """Hats (M, P) of height 1 at points (P, 2), from positions (M, 2), in spacings."""
-    away = np.abs(position[:, None] - points)
-    hats: Array = np.prod(np.maximum(1.0 - away, 0.0), axis=2)
+def _hats(away: Array) -> Array:
+    """1 at a point and 0 from one spacing on, of distances (…, 2) north and east in spacings."""
+    hats: Array = np.prod(np.maximum(1.0 - np.abs(away), 0.0), axis=-1)
     return hats
 
 
@@ -137,8 +140,8 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
         names, values = functions(flight)
         rate = flight.thinned.rate_hz
         alike, local = spectrum(values[:, None, :], rate), spectrum(place, rate)
-        everywhere = np.broadcast_to(alike.rows, (len(AXES), *alike.rows.shape[1:]))
-        spectra.append(Spectrum(np.concatenate((everywhere, local.rows), axis=2), alike.band))
+        rows = (np.tile(alike.rows, (len(AXES), 1, 1)), np.tile(local.rows, (2, 1, 1)))
+        spectra.append(Spectrum(np.concatenate(rows, axis=2), alike.band))
     return [*names, *place_names], spectra
 
 
@@ -157,7 +160,7 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
     gain, best = np.zeros(len(AXES)), []
     for axis in range(len(AXES)):
         own = [
-            Spectrum(np.dstack((rows[axis][None], flight.rows[axis][None])), flight.band)
+            Spectrum(np.column_stack((rows[axis], flight.rows[axis]))[None], flight.band)
             for rows, flight in zip(left, spectra, strict=True)
         ]
         for _ in range(_ROUNDS):

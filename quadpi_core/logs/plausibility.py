@@ -118,10 +118,7 @@ def _rates(recording: Recording) -> Iterator[str]:
         )
         return
     for stream in _attitude_streams(recording):
-        gyro, attitude = _rotation_rates(recording.imu, stream, _ATTITUDE_STEP_S)
-        _, slower = _rotation_rates(recording.imu, stream, 2.0 * _ATTITUDE_STEP_S)
-        # Over twice the step, noise turns half as fast and the vehicle as fast as before.
-        turning = math.sqrt(max(4.0 * slower**2 - attitude**2, 0.0) / 3.0)
+        gyro, attitude, turning = _rotation_rates(recording.imu, stream)
         if gyro > _TURNING_RAD_S and gyro > _LARGEST_RATIO * attitude:
             yield (
                 f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
@@ -140,27 +137,35 @@ def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStr
             yield stream
 
 
-def _rotation_rates(
-    imu: ImuStream, stream: PoseStream | OdometryStream, step_s: float
-) -> tuple[float, float]:
-    """Median turn rate [rad/s] over steps of that length, by the integrated gyro and by the attitude."""
+def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tuple[float, float, float]:
+    """Median turn rate [rad/s] over short steps: by the gyro, by the attitude, by that less its noise."""
     known = finite_rows(imu.angular_velocity) & np.r_[True, np.diff(imu.time_ns) > 0]
     seen = finite_rows(stream.attitude) & np.r_[True, np.diff(stream.time_ns) > 0]
     if known.sum() < 2 or seen.sum() < 2:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     time, rates = imu.time_ns[known] * 1e-9, imu.angular_velocity[known]
     angle = np.zeros_like(rates)
     angle[1:] = np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time)[:, np.newaxis], axis=0)
     clock, attitude = stream.time_ns[seen] * 1e-9, stream.attitude[seen]
-    stride = max(1, round(step_s / max(float(np.median(np.diff(clock))), 1e-9)))
-    clock, attitude = clock[::stride], attitude[::stride]
-    if len(clock) < 2:
-        return 0.0, 0.0
-    step = np.diff(clock)
+    spacing = max(float(np.median(np.diff(clock))), 1e-9)
+    short, long = (slice(None, None, max(1, round(n * _ATTITUDE_STEP_S / spacing))) for n in (1, 2))
+    turned = np.diff(np.stack([np.interp(clock[short], time, column) for column in angle.T], axis=1), axis=0)
+    by_gyro = _median(np.linalg.norm(turned, axis=1) / np.diff(clock[short]))
+    by_short, by_long = (_median(_turned(attitude[s]) / np.diff(clock[s])) for s in (short, long))
+    # Over twice the step, noise turns half as fast and the vehicle as fast as before.
+    return by_gyro, by_short, math.sqrt(max(4.0 * by_long**2 - by_short**2, 0.0) / 3.0)
+
+
+def _turned(attitude: Array) -> Array:
+    """Angle (N - 1,) [rad] from each attitude (N, 4) to the next."""
     cosine = np.abs(np.sum(attitude[1:] * attitude[:-1], axis=1)).clip(max=1.0)
-    turned = np.diff(np.stack([np.interp(clock, time, column) for column in angle.T], axis=1), axis=0)
-    by_gyro = np.linalg.norm(turned, axis=1) / step
-    return float(np.median(by_gyro)), float(np.median(2.0 * np.arccos(cosine) / step))
+    angle: Array = 2.0 * np.arccos(cosine)
+    return angle
+
+
+def _median(values: Array) -> float:
+    """0 of none."""
+    return float(np.median(values)) if len(values) else 0.0
 
 
 def _up(recording: Recording) -> Iterator[str]:
