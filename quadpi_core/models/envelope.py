@@ -149,13 +149,19 @@ class Envelope:
         """(19,) :meth:`extent` of the training range."""
         return self.extent(self.lower, self.upper)
 
-    def input_excess(self, inputs: Array) -> Array:
-        """Distance (N, 19) of inputs (N, 19) outside their training range in :attr:`scale`; 0 inside.
+    @classmethod
+    def outside(cls, inputs: Array, lower: Array, upper: Array) -> Array:
+        """Distance (N, 19) of inputs (N, 19) outside ranges (19,), (19,) in their extent; negative inside.
 
         See :func:`excess_of_cosine` for those that are cosines.
         """
-        outside = np.maximum(np.maximum(self.lower - inputs, inputs - self.upper), 0.0) / self.scale
-        return np.where(COSINES, excess_of_cosine(outside), outside)
+        distance = np.maximum(lower - inputs, inputs - upper) / cls.extent(lower, upper)
+        beyond = excess_of_cosine(np.maximum(distance, 0.0))
+        return np.where(COSINES & (distance > 0.0), beyond, distance)
+
+    def input_excess(self, inputs: Array) -> Array:
+        """Distance (N, 19) of inputs (N, 19) outside their training range; 0 inside, see :meth:`outside`."""
+        return np.maximum(self.outside(inputs, self.lower, self.upper), 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary for the model file, by input and axis name; :meth:`from_json` reads it."""

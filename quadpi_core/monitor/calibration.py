@@ -3,18 +3,7 @@
 """Limits of the alarm from flights left out in turn, to a stated rate of false alarms.
 
 A flight that the model and the envelope of the others have not seen, but that lies mostly within their
-ranges, is what the alarm must keep quiet on. For each signal (distance of the worst input, leverage and
-width of the worst axis, the sequential test of each axis) the flights are cut into blocks of a few
-seconds, and of each block only the largest value that lasts long enough to raise the alarm counts.
-Beyond the highest tenth of these maxima the excess is taken to be exponential. For the sequential test
-that is what theory says of a walk that drifts downward, with dependent steps too (Cramér and Lundberg;
-Glynn and Whitt 1994); for the rest it is the generalised Pareto law with the shape that so few maxima
-cannot tell set to zero.
-
-The mean excess is taken at the upper end of its confidence interval, with twice as many degrees of freedom
-as flights, not blocks. Where no theory gives the law, only flights that have a part in the excess count, by
-their effective number (Kish 1965): where one flight in twelve makes all of it, little can be said of once in
-an hour, and limits are wide.
+ranges, is what the alarm must keep quiet on: `monitor.extremes` says how far the next one of its kind may go.
 """
 
 from __future__ import annotations
@@ -25,30 +14,17 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
-from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
-from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope, excess_of_cosine
+from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
 from quadpi_core.models.evaluation import Evaluation
 from quadpi_core.models.rules import FEWEST_INSIDE, FlightErrors, HeldOutRule
 from quadpi_core.monitor.alarm import MonitorSettings
-from quadpi_core.monitor.alarm_kernel import STEP_MAX_S
+from quadpi_core.monitor.extremes import Walk, lasting_maximum, next_flight, sums_of_misses
 from quadpi_core.monitor.live import LiveSamples
-
-# Long against the persistence and against what correlates the samples, short against a flight.
-BLOCK_S = 5.0
-# Confidence of the upper bound of the tail's mean.
-_SURE = 0.8
-# Thresholds that the lasting maximum of a block is looked for among.
-_LEVELS = 200
-# Share of the blocks that tells the tail, and least number of them, if need be up to half.
-_TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
-# Least mean excess, in training ranges, peaks or seconds: what never moved is no reason for a tight limit.
-_LEAST_EXCESS = 0.02
 
 
 class Judged(Protocol):
@@ -122,42 +98,58 @@ def calibrate_alarm(
     if len(usual) < FEWEST_FLIGHTS:
         return envelope, limits
     times = [flight.time for flight, _ in usual]
-    usual_axes = ~np.isnan(usual[0][0].miss[0])
-    settings = MonitorSettings()
-    lasting = (settings.persistence_s, settings.release_s)
-    of_each = [
-        [_input_distance(flight.inputs, others).max(axis=1) for flight, others in usual],
-        [flight.leverage.max(axis=1) for flight, _ in usual],
-        [flight.width.max(axis=1) for flight, _ in usual],
-    ]
-    known = [series for series in of_each if any(np.any(values) for values in series)]
-    rate = 0.5 * rate_per_hour / len(known)
-    # What the training flights reached is never beyond.
-    ratio, leverage, width = (
-        max(_Tail.of(series, times, lasting).limit(rate), 1.0)
-        if any(np.any(values) for values in series)
-        else None
-        for series in of_each
-    )
+    hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
+    ratio, leverage, width = _limits_of_extrapolation(usual, 0.5 * rate_per_hour * hours / len(usual))
     calibrated = replace(
         envelope,
-        margin=np.full(len(INPUT_NAMES), 0.5 * ((ratio or 1.0) - 1.0)),
-        leverage_limit=envelope.of_peak(envelope.leverage_peak, leverage or LEVERAGE_HEADROOM),
-        width_limit=envelope.of_peak(envelope.width_peak, width or WIDTH_HEADROOM),
+        margin=np.full(len(INPUT_NAMES), 0.5 * (ratio - 1.0)),
+        leverage_limit=envelope.of_peak(envelope.leverage_peak, leverage),
+        width_limit=envelope.of_peak(envelope.width_peak, width),
     )
-    sums = [_sums(flight.time, flight.miss, limits.allowance) for flight, _ in usual]
+    sums = [sums_of_misses(flight.time, flight.miss, limits.allowance) for flight, _ in usual]
     misses = limits.miscoverage_s.copy()
-    tails = {k: _Tail.of([s[:, k] for s in sums], times, None) for k in np.flatnonzero(usual_axes)}
-    pooled = float(np.mean([tail.mean for tail in tails.values()]))
-    for axis, tail in tails.items():
+    usual_axes = ~np.isnan(usual[0][0].miss[0])
+    walks = {k: Walk.of([s[:, k] for s in sums], times) for k in np.flatnonzero(usual_axes)}
+    pooled = float(np.mean([walk.mean for walk in walks.values()]))
+    for axis, walk in walks.items():
         # Which axes fail in which manoeuvre takes more flights to tell than how they do.
-        misses[axis] = replace(tail, mean=max(tail.mean, pooled)).limit(0.5 * rate_per_hour / len(tails))
-    return calibrated, replace(
-        limits,
-        miscoverage_s=misses,
-        flights=len(usual),
-        hours=sum(float(time[-1] - time[0]) for time in times) / 3600.0,
-    )
+        misses[axis] = replace(walk, mean=max(walk.mean, pooled)).limit(0.5 * rate_per_hour / len(walks))
+    return calibrated, replace(limits, miscoverage_s=misses, flights=len(usual), hours=hours)
+
+
+def _limits_of_extrapolation(
+    usual: Sequence[tuple[LeftOut, tuple[Array, Array]]], alarms_per_flight: float
+) -> tuple[float, float, float]:
+    """Limits of distance, leverage and width over what training reached; plain where there is no such signal.
+
+    Args:
+        usual: flights, each with the ranges of the others.
+        alarms_per_flight: expected number that may be false, of all signals together.
+    """
+    settings = MonitorSettings()
+
+    def largest(series: Sequence[Array]) -> Array:
+        return np.array(
+            [
+                lasting_maximum(values, flight.time, settings.persistence_s, settings.release_s)
+                for values, (flight, _) in zip(series, usual, strict=True)
+            ]
+        )
+
+    distances = largest([_worst_distance(flight.inputs, others) for flight, others in usual])
+    leverages = largest([flight.leverage.max(axis=1) for flight, _ in usual])
+    of_width = [flight.width.max(axis=1) for flight, _ in usual]
+    widths, typical = largest(of_width), float(np.median(np.concatenate(of_width)))
+    signals = 1 + bool(np.any(leverages)) + bool(np.any(widths))
+    chance = -float(np.expm1(-alarms_per_flight / signals))
+    leverage, width = LEVERAGE_HEADROOM, WIDTH_HEADROOM
+    if np.any(leverages):
+        leverage = next_flight(leverages, chance)
+    if np.any(widths):
+        # Variances add: what widens an interval beyond the usual is the part of it that varies by flight.
+        width = float(np.sqrt(typical**2 + next_flight(widths**2 - typical**2, chance)))
+    # What the training flights reached is never beyond.
+    return max(next_flight(distances, chance), 1.0), max(leverage, 1.0), max(width, 1.0)
 
 
 class LiveErrors(NamedTuple):
@@ -292,111 +284,10 @@ def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
     return float(np.mean(np.all((flight.inputs >= lower) & (flight.inputs <= upper), axis=1)))
 
 
-def _input_distance(inputs: Array, others: tuple[Array, Array]) -> Array:
-    """Distance (N, 19) of inputs from the middle of a range over half of it."""
-    lower, upper = others
-    half = 0.5 * Envelope.extent(lower, upper)
-    distance: Array = np.abs(inputs - 0.5 * (lower + upper)) / half
-    outside = np.maximum(0.5 * (distance - 1.0), 0.0)
-    return np.where(COSINES & (outside > 0.0), 1.0 + 2.0 * excess_of_cosine(outside), distance)
-
-
-@dataclass(frozen=True)
-class _Tail:
-    """Block maxima of a signal beyond `start`: `per_hour` of them, with an exponential excess."""
-
-    start: float
-    mean: float
-    per_hour: float
-
-    @classmethod
-    def of(
-        cls, series: Sequence[Array], times: Sequence[Array], lasting: tuple[float, float] | None
-    ) -> _Tail:
-        """Tail of a signal.
-
-        Args:
-            series: (N,) per flight.
-            times: (N,) s per flight.
-            lasting: persistence and release in seconds; None for a signal that raises at once.
-        """
-        maxima = []
-        for values, time in zip(series, times, strict=True):
-            starts = _block_starts(time)
-            if lasting is None:
-                maxima.append(np.maximum.reduceat(values, starts))
-            else:
-                levels = np.linspace(np.quantile(values, 0.5), values.max(), _LEVELS)
-                maxima.append(_lasting_maxima(values, _steps(time), starts, levels, *lasting))
-        ordered = np.sort(np.concatenate(maxima))[::-1]
-        blocks = len(ordered)
-        count = min(max(int(_TAIL_SHARE * blocks), _TAIL_BLOCKS), blocks // 2)
-        start = float(ordered[count])
-        hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
-        excess = np.array([np.maximum(of_flight - start, 0.0).sum() for of_flight in maxima])
-        total = float(excess.sum())
-        if total == 0.0:
-            return cls(start, _LEAST_EXCESS, count / hours)
-        # A walk is exponential whatever the flights.
-        flights = float(len(series)) if lasting is None else total**2 / float(np.sum(excess**2))
-        freedom = 2.0 * flights
-        unsure = freedom / float(chi2.ppf(1.0 - _SURE, freedom))
-        return cls(start, max(total / count * unsure, _LEAST_EXCESS), count / hours)
-
-    def limit(self, rate_per_hour: float) -> float:
-        """Level that is passed so often."""
-        folds = float(np.log(max(self.per_hour / rate_per_hour, 1.0)))
-        return self.start + self.mean * folds
-
-
-def _block_starts(time: Array) -> Any:
-    """First samples of blocks of about :data:`BLOCK_S`."""
-    count = max(round(float(time[-1] - time[0]) / BLOCK_S), 1)
-    return np.linspace(0, len(time), count, endpoint=False).astype(np.int64)
-
-
-def _sums(time: Array, miss: Array, allowed: float) -> Array:
-    """The sequential test (N, 6) of a flight, without its end at the limit."""
-    sums = np.empty(miss.shape)
-    _sums_kernel(_steps(time), miss, allowed, sums)
-    return sums
-
-
-def _steps(time: Array) -> Array:
-    """Seconds (N,) since the sample before; a gap counts as a moment, as the alarm has it."""
-    steps = np.diff(time, prepend=time[0])
-    return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
-
-
-@njit(cache=True)
-def _sums_kernel(steps: Any, miss: Any, allowed: float, sums: Any) -> None:
-    for axis in range(miss.shape[1]):
-        total = 0.0
-        for i in range(steps.size):
-            if not np.isnan(miss[i, axis]):
-                total = max(0.0, total + steps[i] * (miss[i, axis] - allowed))
-            sums[i, axis] = total
-
-
-@njit(cache=True)
-def _lasting_maxima(
-    worst: Any, steps: Any, starts: Any, levels: Any, persistence_s: float, release_s: float
-) -> Any:
-    """Per block the highest of the levels (L,), ascending, that a signal passes for long enough."""
-    maxima = np.full(starts.size, levels[0])
-    charge = np.zeros(levels.size)
-    for block in range(starts.size):
-        stop = starts[block + 1] if block + 1 < starts.size else worst.size
-        for i in range(max(starts[block], 1), stop):
-            for k in range(levels.size):
-                change = steps[i] / persistence_s if worst[i] > levels[k] else -steps[i] / release_s
-                charge[k] = min(1.0, max(0.0, charge[k] + change))
-                if charge[k] >= 1.0 - 1e-9:
-                    maxima[block] = max(maxima[block], levels[k])
-                elif charge[k] == 0.0 and worst[i] <= levels[k]:
-                    # Nor can any higher level be charged.
-                    break
-    return maxima
+def _worst_distance(inputs: Array, others: tuple[Array, Array]) -> Array:
+    """Distance (N,) of the worst input from the middle of its range over half of it."""
+    distance: Array = 1.0 + 2.0 * Envelope.outside(inputs, *others).max(axis=1)
+    return distance
 
 
 def hover_rotor_speed(inputs: Array, wrench: Array, weight: float) -> float:

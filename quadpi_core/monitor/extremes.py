@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far one more flight may go, from what flights that the model has not seen have reached.
+
+Two laws, as two things decide. How far a flight leaves the envelope depends on which flight it is: each
+counts once, by its largest value that lasts, and the next one is foretold from their spread
+(:func:`next_flight`). How far the sequential test wanders while nothing is wrong is chance within flights, of
+which theory knows the law (:class:`Walk`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2, t
+
+from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
+from quadpi_core.monitor.alarm_kernel import ROUNDING, STEP_MAX_S
+
+# Long against what correlates the samples, short against a flight.
+BLOCK_S = 5.0
+# Share of the blocks that tells the tail, and least number of them, if need be up to half.
+_TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
+# Confidence of the upper bound of the tail's mean.
+_SURE = 0.8
+# Least value, mean excess in seconds and spread of logarithms: what never moved is no reason for a tight
+# limit.
+_LEAST = 0.02
+# Halvings of the range that a largest value is looked for in.
+_HALVINGS = 30
+
+
+def next_flight(largest: Array, chance: float) -> float:
+    """Value that one more flight passes with a chance.
+
+    The logarithms of the flights' largest values are taken to be normal. One more of them then lies about
+    the mean of n as Student's t with n − 1 degrees of freedom, times s √(1 + 1/n): right on average over
+    whichever n flights there were (Hahn and Meeker 1991, prediction intervals).
+
+    Args:
+        largest: (n,) not negative, of at least two flights.
+        chance: between 0 and 1.
+    """
+    logarithms = np.log(np.maximum(largest, _LEAST))
+    n = len(logarithms)
+    spread = max(float(np.std(logarithms, ddof=1)), _LEAST) * np.sqrt(1.0 + 1.0 / n)
+    return float(np.exp(np.mean(logarithms) + t.isf(chance, n - 1) * spread))
+
+
+def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:
+    """Highest level that a signal (N,) passes for long enough to raise the alarm; its least value if none is.
+
+    Args:
+        values: (N,).
+        time: (N,) s.
+        persistence_s: above the level that raises the alarm.
+        release_s: below it that clears what has gathered.
+    """
+    steps = _steps(time)
+    low, high = float(values.min()), float(values.max())
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if _lasts(values, steps, middle, persistence_s, release_s):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Largest values of the sequential test, by blocks: so many in an hour begin beyond `start`.
+
+    The excess beyond the highest tenth is exponential: of a walk that drifts downward theory says so, with
+    dependent steps too (Cramér and Lundberg; Glynn and Whitt 1994).
+
+    Attributes:
+        start: s.
+        mean: of the excess, s, at the upper end of its confidence interval with twice as many degrees of
+            freedom as flights.
+        per_hour: blocks beyond `start`.
+    """
+
+    start: float
+    mean: float
+    per_hour: float
+
+    @classmethod
+    def of(cls, sums: Sequence[Array], times: Sequence[Array]) -> Walk:
+        """From sums (N,) of an axis and stamps (N,) in seconds, of each flight."""
+        maxima = [
+            np.maximum.reduceat(of_flight, _block_starts(time))
+            for of_flight, time in zip(sums, times, strict=True)
+        ]
+        ordered = np.sort(np.concatenate(maxima))[::-1]
+        count = min(max(int(_TAIL_SHARE * len(ordered)), _TAIL_BLOCKS), len(ordered) // 2)
+        start = float(ordered[count])
+        hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
+        freedom = 2.0 * len(sums)
+        unsure = freedom / float(chi2.ppf(1.0 - _SURE, freedom))
+        excess = float(np.maximum(ordered - start, 0.0).sum()) / count
+        return cls(start, max(excess * unsure, _LEAST), count / hours)
+
+    def limit(self, rate_per_hour: float) -> float:
+        """Level that is passed so often."""
+        folds = float(np.log(max(self.per_hour / rate_per_hour, 1.0)))
+        return self.start + self.mean * folds
+
+
+def sums_of_misses(time: Array, miss: Array, allowed: float) -> Array:
+    """The sequential test (N, 6) of a flight, in seconds, without its end at the limit.
+
+    Args:
+        time: (N,) s.
+        miss: (N, 6) whether the measured wrench left its interval, 0 or 1; NaN where not known.
+        allowed: share of misses at which it neither rises nor falls.
+    """
+    sums = np.empty(miss.shape)
+    _sums_kernel(_steps(time), miss, allowed, sums)
+    return sums
+
+
+def _block_starts(time: Array) -> Any:
+    """First samples of blocks of about :data:`BLOCK_S`."""
+    count = max(round(float(time[-1] - time[0]) / BLOCK_S), 1)
+    return np.linspace(0, len(time), count, endpoint=False).astype(np.int64)
+
+
+def _steps(time: Array) -> Array:
+    """Seconds (N,) since the sample before; a gap counts as a moment, as the alarm has it."""
+    steps = np.diff(time, prepend=time[0])
+    return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
+
+
+@njit(cache=True)
+def _lasts(values: Any, steps: Any, level: float, persistence_s: float, release_s: float) -> bool:
+    """Whether a signal is above a level for long enough."""
+    charge = 0.0
+    for i in range(values.size):
+        change = steps[i] / persistence_s if values[i] > level else -steps[i] / release_s
+        charge = max(0.0, charge + change)
+        if charge >= 1.0 - ROUNDING:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _sums_kernel(steps: Any, miss: Any, allowed: float, sums: Any) -> None:
+    for axis in range(miss.shape[1]):
+        total = 0.0
+        for i in range(steps.size):
+            if not np.isnan(miss[i, axis]):
+                total = max(0.0, total + steps[i] * (miss[i, axis] - allowed))
+            sums[i, axis] = total
