@@ -3,15 +3,17 @@
 """`quadpi replay` with models of six axes, against the time that the flight took.
 
 The first replay, which loads the compiled kernels, does not count; reading, estimation, monitor and writing
-all do.
+all do. There is no baseline that shares a disturbance of the machine: the calmest replay of several counts,
+and the median is told beside it.
 """
 
 from __future__ import annotations
 
-import statistics
 import tempfile
 import time
 from pathlib import Path
+
+import numpy as np
 
 from benchmarks import Result
 from benchmarks.swings import FLIGHT_S, METHODS, VEHICLE, swings, three_models
@@ -22,7 +24,7 @@ from quadpi_core.vehicle import Vehicle
 
 NAMES = ("replay_realtime_polynomial", "replay_realtime_ensemble")
 
-REPEATS = 3
+REPEATS = 7
 GOAL = 100.0
 
 
@@ -33,25 +35,26 @@ def run() -> list[Result]:
         bag, output = folder / "swings.mcap", folder / "replayed.mcap"
         write_bag(bag, swings(vehicle))
         seconds = {
-            method: _median_seconds(model, vehicle, bag, output)
+            method: _seconds(model, vehicle, bag, output)
             for method, model in three_models(folder, vehicle).items()
         }
-    slower = max(METHODS[1:], key=seconds.__getitem__)
+    slower = max(METHODS[1:], key=lambda method: min(seconds[method]))
     return [
         Result(
             name,
-            FLIGHT_S / seconds[method],
+            FLIGHT_S / min(seconds[method]),
             "times real time",
-            f"a flight of {FLIGHT_S:.0f} s, {method}: replayed in {seconds[method]:.2f} s on one core",
+            f"a flight of {FLIGHT_S:.0f} s, {method}: replayed in {min(seconds[method]):.2f} s on one core, "
+            f"median of {REPEATS} {np.median(seconds[method]):.2f} s",
             goal=GOAL,
         )
         for name, method in zip(NAMES, (METHODS[0], slower), strict=True)
     ]
 
 
-def _median_seconds(model: AerodynamicModel, vehicle: Vehicle, bag: Path, output: Path) -> float:
+def _seconds(model: AerodynamicModel, vehicle: Vehicle, bag: Path, output: Path) -> list[float]:
     replay(model, vehicle, bag, output)
-    return statistics.median(_one_core_seconds(model, vehicle, bag, output) for _ in range(REPEATS))
+    return [_one_core_seconds(model, vehicle, bag, output) for _ in range(REPEATS)]
 
 
 def _one_core_seconds(model: AerodynamicModel, vehicle: Vehicle, bag: Path, output: Path) -> float:

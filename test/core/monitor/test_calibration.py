@@ -81,6 +81,29 @@ def test_stated_rate_holds_on_new_flights_whatever_the_correlation(correlation_s
     assert limits.flights == 20
 
 
+def test_stated_rate_holds_of_flights_that_differ_from_each_other():
+    rate_per_hour, strayed = 20.0, 0
+    for lot in range(8):
+        flights = [livelier(seed) for seed in range(1000 * lot, 1000 * lot + 10)]
+        envelope, limits = calibrated(flights, rate_per_hour)
+        unseen = [livelier(seed) for seed in range(1000 * lot + 500, 1000 * lot + 540)]
+        strayed += sum(raised(envelope, limits, flight)[EXTRAPOLATION] > 0 for flight in unseen)
+    # Of 320 minutes, at half of the rate; both signals rarely stray apart, so fewer are no surprise.
+    expected = 320 * 0.5 * rate_per_hour / 60.0
+    assert 0.25 * expected < strayed < 1.5 * expected
+
+
+def livelier(seed: int) -> LeftOut:
+    """A minute whose inputs all go further by a factor of its own."""
+    flight = left_out(60.0, seed)
+    factor = np.exp(np.random.default_rng(10**6 + seed).normal(0.0, 0.25))
+    inputs = factor * flight.inputs
+    lower, upper = Envelope.flight_range(inputs)
+    return replace(
+        flight, inputs=inputs, lower=lower, upper=upper, width=0.8 + factor**2 * (flight.width - 0.8)
+    )
+
+
 def test_longer_correlation_asks_for_a_higher_limit_of_the_test():
     limits = [
         calibrated([left_out(60.0, seed, correlation_s) for seed in range(10)])[1].miscoverage_s[FX]
