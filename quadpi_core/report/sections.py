@@ -40,7 +40,8 @@ HISTORY = "history"
 def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
     """One sentence: on which groups the intervals hold, and on which they cover too little, how badly.
 
-    A group of `training` flights alone is marked: there the intervals hold by construction.
+    A group of `training` flights alone is marked: there the intervals hold by construction. Where an axis
+    covers too little, but not beyond chance, the least one is told: few flights leave much open.
     """
     confidence = evaluation["confidence"]
     holding, clauses = [], []
@@ -51,10 +52,13 @@ def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
             worst = min(short, key=lambda axis: short[axis])
             extent = f"{len(short)} of {len(axes)} axes; {worst} covers {percent(short[worst])}"
             clauses.append(f"fall short on {group} ({extent})")
-        elif set(part["flights"]) <= set(training):
-            holding.append(f"{group} (in sample)")
-        else:
-            holding.append(group)
+            continue
+        remarks = ["in sample"] if set(part["flights"]) <= set(training) else []
+        least = min(axes, key=lambda axis: axes[axis]["picp"])
+        if axes[least]["picp"] < confidence:
+            low, high = axes[least]["picp_ci"]
+            remarks.append(f"{least} {percent(axes[least]['picp'])}, {percent(low)} to {percent(high)}")
+        holding.append(f"{group} ({'; '.join(remarks)})" if remarks else group)
     if holding:
         *first, last = holding
         clauses.insert(0, f"hold on {', '.join(first)} and {last}" if first else f"hold on {last}")

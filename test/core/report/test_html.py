@@ -83,3 +83,11 @@ def test_verdict_lists_the_groups_on_which_intervals_hold(case):
     known = case.evaluation["groups"]["known"]
     evaluation = case.evaluation | {"groups": {"a": known, "b": known, "c": known}}
     assert verdict(evaluation, []) == "95 % prediction intervals hold on a, b and c."
+
+
+def test_verdict_tells_the_least_coverage_that_chance_excuses(case):
+    known = deepcopy(case.evaluation["groups"]["known"])
+    known["axes"]["Mz"] |= {"picp": 0.83, "picp_ci": [0.62, 0.96]}
+    assert verdict(case.evaluation | {"groups": {"few": known}}, []) == (
+        "95 % prediction intervals hold on few (Mz 83.0 %, 62.0 % to 96.0 %)."
+    )
