@@ -27,6 +27,19 @@ from quadpi_core.monitor.extremes import Walk, lasting_maximum, next_flight, sum
 from quadpi_core.monitor.live import LiveSamples
 
 
+class _Spread(NamedTuple):
+    """Standard deviations between flights of the logarithms of their largest values."""
+
+    distance: float
+    leverage: float
+    width: float
+
+
+# Root mean squares over 24 models of 8 and of 12 simulated flights (docs/alarm.md); of the width, that of its
+# square beyond the usual.
+_USUAL_SPREAD = _Spread(0.15, 0.8, 1.4)
+
+
 class Judged(Protocol):
     """What is needed of a flight: what it was identified on, and what a monitor would have had of it."""
 
@@ -144,12 +157,13 @@ def _limits_of_extrapolation(
     chance = -float(np.expm1(-alarms_per_flight / signals))
     leverage, width = LEVERAGE_HEADROOM, WIDTH_HEADROOM
     if np.any(leverages):
-        leverage = next_flight(leverages, chance)
+        leverage = next_flight(leverages, chance, _USUAL_SPREAD.leverage)
     if np.any(widths):
         # Variances add: what widens an interval beyond the usual is the part of it that varies by flight.
-        width = float(np.sqrt(typical**2 + next_flight(widths**2 - typical**2, chance)))
+        width = float(np.sqrt(typical**2 + next_flight(widths**2 - typical**2, chance, _USUAL_SPREAD.width)))
     # What the training flights reached is never beyond.
-    return max(next_flight(distances, chance), 1.0), max(leverage, 1.0), max(width, 1.0)
+    distance = next_flight(distances, chance, _USUAL_SPREAD.distance)
+    return max(distance, 1.0), max(leverage, 1.0), max(width, 1.0)
 
 
 class LiveErrors(NamedTuple):

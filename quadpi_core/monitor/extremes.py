@@ -23,32 +23,39 @@ from quadpi_core.monitor.alarm_kernel import ROUNDING, STEP_MAX_S
 
 # Long against what correlates the samples, short against a flight.
 BLOCK_S = 5.0
+# What is known of the spread beforehand counts as so many flights.
+USUAL_FLIGHTS = 6
 # Share of the blocks that tells the tail, and least number of them, if need be up to half.
 _TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
 # Confidence of the upper bound of the tail's mean.
 _SURE = 0.8
-# Least value, mean excess in seconds and spread of logarithms: what never moved is no reason for a tight
-# limit.
+# Least value, and mean excess in seconds: what never moved is no reason for a tight limit.
 _LEAST = 0.02
 # Halvings of the range that a largest value is looked for in.
 _HALVINGS = 30
 
 
-def next_flight(largest: Array, chance: float) -> float:
+def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
     """Value that one more flight passes with a chance.
 
     The logarithms of the flights' largest values are taken to be normal. One more of them then lies about
-    the mean of n as Student's t with n − 1 degrees of freedom, times s √(1 + 1/n): right on average over
-    whichever n flights there were (Hahn and Meeker 1991, prediction intervals).
+    the mean of n as Student's t with ν degrees of freedom, times s √(1 + 1/n) (Hahn and Meeker 1991,
+    prediction intervals). A dozen flights tell little of their own spread, which may come out half as large
+    by chance: the usual one counts as if it came from :data:`USUAL_FLIGHTS` more. So s² is the mean of both,
+    weighted, and ν the sum of their degrees of freedom (Gelman et al., Bayesian Data Analysis, the scaled
+    inverse χ²).
 
     Args:
         largest: (n,) not negative, of at least two flights.
         chance: between 0 and 1.
+        usual_spread: standard deviation of the logarithms, as flights in general have it.
     """
     logarithms = np.log(np.maximum(largest, _LEAST))
     n = len(logarithms)
-    spread = max(float(np.std(logarithms, ddof=1)), _LEAST) * np.sqrt(1.0 + 1.0 / n)
-    return float(np.exp(np.mean(logarithms) + t.isf(chance, n - 1) * spread))
+    freedom = USUAL_FLIGHTS + n - 1
+    own = float(np.square(logarithms - logarithms.mean()).sum())
+    spread = np.sqrt((USUAL_FLIGHTS * usual_spread**2 + own) / freedom * (1.0 + 1.0 / n))
+    return float(np.exp(logarithms.mean() + t.isf(chance, freedom) * spread))
 
 
 def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:

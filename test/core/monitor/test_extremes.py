@@ -6,30 +6,40 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from quadpi_core.monitor.extremes import lasting_maximum, next_flight, sums_of_misses
+from quadpi_core.monitor.extremes import USUAL_FLIGHTS, lasting_maximum, next_flight, sums_of_misses
 
 PERSISTENCE_S, RELEASE_S = 0.1, 0.5
 STEP_S = 0.01
 
 
+USUAL = 0.6
+
+
 @pytest.mark.parametrize(("flights", "chance"), [(8, 0.003), (12, 0.003), (8, 0.05), (30, 0.01)])
 def test_one_more_flight_passes_its_limit_with_the_chance(flights, chance):
     rng = np.random.default_rng(flights)
-    drawn = np.exp(rng.normal(0.3, 0.6, size=(4000, flights + 1)))
-    passed = sum(one[-1] > next_flight(one[:-1], chance) for one in drawn)
+    # Sets of flights differ in their spread as is known beforehand: by a scaled inverse chi-square.
+    spread = USUAL * np.sqrt(USUAL_FLIGHTS / rng.chisquare(USUAL_FLIGHTS, size=(4000, 1)))
+    drawn = np.exp(0.3 + spread * rng.standard_normal((4000, flights + 1)))
+    passed = sum(one[-1] > next_flight(one[:-1], chance, USUAL) for one in drawn)
     assert binomtest(passed, len(drawn), chance).pvalue > 0.01
 
 
 def test_flights_that_differ_more_or_are_fewer_widen_the_limit():
     alike, unlike = np.linspace(0.9, 1.1, 12), np.linspace(0.5, 1.5, 12)
-    assert next_flight(unlike, 0.01) > next_flight(alike, 0.01)
-    assert next_flight(np.tile([0.9, 1.1], 4), 0.01) > next_flight(np.tile([0.9, 1.1], 20), 0.01)
-    assert next_flight(alike, 0.001) > next_flight(alike, 0.01)
+    assert next_flight(unlike, 0.01, USUAL) > next_flight(alike, 0.01, USUAL)
+    assert next_flight(alike, 0.01, USUAL) > next_flight(np.tile(alike, 10), 0.01, USUAL)
+    assert next_flight(alike, 0.001, USUAL) > next_flight(alike, 0.01, USUAL)
+
+
+def test_many_flights_tell_their_own_spread():
+    drawn = np.exp(0.2 * np.random.default_rng(5).standard_normal(3000))
+    assert next_flight(drawn, 0.01, USUAL) == pytest.approx(np.exp(0.2 * 2.326), rel=0.05)
 
 
 def test_flights_that_never_moved_give_a_finite_limit():
-    assert next_flight(np.ones(8), 0.003) == pytest.approx(1.0, rel=0.2)
-    assert 0.0 < next_flight(np.zeros(8), 0.003) < 0.1
+    assert 1.0 < next_flight(np.ones(8), 0.003, 0.1) < 1.6
+    assert 0.0 < next_flight(np.zeros(8), 0.003, 0.1) < 0.1
 
 
 @pytest.mark.parametrize(
