@@ -30,6 +30,8 @@ _PRIOR = 1.5
 # Of the prior: half the step of a difference quotient. Wind turns the airspeed of a hover around: a small
 # step would see no more of that than the cusp at rest.
 _STEP, _WIDE_STEP = 1e-3, 0.2
+# Of one rotor they differ in how its thrust goes with the airflow alone, which is known within a tolerance.
+_ONE_OF_A_ROTOR = frozenset({"weak_rotor", "rotor_speed_scale"})
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,11 @@ class Candidate:
         """Share by which the contribution of the effect may differ from what is computed of it."""
         # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
         return AERODYNAMIC if self.effect.kind == "wind" else self.effect.form
+
+    def excludes(self, other: Candidate) -> bool:
+        """Whether the two are not looked for together: one effect twice, or the same of one rotor."""
+        of_one_rotor = {self.name, other.name} <= _ONE_OF_A_ROTOR and self.start[0] == other.start[0]
+        return self.name == other.name or bool(of_one_rotor)
 
     def values(self, found: Array) -> Array:
         """All parameters (P,) from those found (k,)."""

@@ -112,7 +112,7 @@ class Compared:
         ]
         weak = EFFECTS["weak_rotor"]
         for rotor in range(ROTORS):
-            values = np.array([rotor + 1.0, tolerances.thrust])
+            values = np.array([rotor + 1.0, tolerances.thrust, -tolerances.thrust])
             columns.append(Column(f"thrust of rotor {rotor + 1}", self.added(weak, values)))
         for name, share in body_tolerances(tolerances):
             effect = EFFECTS[name]

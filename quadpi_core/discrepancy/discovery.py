@@ -22,9 +22,10 @@ from quadpi_core.frames import Array
 
 _INTERVAL = 1.96
 # What is predicted of an axis beyond the effects matters where its squares are this multiple of those of the
-# noise: of flights without any effect, nothing is predicted at all. Where it is louder than the noise, the
-# axis is judged by itself, too: an effect may explain another axis so well that it hides this one.
-_MATTERS, _LOUD = 0.05, 1.5
+# noise: of flights without any effect nothing is predicted, of a hover up to a quarter, as all motion there
+# is noise of the estimator. Where it is louder than the noise, the axis is judged by itself, too: an effect
+# may explain another axis so well that it hides this one.
+_MATTERS, _LOUD = 0.3, 1.5
 _FEWEST_FLIGHTS = 2
 
 

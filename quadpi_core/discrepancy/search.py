@@ -25,8 +25,10 @@ FALSE_ALARMS = 0.01
 _ROUNDS = 3
 # A further effect has to gain this share of what those before it gained, within bounds: two laws of the
 # literature for one effect differ by so much that another effect may seem to mend the difference. Another law
-# mends more of it than a number that is wrong in an exact one, which gains little where tolerances cover it.
+# mends more of it than a number that is wrong in an exact one, which gains little where tolerances cover it;
+# most is mended of a law.
 _FURTHER_SHARE, _FURTHER_LEAST, _FURTHER_NUMBER, _FURTHER_LAW = 0.05, 20.0, 100.0, 200.0
+_BESIDE_LAW = 350.0
 # Odds of about a hundred and fifty, whatever the calibration says.
 _LEAST_EVIDENCE = 5.0
 # A set is named alone where its evidence exceeds that of every other by this: odds of about a hundred. Laws
@@ -140,11 +142,14 @@ def _settle(design: Design) -> None:
         design.refresh()
 
 
-def _needed(candidate: Candidate, gain: float, threshold: float) -> float:
+def _needed(design: Design, index: int, beside: Sequence[int], gain: float, threshold: float) -> float:
     """Evidence that an effect has to gain beside others that gained some."""
     if gain == 0.0:
         return threshold
-    most = _FURTHER_LAW if candidate.form > 0.0 else _FURTHER_NUMBER
+    if any(design.candidates[other].form > 0.0 for other in beside):
+        most = _BESIDE_LAW
+    else:
+        most = _FURTHER_LAW if design.candidates[index].form > 0.0 else _FURTHER_NUMBER
     return float(np.clip(_FURTHER_SHARE * gain, _FURTHER_LEAST, most))
 
 
@@ -163,7 +168,8 @@ def _further(
         (added,) = set(larger) - set(chosen)
         if added in idle:
             continue
-        if more < _needed(design.candidates[added], gain, threshold) or design.loudness(added, fit) < _HEARD:
+        needed = _needed(design, added, chosen, gain, threshold)
+        if more < needed or design.loudness(added, fit) < _HEARD:
             break
         state = design.state()
         refined = _refine(design, larger, fit)
@@ -199,7 +205,7 @@ def _without_idle(
         rest = design.fit(fewer) if fewer else None
         if rest is None or not _sizeable(design, fewer, rest):
             continue
-        if found.log_evidence - rest.log_evidence < _needed(design.candidates[index], gain, threshold):
+        if found.log_evidence - rest.log_evidence < _needed(design, index, fewer, gain, threshold):
             state = design.state()
             refined = _refine(design, fewer, rest)
             if refined is not None:
@@ -230,10 +236,9 @@ def _stays(before: Array, after: Array, design: Design) -> bool:
 
 def _grown(design: Design, chosen: tuple[int, ...]) -> list[tuple[tuple[int, ...], Fit]]:
     """The set with one effect more, for each that can be added, best first."""
-    names = {design.candidates[index].name for index in chosen}
     grown = []
     for index, candidate in enumerate(design.candidates):
-        if candidate.name in names:
+        if any(candidate.excludes(design.candidates[other]) for other in chosen):
             continue
         larger = tuple(sorted((*chosen, index)))
         found = design.fit(larger)

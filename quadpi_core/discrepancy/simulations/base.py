@@ -125,7 +125,7 @@ class Simulation(ABC):
         return states
 
     def record(self) -> npt.NDArray[np.void]:
-        """Record `simulation.records.VEHICLE` (1,) with what effects look at; no aerodynamics."""
+        """Record `simulation.records.VEHICLE` (1,) with what effects look at; aerodynamics where known."""
         return vehicle_record(self.vehicle, self.hover_rotor_speed)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.discrepancy.simulations.base import (
     Column,
@@ -83,6 +84,10 @@ class VehicleSimulation(Simulation):
         """See :class:`Simulation`."""
         states = self.model.states(airspeed(flight), flight.rates, flight.rotor_speeds)
         return states["thrusts"].copy(), states["torques"].copy()
+
+    def record(self) -> npt.NDArray[np.void]:
+        """See :class:`Simulation`; with the aerodynamics, as rotors have forces in their plane, too."""
+        return self.model.record()
 
     def uncertain(self, flight: Flight) -> list[Column]:
         """One factor on each kind of coefficient; thrust and torque at rest have one of their own."""

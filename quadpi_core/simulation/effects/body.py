@@ -74,23 +74,27 @@ def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
 
 @effect(
     "wrench",
-    "Fx Fy Fz",
+    "Fx Fy Fz Mx My",
     Parameter("stiffness_n_m", "N/m", 0.6, 0.0, 100.0),
     Parameter("length_m", "m", 2.0, 0.0, 100.0),
     Parameter("north_m", "m", 0.0, -1000.0, 1000.0),
     Parameter("east_m", "m", 0.0, -1000.0, 1000.0),
     Parameter("height_m", "m", 0.0, 0.0, 1000.0),
+    Parameter("hook_m", "m", 0.01, -1.0, 1.0),
     shown_by="flights outward in every direction",
     form=AERODYNAMIC,
-    formula=r"F = -k\,\max(L - L_0,\ 0)\,R_{BE}\,n,\quad L\,n = x - (a_N,\ a_E,\ -a_h)",
-    symbols="k L_0 a_N a_E a_h",
+    formula=(
+        r"F = -k\,\max(L - L_0,\ 0)\,R_{BE}\,n,\quad M = h\,(-F_y,\ F_x,\ 0),\quad "
+        r"L\,n = x - (a_N,\ a_E,\ -a_h)"
+    ),
+    symbols="k L_0 a_N a_E a_h h",
 )
 @njit(cache=True)
 def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
-    """Elastic tether from a point of the world to the centre of gravity.
+    """Elastic tether from a point of the world to the belly.
 
-    F = −k (L − L0) n where L > L0, else 0; L and n are distance and direction from the anchor. Size: 0.6 N at
-    3 m over an anchor on the ground.
+    F = −k (L − L0) n where L > L0, else 0; L and n are distance and direction of the centre of gravity from
+    the anchor. It pulls at the hook, h below the centre. Size: 0.6 N at 3 m over an anchor on the ground.
     """
     north, east, down = state.position[0] - p[2], state.position[1] - p[3], state.position[2] + p[4]
     distance = np.sqrt(north * north + east * east + down * down)
@@ -98,7 +102,7 @@ def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
         return NO_WRENCH
     pull = -p[0] * (distance - p[1]) / distance
     fx, fy, fz = world_to_body(state.attitude, pull * north, pull * east, pull * down)
-    return fx, fy, fz, 0.0, 0.0, 0.0
+    return fx, fy, fz, -p[5] * fy, p[5] * fx, 0.0
 
 
 @effect(

@@ -179,7 +179,7 @@ def rotor_dissymmetry(state: Any, vehicle: Any, p: Array) -> Wrench:
     shown_by="vertical descents at half to one and a half times the induced velocity of hover",
     form=AERODYNAMIC,
     formula=(
-        r"\Delta T_i = -k\,T_i\,x_i^2\,e^{1 - x_i^2 - \mu_i^2},\quad "
+        r"\Delta T_i = -k\,T_i\,x_i\,e^{(1 - x_i^4)/4 - \mu_i^2},\quad "
         r"x_i = \frac{\max(w_i, 0)}{v_h},\quad "
         r"\mu_i = \frac{\sqrt{u_i^2 + v_i^2}}{v_h}"
     ),
@@ -189,15 +189,17 @@ def rotor_dissymmetry(state: Any, vehicle: Any, p: Array) -> Wrench:
 def vortex_ring(state: Any, vehicle: Any, p: Array) -> Wrench:
     """Thrust lost by rotors that descend into their own wake.
 
-    T_i falls by k T_i x² e^(1 − x²) e^(−μ²), x = w_i/v_h > 0 (descent) and μ = √(u_i² + v_i²)/v_h: largest
-    where the descent is as fast as the induced velocity of hover v_h, and gone once the vehicle flies out of
-    its wake (the vortex ring state ends at μ near 1: Johnson, NASA TP-2005-213477). Size: 0.64 N of 4.9 N.
+    T_i falls by k T_i x e^((1 − x⁴)/4) e^(−μ²), x = w_i/v_h > 0 (descent) and μ = √(u_i² + v_i²)/v_h.
+    Measured induced velocities leave those of momentum theory from the first descent on, most where it is as
+    fast as the induced velocity of hover v_h, and meet them again in the windmill brake state near twice that
+    (Leishman, Principles of Helicopter Aerodynamics, 2006). It is gone once the vehicle flies out of its wake
+    (near μ = 1: Johnson, NASA TP-2005-213477). Size: 0.64 N of 4.9 N.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
         x = max(state.hub_velocity[rotor, 2], 0.0) / vehicle.hover_induced_velocity
         across = in_plane_speed(state, rotor) / vehicle.hover_induced_velocity
-        loss = p[0] * state.thrusts[rotor] * x * x * np.exp(1.0 - x * x - across * across)
+        loss = p[0] * state.thrusts[rotor] * x * np.exp(0.25 * (1.0 - x**4) - across * across)
         wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, loss)
     return wrench
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.definition import Parameter, Wrench, effect
+from quadpi_core.simulation.effects.definition import AERODYNAMIC, Parameter, Wrench, effect
 from quadpi_core.simulation.effects.kernels import NO_WRENCH, with_hub_force
 from quadpi_core.vehicle import ROTORS
 
@@ -75,7 +75,7 @@ def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
-        wrench = _with_share(wrench, state, vehicle, rotor, p[0])
+        wrench = _with_shares(wrench, state, vehicle, rotor, p[0], p[0])
     return wrench
 
 
@@ -94,32 +94,43 @@ def rotor_thrusts(state: Any, vehicle: Any, p: Array) -> Wrench:
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
-        wrench = _with_share(wrench, state, vehicle, rotor, p[rotor])
+        wrench = _with_shares(wrench, state, vehicle, rotor, p[rotor], p[rotor])
     return wrench
 
 
 @effect(
     "wrench",
-    "Fz Mx My Mz",
+    "Fx Fy Fz Mx My Mz",
     _WHICH,
     Parameter("loss", "", 0.1, 0.0, 1.0),
+    Parameter("torque_change", "", -0.1, -1.0, 1.0),
     shown_by="throttle steps with yaw steps",
-    formula=r"\Delta T_j = -k\,T_j,\quad \Delta Q_j = -k\,Q_j",
-    symbols="j k",
+    form=AERODYNAMIC,
+    formula=r"\Delta T_j = -k\,T_j,\quad (\Delta Q_j,\ \Delta H_j) = k_Q\,(Q_j,\ H_j)",
+    symbols="j k k_Q",
 )
 @njit(cache=True)
 def weak_rotor(state: Any, vehicle: Any, p: Array) -> Wrench:
-    """One rotor is damaged and gives less thrust and torque than its speed promises.
+    """One rotor is damaged and gives less thrust than its speed promises, and another torque.
 
-    T_i and the torque of that rotor fall by the share k. Size: 10 %.
+    T_i of that rotor falls by the share k; its torque and its drag in the plane H_i grow by k_Q, or fall: a
+    nick costs lift and adds drag, a blade cut short costs both. Size: 10 % less of all.
     """
-    return _with_share(NO_WRENCH, state, vehicle, int(p[0]) - 1, -p[1])
+    rotor = int(p[0]) - 1
+    fx, fy, fz, mx, my, mz = _with_shares(NO_WRENCH, state, vehicle, rotor, -p[1], p[2])
+    u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
+    x, y = vehicle.rotor_positions[rotor, 0], vehicle.rotor_positions[rotor, 1]
+    drag = p[2] * vehicle.rotor_force_along * state.rotor_speeds[rotor]
+    return fx + drag * u, fy + drag * v, fz, mx, my, mz + drag * (x * v - y * u)
 
 
 @njit(cache=True)
-def _with_share(wrench: Wrench, state: Any, vehicle: Any, rotor: int, share: float) -> Wrench:
-    fx, fy, fz, mx, my, mz = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -share * state.thrusts[rotor])
-    return fx, fy, fz, mx, my, mz + share * state.torques[rotor]
+def _with_shares(
+    wrench: Wrench, state: Any, vehicle: Any, rotor: int, of_thrust: float, of_torque: float
+) -> Wrench:
+    more = -of_thrust * state.thrusts[rotor]
+    fx, fy, fz, mx, my, mz = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, more)
+    return fx, fy, fz, mx, my, mz + of_torque * state.torques[rotor]
 
 
 @effect(

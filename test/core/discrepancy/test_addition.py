@@ -128,6 +128,7 @@ def test_effects_add_up_or_are_refused():
     assert merged(one, read_effects({"weak_rotor": {"rotor": 2, "loss": 0.95}}, "test"))["weak_rotor"] == {
         "rotor": 2.0,
         "loss": 1.0,
+        "torque_change": -0.2,
     }
 
 
