@@ -155,7 +155,7 @@ class TestRefusals:
 
     def test_vehicle_out_of_control(self, refused):
         message = r"flight hop: .* out of control after \d+\.\d+ s: tilt"
-        refused(message, "--effect", "weak_rotor:rotor=1,loss=1,torque_change=-1")
+        refused(message, "--effect", "cg_offset:x_m=0.1,y_m=0")
 
     def test_page_in_the_place_of_a_bag(self, quadpi, scenario, tmp_path):
         bag = tmp_path / "bags" / "hop.mcap"
