@@ -101,7 +101,7 @@ def _adjusting_helps(found: Found) -> bool:
 def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[dict[str, float], Effects]:
     """Multiples of tolerances: those of the simulation's own coefficients; the others as small effects."""
     own = dict(multiples)
-    changes = [-tolerances.thrust * own.pop(f"thrust of rotor {rotor + 1}") for rotor in range(ROTORS)]
+    changes = [tolerances.thrust * own.pop(f"thrust of rotor {rotor + 1}") for rotor in range(ROTORS)]
     small = {_ROTORS: _named(_ROTORS, changes)}
     for name, deviation in body_tolerances(tolerances):
         values = [deviation * own.pop(f"{name}.{p.name}") for p in EFFECTS[name].parameters]

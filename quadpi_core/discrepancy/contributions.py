@@ -110,10 +110,9 @@ class Compared:
         columns = [
             Column(name, wrench[:: self.step]) for name, wrench in self.simulation.uncertain(self.flight)
         ]
-        weak = EFFECTS["weak_rotor"]
-        for rotor in range(ROTORS):
-            values = np.array([rotor + 1.0, tolerances.thrust, -tolerances.thrust])
-            columns.append(Column(f"thrust of rotor {rotor + 1}", self.added(weak, values)))
+        for rotor, values in enumerate(tolerances.thrust * np.eye(ROTORS)):
+            wrench = self.added(EFFECTS["rotor_thrusts"], values)
+            columns.append(Column(f"thrust of rotor {rotor + 1}", wrench))
         for name, share in body_tolerances(tolerances):
             effect = EFFECTS[name]
             for index, parameter in enumerate(effect.parameters):
