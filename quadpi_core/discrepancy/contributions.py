@@ -23,7 +23,6 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
-from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
 from quadpi_core.signals.wrench import measured_wrench
@@ -141,6 +140,18 @@ def body_tolerances(tolerances: Tolerances) -> tuple[tuple[str, float], ...]:
     )
 
 
+def share_of_wrench(effect: Effect, vehicle: Vehicle, values: Array) -> Array:
+    """Share (6, 6) of the wrench by which an effect on the vehicle changes the residual.
+
+    The wrench is that of the vehicle's accelerations, :attr:`Compared.expected_measured`.
+    """
+    altered = effect.function(vehicle, values)
+    share = np.zeros((6, 6))
+    share[:3, :3] = (1.0 - altered.mass_kg / vehicle.mass_kg) * np.eye(3)
+    share[3:, 3:] = np.eye(3) - altered.inertia @ np.linalg.inv(vehicle.inertia)
+    return share
+
+
 def expected(flight: Flight, simulation: Simulation) -> Flight:
     """A flight with the accelerations that a simulation predicts of it; slowly turning as it did."""
     vehicle = simulation.vehicle
@@ -173,13 +184,8 @@ def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
 
 
 def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
-    nominal = compared.simulation.vehicle
-    try:
-        share, vehicle = 1.0, effect.function(nominal, values)
-    except SimulationError:
-        # No such body exists: to first order the effect goes on beyond the last one that does.
-        share, vehicle = 10.0, effect.function(nominal, 0.1 * values)
-    return share * (compared.expected_measured - measured_wrench(compared.expected_thinned, vehicle))
+    vehicle = effect.function(compared.simulation.vehicle, values)
+    return compared.expected_measured - measured_wrench(compared.expected_thinned, vehicle)
 
 
 def _wind(compared: Compared, effect: Effect, values: Array) -> Array:

@@ -10,14 +10,17 @@ from dataclasses import replace
 import numpy as np
 
 from quadpi_core.discrepancy.candidates import Candidate, linearise
-from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.discrepancy.contributions import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit, residual_weights
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.simulation.effects import EFFECTS
 
 # Of an effect whose law may be off: share by which its axes may differ, over that by which it may change.
 _AXES_OVER_FORM = 1.5
+# Of a prior: step of a difference quotient. Rounds in which columns and what they explain settle together.
+_SMALL, _ROUNDS = 1e-3, 2
 _NONE: Indices = np.empty(0, dtype=np.intp)
 
 
@@ -57,6 +60,55 @@ class Design:
             self.points.append(np.zeros(len(candidate.free)))
             self.blocks.append(self._linearised(index))
         self.weigh(self._estimated_noise(()))
+        self._accelerate()
+
+    def _accelerate(self) -> None:
+        """Columns of another mass or inertia, of the accelerations that all columns together explain.
+
+        As measured, accelerations would explain their own noise; as simulated, they are off by all that is
+        looked for, times the change of mass or inertia.
+        """
+        shares = self._shares()
+        if not shares:
+            return
+        accelerated = [_rows(flight, flight.expected_measured) for flight in self.flights]
+        for _ in range(_ROUNDS):
+            left = self._left_of_everything()
+            for place, flight in enumerate(self.flights):
+                explained = _rows(flight, flight.measured) - self.combined(place, left)
+                change = explained - accelerated[place]
+                accelerated[place] = explained
+                starts = _starts(self._tables[place])
+                for column, share in shares.items():
+                    at = int(np.searchsorted(starts, column, side="right")) - 1
+                    self._tables[place][at][:, :, column - starts[at]] += share @ change
+            self.weigh(self._estimated_noise(()))
+
+    def _shares(self) -> dict[int, Array]:
+        """Share (6, 6) of the wrench in each column of another mass or inertia, by its index."""
+        simulation = self.flights[0].simulation
+        shares = {}
+        for name, deviation in body_tolerances(simulation.tolerances):
+            effect = EFFECTS[name]
+            for values, p in zip(deviation * np.eye(len(effect.parameters)), effect.parameters, strict=True):
+                if effect.kind == "vehicle":
+                    column = 1 + self.tolerance_names.index(f"{name}.{p.name}")
+                    shares[column] = share_of_wrench(effect, simulation.vehicle, values)
+        for candidate, block in zip(self.candidates, self.blocks, strict=True):
+            if candidate.effect.kind == "vehicle":
+                for column, values in zip(block.parameters, np.diag(candidate.scale), strict=True):
+                    small = share_of_wrench(candidate.effect, simulation.vehicle, _SMALL * values)
+                    shares[int(column)] = small / _SMALL
+        return shares
+
+    def _left_of_everything(self) -> Array:
+        """Weights (K,) of what tolerances and every effect that is linear leave together."""
+        blocks = [block.parameters for block in self.blocks if block.offset is None]
+        columns = np.concatenate([self.tolerances, *blocks])
+        matrix = self.gram[np.ix_(columns, columns)] + np.eye(len(columns))
+        weights = residual_weights(self._width, ())
+        weights[columns] = -np.linalg.solve(matrix, self.gram[columns, 0])
+        return weights
 
     def _estimated_noise(self, chosen: Sequence[int]) -> Array:
         """Noise (6, BANDS) that tolerances, every effect that is linear, and those chosen leave."""
@@ -220,20 +272,37 @@ class Design:
 
     def loudness(self, index: int, found: Fit) -> float:
         """Root mean square of what a candidate adds in a fit over that of the noise, in its loudest axis."""
-        block = self.blocks[index]
-        weights = np.zeros(self._width)
-        weights[block.parameters] = found.of(block.parameters)
-        if block.offset is not None:
-            weights[block.offset] = -1.0
         squares, noise = np.zeros(len(AXES)), np.zeros(len(AXES))
         for place, band in enumerate(self.bands):
-            squares += np.square(self.combined(place, weights)).sum(axis=1)
+            squares += np.square(self._adds(place, (index,), found)).sum(axis=1)
             noise += self.noise[:, band].sum(axis=1)
         return float(np.sqrt(np.max(squares / noise)))
+
+    def energy(self, chosen: Sequence[int], found: Fit) -> float:
+        """Half of the squares of what candidates add in a fit, in variances of the noise."""
+        squares = 0.0
+        for place, band in enumerate(self.bands):
+            squares += float(np.sum(np.square(self._adds(place, chosen, found)) / self.noise[:, band]))
+        return 0.5 * squares
+
+    def _adds(self, place: int, chosen: Sequence[int], found: Fit) -> Array:
+        """Rows (6, B) that candidates add to a flight in a fit."""
+        weights = np.zeros(self._width)
+        for index in chosen:
+            block = self.blocks[index]
+            weights[block.parameters] = found.of(block.parameters)
+            if block.offset is not None:
+                weights[block.offset] = -1.0
+        return self.combined(place, weights)
 
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit."""
         return found.of(self.blocks[index].parameters) * self.candidates[index].scale
+
+
+def _rows(flight: Compared, wrench: Array) -> Array:
+    """Rows (6, B) of a wrench (M, 6)."""
+    return spectrum(wrench[:, :, None], flight.thinned.rate_hz).rows[:, :, 0]
 
 
 def _starts(tables: Sequence[Array]) -> list[int]:

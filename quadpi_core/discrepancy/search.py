@@ -23,10 +23,10 @@ _DRAWS = 1000
 # Share of searches on flights without any effect that may name one.
 FALSE_ALARMS = 0.01
 _ROUNDS = 3
-# A further effect has to gain this share of what those before it gained, within bounds: two laws of the
-# literature for one effect differ by so much that another effect may seem to mend the difference. Another law
-# mends more of it than a number that is wrong in an exact one, which gains little where tolerances cover it;
-# most is mended of a law.
+# A further effect has to gain this share, within bounds, of what those before it add; what they gained is
+# little where tolerances cover them. Two laws of the literature for one effect differ by so much that another
+# effect may seem to mend the difference. Another law mends more of it than a number that is wrong in an exact
+# one; most is mended of a law.
 _FURTHER_SHARE, _FURTHER_LEAST, _FURTHER_NUMBER, _FURTHER_LAW = 0.05, 20.0, 100.0, 200.0
 _BESIDE_LAW = 350.0
 # Odds of about a hundred and fifty, whatever the calibration says.
@@ -105,12 +105,12 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
     idle: set[int] = set()
     found, gain = none, 0.0
     while len(chosen) < MOST_EFFECTS:
-        further = _further(design, chosen, found, gain, threshold, idle)
+        further = _further(design, chosen, found, threshold, idle)
         if further is None:
             break
         larger, found, more = further
         gain += more
-        chosen, found = _without_idle(design, larger, found, gain, threshold)
+        chosen, found = _without_idle(design, larger, found, threshold)
         # What was dropped does not come back: two could take turns for ever.
         idle |= set(larger) - set(chosen)
     rivals = _rivals(design, chosen, found)
@@ -142,19 +142,19 @@ def _settle(design: Design) -> None:
         design.refresh()
 
 
-def _needed(design: Design, index: int, beside: Sequence[int], gain: float, threshold: float) -> float:
-    """Evidence that an effect has to gain beside others that gained some."""
-    if gain == 0.0:
+def _needed(design: Design, index: int, beside: Sequence[int], found: Fit, threshold: float) -> float:
+    """Evidence that an effect has to gain beside others, by what these add in their fit."""
+    if not beside:
         return threshold
     if any(design.candidates[other].form > 0.0 for other in beside):
         most = _BESIDE_LAW
     else:
         most = _FURTHER_LAW if design.candidates[index].form > 0.0 else _FURTHER_NUMBER
-    return float(np.clip(_FURTHER_SHARE * gain, _FURTHER_LEAST, most))
+    return float(np.clip(_FURTHER_SHARE * design.energy(beside, found), _FURTHER_LEAST, most))
 
 
 def _further(
-    design: Design, chosen: tuple[int, ...], found: Fit, gain: float, threshold: float, idle: set[int]
+    design: Design, chosen: tuple[int, ...], found: Fit, threshold: float, idle: set[int]
 ) -> tuple[tuple[int, ...], Fit, float] | None:
     """The set with the best effect, not among the idle, that stands beside those chosen; its fit and gain.
 
@@ -168,7 +168,7 @@ def _further(
         (added,) = set(larger) - set(chosen)
         if added in idle:
             continue
-        needed = _needed(design, added, chosen, gain, threshold)
+        needed = _needed(design, added, chosen, found, threshold)
         if more < needed or design.loudness(added, fit) < _HEARD:
             break
         state = design.state()
@@ -197,7 +197,7 @@ def _beside_what_it_leaves(design: Design, chosen: tuple[int, ...], found: Fit) 
 
 
 def _without_idle(
-    design: Design, chosen: tuple[int, ...], found: Fit, gain: float, threshold: float
+    design: Design, chosen: tuple[int, ...], found: Fit, threshold: float
 ) -> tuple[tuple[int, ...], Fit]:
     """The set without effects that are not needed any more, now that a better one is there."""
     for index in chosen:
@@ -205,7 +205,7 @@ def _without_idle(
         rest = design.fit(fewer) if fewer else None
         if rest is None or not _sizeable(design, fewer, rest):
             continue
-        if found.log_evidence - rest.log_evidence < _needed(design, index, fewer, gain, threshold):
+        if found.log_evidence - rest.log_evidence < _needed(design, index, fewer, rest, threshold):
             state = design.state()
             refined = _refine(design, fewer, rest)
             if refined is not None:

@@ -20,7 +20,7 @@ from quadpi_core.frames import Array
 from quadpi_core.simulation.effects.definition import Effect, Effects, Wrench
 from quadpi_core.simulation.effects.registry import EFFECTS, WRENCH_INDEX, added_wrench
 from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Vehicle, is_rigid_body
 
 # Of what `compose` gives: (state, vehicle, parameters (K, P)).
 SIGNATURE = types.void(STATE_TYPE, VEHICLE_TYPE, types.float64[:, ::1])
@@ -134,10 +134,16 @@ def altered_vehicle(effects: Effects, vehicle: Vehicle) -> Vehicle:
     """The vehicle as it truly flies.
 
     Raises:
-        SimulationError: if an effect leaves no possible vehicle.
+        SimulationError: for moments of inertia of which one is more than the sum of the other two.
     """
     for effect, values in _of_kind(effects, "vehicle"):
         vehicle = effect.function(vehicle, values)
+    if "inertia" in effects and not is_rigid_body(vehicle.inertia):
+        changes = ", ".join(f"{value:g}" for value in effects["inertia"].values())
+        raise SimulationError(
+            f"vehicle {vehicle.name}: effect `inertia`: changes of {changes} leave moments that no "
+            "rigid body has (each is at most the sum of the other two)"
+        )
     return vehicle
 
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effects.definition import Parameter, effect
-from quadpi_core.vehicle import Vehicle, is_rigid_body
+from quadpi_core.vehicle import Vehicle
 
 
 @effect(
@@ -42,15 +41,6 @@ def inertia(vehicle: Vehicle, p: Array) -> Vehicle:
     """Moments of inertia other than the file's.
 
     I_ij grows to I_ij √((1 + k_i)(1 + k_j)), which keeps the matrix positive. Size: 20 %.
-
-    Raises:
-        SimulationError: where no rigid body has such moments: each is at most the sum of the other two.
     """
     scale = np.sqrt(1.0 + p)
-    changed = vehicle.inertia * scale[:, None] * scale
-    if not is_rigid_body(changed):
-        raise SimulationError(
-            f"vehicle {vehicle.name}: effect `inertia`: changes of {p[0]:g}, {p[1]:g} and {p[2]:g} leave "
-            "moments that no rigid body has (each is at most the sum of the other two)"
-        )
-    return replace(vehicle, inertia=changed)
+    return replace(vehicle, inertia=vehicle.inertia * scale[:, None] * scale)

@@ -137,6 +137,9 @@ class _Told:
     def refresh(self):
         pass
 
+    def energy(self, chosen, *_):
+        return self.evidence[tuple(chosen)]
+
     def noise_beside(self, *_):
         return np.ones(1)
 
@@ -148,7 +151,7 @@ class _Told:
 def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
     """The first did well until the second came; that one does nearly as well, or does not, without it."""
     design = _Told({(0,): 1000.0, (1,): alone, (0, 1): 1200.0})
-    chosen, found = _without_idle(design, (0, 1), design.fit((0, 1)), gain=1200.0, threshold=5.0)
+    chosen, found = _without_idle(design, (0, 1), design.fit((0, 1)), threshold=5.0)
     assert chosen == kept
     assert found.log_evidence == design.evidence[kept]
     assert design.weighed == (kept != (0, 1))
