@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from quadpi_core import __version__
@@ -20,16 +21,17 @@ from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.formulas import write_formulas
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
-from quadpi_core.errors import DiscrepancyError, SimulationError, VehicleError
+from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects import EFFECTS, Effects, altered_vehicle
+from quadpi_core.simulation.effects import EFFECTS, Effects
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle, is_rigid_body
 
 _ROTORS = "rotor_thrusts"
 # Not linear in its parameters: one on top of another is not their sum.
 _ALONE = "tether"
-_HALVINGS = 20
+# Of a moment of inertia: by how much it is lowered at a time, and how often.
+_STEP, _STEPS = 0.005, 500
 
 
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
@@ -60,23 +62,24 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         multiples = dict(zip(design.tolerance_names, fitted.of(design.tolerances).tolist(), strict=True))
         adjusted, small = _divided(multiples, simulation.tolerances)
         effects = merged(small, effects)
-    return _added(simulation, _possible(effects, simulation.vehicle), adjusted)
+    return _added(simulation, effects, adjusted)
 
 
 def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
-    """The effects, the change of inertia halved until some rigid body has it.
+    """The effects, the largest moment of inertia lowered until a rigid body has the three.
 
     Of a flat vehicle, one moment is nearly the sum of the others: noise alone can take it beyond.
     """
-    for _ in range(_HALVINGS):
-        try:
-            altered_vehicle(effects, vehicle)
-        except SimulationError:
-            halved = {key: 0.5 * value for key, value in effects["inertia"].items()}
-            effects = {**effects, "inertia": halved}
-        else:
+    if "inertia" not in effects:
+        return effects
+    changes = np.array(list(effects["inertia"].values()))
+    for _ in range(_STEPS):
+        inertia = EFFECTS["inertia"].function(vehicle, changes).inertia
+        if is_rigid_body(inertia):
             break
-    return effects
+        largest = int(np.argmax(np.diag(inertia)))
+        changes[largest] = (1.0 - _STEP) * (1.0 + changes[largest]) - 1.0
+    return {**effects, "inertia": _named("inertia", changes)}
 
 
 def _fit(found: Found, gram: Array) -> Fit:
@@ -110,7 +113,11 @@ def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[di
 
 
 def _named(name: str, values: Any) -> dict[str, float]:
-    return {p.name: float(value) for p, value in zip(EFFECTS[name].parameters, values, strict=True)}
+    parameters = EFFECTS[name].parameters
+    return {
+        p.name: float(min(max(value, p.lowest), p.highest))
+        for p, value in zip(parameters, values, strict=True)
+    }
 
 
 def merged(one: Effects, other: Effects) -> Effects:
@@ -147,6 +154,7 @@ def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float])
         adjusted = {name: adjusted[name] for name in own}
         effects, before = merged(simulation.effects, effects), simulation.adjusted
         simulation = simulation.base
+    effects = _possible(effects, simulation.vehicle)
     if isinstance(simulation, VehicleSimulation):
         return AugmentedSimulation(simulation.adjusted(adjusted), effects)
     both = {name: before.get(name, 0.0) + adjusted.get(name, 0.0) for name in {*before, *adjusted}}

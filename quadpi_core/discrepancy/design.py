@@ -69,8 +69,6 @@ class Design:
         looked for, times the change of mass or inertia.
         """
         shares = self._shares()
-        if not shares:
-            return
         accelerated = [_rows(flight, flight.expected_measured) for flight in self.flights]
         for _ in range(_ROUNDS):
             left = self._left_of_everything()
@@ -103,8 +101,7 @@ class Design:
 
     def _left_of_everything(self) -> Array:
         """Weights (K,) of what tolerances and every effect that is linear leave together."""
-        blocks = [block.parameters for block in self.blocks if block.offset is None]
-        columns = np.concatenate([self.tolerances, *blocks])
+        columns = self._linear_columns()
         matrix = self.gram[np.ix_(columns, columns)] + np.eye(len(columns))
         weights = residual_weights(self._width, ())
         weights[columns] = -np.linalg.solve(matrix, self.gram[columns, 0])
@@ -113,18 +110,22 @@ class Design:
     def _estimated_noise(self, chosen: Sequence[int]) -> Array:
         """Noise (6, BANDS) that tolerances, every effect that is linear, and those chosen leave."""
         residual = residual_weights(self._width, [self.blocks[index] for index in chosen])
-        blocks = [block.parameters for block in self.blocks if block.offset is None]
+        parts = [self._linear_columns()]
         for index in chosen:
-            blocks.append(self.blocks[index].form)
+            parts.append(self.blocks[index].form)
             if self.blocks[index].offset is not None:
-                blocks.append(self.blocks[index].parameters)
-        columns = np.concatenate([self.tolerances, *blocks])
+                parts.append(self.blocks[index].parameters)
+        columns = np.concatenate(parts)
         return estimate_noise(
             [
                 Spectrum(np.dstack((self.combined(place, residual), self.rows(place, columns))), band)
                 for place, band in enumerate(self.bands)
             ]
         )
+
+    def _linear_columns(self) -> Indices:
+        linear = [block.parameters for block in self.blocks if block.offset is None]
+        return np.concatenate([self.tolerances, *linear])
 
     def weigh(self, noise: Array) -> None:
         """Take another noise (6, BANDS)."""

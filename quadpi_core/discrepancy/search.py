@@ -270,12 +270,12 @@ def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, li
     rivals: dict[int, list[tuple[int, float]]] = {}
     for index in chosen:
         others = tuple(other for other in chosen if other != index)
-        names = {design.candidates[other].name for other in chosen}
+        beside = [design.candidates[other] for other in others]
         without = design.fit(others) or _require(design.fit(()))
         margin = max(NAMED_ALONE, _ALIKE * (found.log_evidence - without.log_evidence))
         close = []
         for rival, candidate in enumerate(design.candidates):
-            if candidate.name in names:
+            if candidate.name == design.candidates[index].name or any(map(candidate.excludes, beside)):
                 continue
             swapped = design.fit(tuple(sorted((*others, rival))))
             if swapped is None or not _sizeable(design, (rival,), swapped):

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import discover
+from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import _without_idle
 from quadpi_core.errors import DiscrepancyError
@@ -88,6 +88,24 @@ def test_effects_that_look_alike_are_one_set(simulation, flights, pushed):
     assert effect.probability < 0.9
     assert found.as_dict()["ambiguous"] == [[effect.name, *effect.rivals]]
     assert len(effect.shown_by) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "true"),
+    [
+        ("inertia", {"x_change": -0.2, "y_change": -0.15, "z_change": -0.2}),
+        ("payload", {"mass_kg": 0.1}),
+    ],
+)
+def test_another_body_is_told_from_another_thrust(effect, true, flown):
+    """Mass, moments of inertia and thrust of another size all together leave accelerations as they are."""
+    text = ",".join(f"{name}={value}" for name, value in true.items())
+    found = discover(load_simulation("bebop2"), flown(f"{effect}:{text}"))
+    assert [own.name for own in found.effects] == [effect]
+    for parameter in found.effects[0].parameters:
+        assert parameter.lower < true[parameter.name] < parameter.upper
+        assert parameter.value == pytest.approx(true[parameter.name], rel=0.1)
 
 
 def test_every_flight_has_to_be_of_the_vehicle(simulation, flights):
