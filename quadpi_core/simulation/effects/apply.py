@@ -139,10 +139,10 @@ def altered_vehicle(effects: Effects, vehicle: Vehicle) -> Vehicle:
     for effect, values in _of_kind(effects, "vehicle"):
         vehicle = effect.function(vehicle, values)
     if "inertia" in effects and not is_rigid_body(vehicle.inertia):
-        changes = ", ".join(f"{value:g}" for value in effects["inertia"].values())
+        x, y, z = effects["inertia"].values()
         raise SimulationError(
-            f"vehicle {vehicle.name}: effect `inertia`: changes of {changes} leave moments that no "
-            "rigid body has (each is at most the sum of the other two)"
+            f"vehicle {vehicle.name}: effect `inertia`: changes of {x:g}, {y:g} and {z:g} leave moments "
+            "that no rigid body has (each is at most the sum of the other two)"
         )
     return vehicle
 
