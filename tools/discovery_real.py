@@ -95,19 +95,19 @@ whether roll-outs improve, and whether sizes are those of the literature.
 # By a person; to be read again beside other figures.
 _READING = """## What these figures say
 
-- Both vehicles lack the same two effects first, drag and flapping of the rotors; the fast one drag of its
-  body too. On NeuroBEM flights left out, Fx and Fy fall to a third and a quarter, moments to a third and
-  less. Beside the authors' hybrid, which was trained on flights of the same set, forces are 20 to 80 %
-  worse on these four, and moments between 20 % better and 40 % worse.
+- Both vehicles lack drag of the rotors first, the fast one drag of its body too. Moments close within the
+  tolerances of coefficients, which are wide here. On NeuroBEM flights left out, Fx falls to a quarter, Fy to
+  a sixth, moments to a fifth and less. Beside the authors' hybrid, which was trained on flights of the same
+  set, Fx and Fz are 30 % worse after one round and the rest 20 % and more better; after two rounds no axis
+  is worse. Its second round improves no roll-out: a closer fit, no findings.
 - The share of the removable gap says little here: the floor holds all that no function of the library
   explains.
-- Up to 20 Hz the search on NeuroBEM is misled: a payload of the vehicle's own mass, and after it an Fz ten
-  times as far off. Above about 5 Hz the measured moments hardly follow the rotor speeds (the gyro lags the
-  attitude by 5 to 7 ms), and the many samples there carry effects that serve moments alone. The verdict
-  should be `unknown`.
-- The second round on the Crazyflie names a tilted rotor and a turned IMU, which close the one-step gap and
-  make roll-outs worse: names to distrust. Roll-outs test what one-step errors do not.
-- After the first round roll-outs of half a second still go far off: 57° and 23° in attitude.
+- Up to 20 Hz the search on NeuroBEM is misled: rotor speeds a third too low, and roll-outs no better. Above
+  about 5 Hz the measured moments hardly follow the rotor speeds (the gyro lags the attitude by 5 to 7 ms).
+  The verdict should be `unknown`.
+- The second round on the Crazyflie takes back the rotor drag of the first, which closes the one-step gap and
+  makes roll-outs much worse: to distrust. Roll-outs test what one-step errors do not.
+- After the first round roll-outs of half a second still go far off: 31° and 17° in attitude.
 """
 
 
