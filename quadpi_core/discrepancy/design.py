@@ -69,17 +69,17 @@ class Design:
         looked for, times the change of mass or inertia.
         """
         shares = self._shares()
+        columns = np.array(list(shares))
+        measured = [_rows(flight, flight.measured) for flight in self.flights]
         accelerated = [_rows(flight, flight.expected_measured) for flight in self.flights]
         for _ in range(_ROUNDS):
             left = self._left_of_everything()
-            for place, flight in enumerate(self.flights):
-                explained = _rows(flight, flight.measured) - self.combined(place, left)
+            for place, tables in enumerate(self._tables):
+                explained = measured[place] - self.combined(place, left)
                 change = explained - accelerated[place]
                 accelerated[place] = explained
-                starts = _starts(self._tables[place])
-                for column, share in shares.items():
-                    at = int(np.searchsorted(starts, column, side="right")) - 1
-                    self._tables[place][at][:, :, column - starts[at]] += share @ change
+                for (table, at), share in zip(_places(tables, columns), shares.values(), strict=True):
+                    tables[table][:, :, at] += share @ change
             self.weigh(self._estimated_noise(()))
 
     def _shares(self) -> dict[int, Array]:
@@ -161,9 +161,7 @@ class Design:
     def rows(self, place: int, columns: Indices) -> Array:
         """Some columns (6, B, k) of a flight."""
         tables = self._tables[place]
-        starts = _starts(tables)
-        at = np.searchsorted(starts, columns, side="right") - 1
-        taken = [tables[t][:, :, c - starts[t]] for t, c in zip(at, columns, strict=True)]
+        taken = [tables[t][:, :, at] for t, at in _places(tables, columns)]
         return np.stack(taken, axis=2)
 
     def combined(self, place: int, weights: Array) -> Array:
@@ -309,6 +307,13 @@ def _rows(flight: Compared, wrench: Array) -> Array:
 def _starts(tables: Sequence[Array]) -> list[int]:
     """Index of the first column of each of the tables (6, B, ·)."""
     return [0, *np.cumsum([table.shape[2] for table in tables])[:-1].tolist()] if tables else []
+
+
+def _places(tables: Sequence[Array], columns: Indices) -> list[tuple[int, int]]:
+    """Which of the tables (6, B, ·) each column is in, and where in it."""
+    starts = _starts(tables)
+    within = np.searchsorted(starts, columns, side="right") - 1
+    return [(int(table), int(column - starts[table])) for table, column in zip(within, columns, strict=True)]
 
 
 def _modulators(flights: Sequence[Compared]) -> list[Array]:
