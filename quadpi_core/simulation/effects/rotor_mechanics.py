@@ -135,21 +135,27 @@ def _with_shares(
 
 @effect(
     "wrench",
-    "Fx Fy Mx My Mz",
+    "Fx Fy Fz Mx My Mz",
     _WHICH,
     Parameter("forward_deg", "deg", 1.4, -15.0, 15.0),
     Parameter("right_deg", "deg", 1.4, -15.0, 15.0),
     shown_by="throttle steps with yaw",
-    formula=r"F_j = T_j\,(\sin\alpha,\ \sin\beta,\ 0)",
+    formula=(
+        r"F_j = T_j\,n,\quad M_j = -Q_j\,n,\quad "
+        r"n = (\sin\alpha,\ \sin\beta,\ 1 - \sqrt{1 - \sin^2\alpha - \sin^2\beta})"
+    ),
     symbols=r"j \alpha \beta",
 )
 @njit(cache=True)
 def rotor_tilt(state: Any, vehicle: Any, p: Array) -> Wrench:
     """One rotor is mounted askew.
 
-    F = T_i (sin α, sin β, 0) at its hub, to first order in the angles forward and right. Size: 2° together.
+    Thrust and torque turn and stay as large: F = T_i n at its hub and M = −Q_i n, of
+    n = (sin α, sin β, 1 − √(1 − sin² α − sin² β)), with angles forward and right. Size: 2° together.
     """
     rotor = int(p[0]) - 1
-    thrust = state.thrusts[rotor]
-    forward, right = thrust * np.sin(np.radians(p[1])), thrust * np.sin(np.radians(p[2]))
-    return with_hub_force(NO_WRENCH, vehicle, rotor, forward, right, 0.0)
+    thrust, torque = state.thrusts[rotor], state.torques[rotor]
+    x, y = np.sin(np.radians(p[1])), np.sin(np.radians(p[2]))
+    z = 1.0 - np.sqrt(1.0 - x * x - y * y)
+    fx, fy, fz, mx, my, mz = with_hub_force(NO_WRENCH, vehicle, rotor, thrust * x, thrust * y, thrust * z)
+    return fx, fy, fz, mx - torque * x, my - torque * y, mz - torque * z
