@@ -21,7 +21,7 @@ test: ## all tests, those of live nodes by themselves (TEST_ARGS="-k intervals -
 ifdef TEST_ARGS
 	@$(BIN)/python -m pytest $(TEST_ARGS)
 else
-	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile --ignore test/ros
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist loadfile --ignore test/ros
 	@$(BIN)/python -m pytest test/ros
 endif
 

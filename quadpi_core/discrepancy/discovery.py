@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.contributions import Compared
@@ -23,9 +24,9 @@ from quadpi_core.frames import Array
 _INTERVAL = 1.96
 # What is predicted of an axis beyond the effects matters where its squares are this multiple of those of the
 # noise: of flights without any effect nothing is predicted, of a hover up to a quarter, as all motion there
-# is noise of the estimator. Where it is louder than the noise, the axis is judged by itself, too: an effect
-# may explain another axis so well that it hides this one.
-_MATTERS, _LOUD = 0.3, 1.5
+# is noise of the estimator. Where it is about as loud as the noise, the axis is judged by itself, too: an
+# effect may explain another axis so well that it hides this one. Beside true effects up to 0.3 was left so.
+_MATTERS, _LOUD = 0.3, 0.8
 _FEWEST_FLIGHTS = 2
 
 
@@ -141,7 +142,9 @@ def discover(
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
     compared = [Compared(flight, simulation) for flight in flights]
-    found = search(compared, candidates(simulation.vehicle, names), seed)
+    # Products this small are over before threads have shared one out: two of them took twice the time of one.
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = search(compared, candidates(simulation.vehicle, names), seed)
     design = found.design
     rows = sum(len(band) for band in design.bands)
     left = np.where(found.left.gain > _MATTERS * rows, found.left.gain, 0.0)

@@ -125,6 +125,21 @@ def places(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
     return names, values
 
 
+def headings(flight: Compared) -> tuple[list[str], Array]:
+    """Names and values (M, 3, 18) of a vector of the world that goes with the velocity through the air.
+
+    As of a cable that unrolls, or of air that one direction of flight stirs up.
+    """
+    rotation = rotation_matrix(flight.thinned.attitude)
+    scale = flight.simulation.vehicle.hover_induced_velocity
+    velocity = np.einsum("nij,nj->ni", rotation, flight.states["velocity_air"]) / scale
+    going = np.concatenate((velocity, np.abs(velocity)), axis=1)
+    parts = [f"{way} {axis}" for way in ("flight", "speed") for axis in ("north", "east", "down")]
+    names = [f"{part} along {axis}" for axis in ("north", "east", "down") for part in parts]
+    values = np.swapaxes(rotation, 1, 2)[:, :, :, None] * going[:, None, None]
+    return names, values.reshape(len(values), 3, -1)
+
+
 def _hats(away: Array) -> Array:
     """1 at a point and 0 from one spacing on, of distances (…, 2) north and east in spacings."""
     hats: Array = np.prod(np.maximum(1.0 - np.abs(away), 0.0), axis=-1)
@@ -138,11 +153,13 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
     spectra = []
     for flight, place in zip(flights, place_values, strict=True):
         names, values = functions(flight)
+        heading_names, heading = headings(flight)
         rate = flight.thinned.rate_hz
-        alike, local = spectrum(values[:, None, :], rate), spectrum(place, rate)
+        alike = spectrum(values[:, None, :], rate)
+        local = spectrum(np.concatenate((heading, place), axis=2), rate)
         rows = (np.tile(alike.rows, (len(AXES), 1, 1)), np.tile(local.rows, (2, 1, 1)))
         spectra.append(Spectrum(np.concatenate(rows, axis=2), alike.band))
-    return [*names, *place_names], spectra
+    return [*names, *heading_names, *place_names], spectra
 
 
 def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:
