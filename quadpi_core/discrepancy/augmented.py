@@ -90,9 +90,9 @@ class AugmentedSimulation(Simulation):
         wrench = self._physics(flight)["wrench"]
         if not self._of("sensor"):
             return wrench
-        corrected = self.corrected(expected(flight, self.physical))
-        seen: Array = wrench + self._physics(corrected)["wrench"] - measured_wrench(corrected, self.vehicle)
-        return seen
+        seen = expected(flight, self.physical)
+        corrected = self.corrected(seen)
+        return wrench + self._left(seen) - self._left(corrected)
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; with the effects in the wrench."""
@@ -137,6 +137,11 @@ class AugmentedSimulation(Simulation):
         for effect in self._of("wrench"):
             states["wrench"] += effect_wrench(effect.name, self.effects[effect.name], states, record)
         return states
+
+    def _left(self, flight: Flight) -> Array:
+        """Measured less simulated wrench (N, 6), but for the effects on sensors."""
+        left: Array = measured_wrench(flight, self.vehicle) - self._physics(flight)["wrench"]
+        return left
 
     def _in_wind(self, flight: Flight) -> Flight:
         if not self._of("wind"):

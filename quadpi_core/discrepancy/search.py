@@ -29,7 +29,7 @@ _ROUNDS = 3
 # one; most is mended of a law.
 _FURTHER_SHARE, _FURTHER_LEAST, _FURTHER_NUMBER, _FURTHER_LAW = 0.05, 20.0, 100.0, 200.0
 _BESIDE_LAW = 350.0
-# What a law that is off calls for is a force or a moment at some place or time: an effect that scales what acts
+# What a law that is off calls for is a force or a moment at some place or time. One that scales what acts
 # does not gain by it (none in 20 development cases); a true one gains little, as tolerances cover it.
 _SCALING = frozenset({"payload", "inertia", "thrust_coefficient"})
 # Odds of about a hundred and fifty, whatever the calibration says.
