@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,12 +51,12 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
     design = found.design
     simulation = design.flights[0].simulation
     gram = design.gram if without is None else design.gram - design.per_flight[without]
-    fitted = _fit(found, gram)
+    fitted, bare = _fit(found, gram), _fit(found, gram, ())
     effects: Effects = {}
     for index in found.chosen:
         candidate = design.candidates[index]
-        values = candidate.values(candidate.within_bounds(design.parameters(index, fitted)))
-        effects = {**effects, candidate.name: _named(candidate.name, values)}
+        values, shape = design.law(index, fitted, bare)
+        effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
     adjusted: dict[str, float] = {}
     if _adjusting_helps(found):
         multiples = dict(zip(design.tolerance_names, fitted.of(design.tolerances).tolist(), strict=True))
@@ -82,9 +82,10 @@ def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
     return {**effects, "inertia": _named("inertia", changes)}
 
 
-def _fit(found: Found, gram: Array) -> Fit:
-    """As effects are reported: by their laws alone, without the forms that evidence allows them."""
-    fitted = found.design.fit(found.chosen, gram, form=False) or found.design.fit((), gram)
+def _fit(found: Found, gram: Array, shaped: Sequence[int] | None = None) -> Fit:
+    """As effects are reported: by their laws as flights shape them, no other room for their forms."""
+    shaped = found.shaped if shaped is None else shaped
+    fitted = found.design.fit(found.chosen, gram, form=shaped) or found.design.fit((), gram)
     assert fitted is not None  # without effects there is always a fit
     return fitted
 
@@ -136,14 +137,25 @@ def merged(one: Effects, other: Effects) -> Effects:
     def parameters(name: str) -> Mapping[str, float]:
         if name not in one or name not in other:
             return one.get(name) or other[name]
-        return {
-            p.name: one[name][p.name]
-            if p.whole
-            else min(max(one[name][p.name] + other[name][p.name], p.lowest), p.highest)
-            for p in EFFECTS[name].parameters
-        }
+        whole = {p.name: one[name][p.name] for p in EFFECTS[name].parameters if p.whole}
+        sums = [one[name][p.name] + other[name][p.name] for p in EFFECTS[name].parameters]
+        return _named(name, sums) | whole | _both_shapes(name, one[name], other[name])
 
     return {name: parameters(name) for name in EFFECTS if name in one or name in other}
+
+
+def _both_shapes(name: str, one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    """Shape of the law of two that add up: each has its say in proportion to its size."""
+    sizes = [
+        sum(abs(own[p.name]) / (abs(p.default) or 1.0) for p in EFFECTS[name].parameters if not p.whole)
+        for own in (one, other)
+    ]
+    shape = {
+        p.name: float(np.average([one.get(p.name, 0.0), other.get(p.name, 0.0)], weights=sizes))
+        for p in EFFECTS[name].shape
+        if sum(sizes) > 0.0
+    }
+    return {key: value for key, value in shape.items() if value != 0.0}
 
 
 def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float]) -> AugmentedSimulation:

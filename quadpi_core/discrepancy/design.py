@@ -15,7 +15,7 @@ from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit, residual_
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects import EFFECTS
+from quadpi_core.simulation.effects import EFFECTS, SHAPE, state_modulators
 
 # Of an effect whose law may be off: share by which its axes may differ, over that by which it may change.
 _AXES_OVER_FORM = 1.5
@@ -43,7 +43,10 @@ class Design:
 
     def __init__(self, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> None:
         self.flights, self.candidates = flights, candidates
-        self._modulators = _modulators(flights)
+        raw = [state_modulators(flight.states, flight.record) for flight in flights]
+        self._mean, self._deviation = _scales(raw)
+        # Per flight (M, C): what an effect may depend on other than its law says.
+        self._modulators = [(own - self._mean) / self._deviation for own in raw]
         self._tables: list[list[Array]] = [[] for _ in flights]
         self.bands: list[Indices] = []
         self.points: list[Array] = []
@@ -254,15 +257,44 @@ class Design:
                 single = np.zeros_like(here)
                 single[:, axis] = _AXES_OVER_FORM * share * here[:, axis]
                 columns.append(single)
-        columns += [share * here * modulator[:, None] for modulator in self._modulators[place]]
+        columns += [share * here * modulator[:, None] for modulator in self._modulators[place].T]
         return np.stack(columns, axis=2)
 
-    def fit(self, chosen: Sequence[int], gram: Array | None = None, *, form: bool = True) -> Fit | None:
-        """Fit a set of candidates, by their indices, with or without the columns of their form.
+    def law(self, index: int, found: Fit, bare: Fit) -> tuple[Array, dict[str, float]]:
+        """Parameters (P,) of a candidate within their bounds, and those of `simulation.effects.SHAPE`.
+
+        A law and its shape can have the size of each other: the law keeps that which it has alone.
+
+        Args:
+            index: of the candidate.
+            found: a fit, with or without the columns of its form.
+            bare: the fit without any.
+        """
+        candidate, block = self.candidates[index], self.blocks[index]
+        size, alone = (float(np.linalg.norm(fit.of(block.parameters))) for fit in (found, bare))
+        weights = candidate.form * found.of(block.form)
+        if not candidate.effect.shape or not weights.any() or size == 0.0 or alone == 0.0:
+            return candidate.values(candidate.within_bounds(self.parameters(index, found))), {}
+        # The columns are made of an effect of another size.
+        weights *= block.formed_at / size
+        more = size / alone
+        axes = [AXES.index(name) for name in candidate.effect.axes]
+        slopes = weights[len(axes) :] / self._deviation
+        shares = np.zeros(len(AXES))
+        shares[axes] = more * (1.0 + _AXES_OVER_FORM * weights[: len(axes)] - slopes @ self._mean) - 1.0
+        values = candidate.values(candidate.within_bounds(self.parameters(index, found) / more))
+        shape = zip(SHAPE, np.concatenate((shares, more * slopes)), strict=True)
+        return values, {p.name: float(np.clip(value, p.lowest, p.highest)) for p, value in shape if value}
+
+    def fit(
+        self, chosen: Sequence[int], gram: Array | None = None, *, form: bool | Sequence[int] = True
+    ) -> Fit | None:
+        """Fit a set of candidates, by their indices, with the columns of their form: all, none, or of some.
 
         See :func:`evidence.fit`.
         """
-        blocks = [self.blocks[i] if form else replace(self.blocks[i], form=_NONE) for i in chosen]
+        formed = (chosen if form else ()) if isinstance(form, bool) else form
+        blocks = [self.blocks[i] if i in formed else replace(self.blocks[i], form=_NONE) for i in chosen]
         return fit(self.gram if gram is None else gram, self.tolerances, blocks)
 
     def left(self, found: Fit) -> list[Array]:
@@ -316,25 +348,7 @@ def _places(tables: Sequence[Array], columns: Indices) -> list[tuple[int, int]]:
     return [(int(table), int(column - starts[table])) for table, column in zip(within, columns, strict=True)]
 
 
-def _modulators(flights: Sequence[Compared]) -> list[Array]:
-    """Per flight (C, M): what an effect may depend on other than its law says, of mean 0 and deviation 1."""
-    raw = []
-    for flight in flights:
-        states = flight.states
-        velocity = states["velocity_air"]
-        load = np.square(states["rotor_speeds"]).mean(axis=1)
-        height = np.maximum(-states["position"][:, 2], flight.simulation.vehicle.rotor_radius_m)
-        raw.append(
-            np.stack(
-                (
-                    np.linalg.norm(velocity, axis=1),
-                    *velocity.T,
-                    load,
-                    np.linalg.norm(states["rates"], axis=1),
-                    1.0 / height,
-                )
-            )
-        )
-    everything = np.concatenate(raw, axis=1)
-    mean, deviation = everything.mean(axis=1), everything.std(axis=1)
-    return [(own - mean[:, None]) / np.maximum(deviation, 1e-9)[:, None] for own in raw]
+def _scales(modulators: Sequence[Array]) -> tuple[Array, Array]:
+    """Mean and deviation (C,) over all flights (M, C)."""
+    everything = np.concatenate(modulators)
+    return everything.mean(axis=0), np.maximum(everything.std(axis=0), 1e-9)

@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.contributions import Compared
-from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.gap import Gap, gap
 from quadpi_core.discrepancy.search import UNEXPLAINED_SHARE, Found, search
 from quadpi_core.discrepancy.simulations import Simulation
@@ -23,10 +22,10 @@ from quadpi_core.frames import Array
 
 _INTERVAL = 1.96
 # What is predicted of an axis beyond the effects matters where its squares are this multiple of those of the
-# noise: of flights without any effect nothing is predicted, of a hover up to a quarter, as all motion there
-# is noise of the estimator. Where it is about as loud as the noise, the axis is judged by itself, too: an
-# effect may explain another axis so well that it hides this one. Beside true effects up to 0.3 was left so.
-_MATTERS, _LOUD = 0.3, 0.8
+# noise: of flights without any effect nothing is predicted, of a hover up to 0.25, where all motion is noise
+# of the estimator, of a turned IMU up to 0.4, as slow parts went into its bias. Where it is about as loud as
+# the noise, the axis is judged by itself, too: an effect may explain another axis so well that it hides this.
+_MATTERS, _LOUD = 0.5, 0.8
 _FEWEST_FLIGHTS = 2
 
 
@@ -49,6 +48,7 @@ class FoundEffect:
         name: in the registry.
         probability: against every other effect in its place, and none.
         parameters: all that the effect takes.
+        shape: by which flights shape its law, see `simulation.effects.SHAPE`; empty where it holds as it is.
         axes: in which it shows.
         rivals: effects that do about as well in its place.
         shown_by: what to fly to tell them apart.
@@ -57,6 +57,7 @@ class FoundEffect:
     name: str
     probability: float
     parameters: tuple[FoundParameter, ...]
+    shape: dict[str, float]
     axes: tuple[str, ...]
     rivals: tuple[str, ...]
     shown_by: tuple[str, ...]
@@ -95,6 +96,7 @@ class Discovery:
                         p.name: {"value": p.value, "lower": p.lower, "upper": p.upper, "unit": p.unit}
                         for p in effect.parameters
                     },
+                    "shape": effect.shape,
                     "axes": list(effect.axes),
                     "shown_by": list(effect.shown_by),
                 }
@@ -150,14 +152,15 @@ def discover(
     left = np.where(found.left.gain > _MATTERS * rows, found.left.gain, 0.0)
     share = _unexplained(left, np.maximum(found.named, 0.0), _LOUD * rows)
     unknown = share > UNEXPLAINED_SHARE
-    reported = design.fit(found.chosen, form=False) or found.fit
-    effects = [_effect(found, index, reported) for index in found.chosen]
+    bare = design.fit(found.chosen, form=False) or found.fit
+    reported = design.fit(found.chosen, form=found.shaped) or found.fit
+    effects = [_effect(found, index, *design.law(index, reported, bare)) for index in found.chosen]
     return Discovery(
         verdict="unknown" if unknown else "effects" if effects else "none",
         effects=tuple(effects),
         unexplained=share,
         unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if left[i]},
-        gap=gap(design, found.chosen),
+        gap=gap(design, found.chosen, found.shaped),
         found=found,
     )
 
@@ -184,10 +187,9 @@ def require_flights(count: int) -> None:
         )
 
 
-def _effect(found: Found, index: int, reported: Fit) -> FoundEffect:
+def _effect(found: Found, index: int, values: Array, shape: dict[str, float]) -> FoundEffect:
     design, candidate = found.design, found.design.candidates[index]
     block = design.blocks[index]
-    values = candidate.values(candidate.within_bounds(design.parameters(index, reported)))
     deviation = np.zeros(len(values))
     deviation[list(candidate.free)] = found.fit.deviation(block.parameters) * candidate.scale
     rivals = found.rivals[index]
@@ -201,6 +203,7 @@ def _effect(found: Found, index: int, reported: Fit) -> FoundEffect:
             FoundParameter(p.name, p.unit, float(v), float(v - _INTERVAL * d), float(v + _INTERVAL * d))
             for p, v, d in zip(candidate.effect.parameters, values, deviation, strict=True)
         ),
+        shape=shape,
         axes=candidate.effect.axes,
         rivals=names,
         shown_by=tuple(dict.fromkeys(manoeuvres)),

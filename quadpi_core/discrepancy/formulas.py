@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import ast
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from quadpi_core.simulation.effects import EFFECTS, Effect
+from quadpi_core.simulation.effects import EFFECTS, SHAPE, Effect
+from quadpi_core.simulation.effects.kernels import shaped
 
 if TYPE_CHECKING:
     from quadpi_core.discrepancy.discovery import FoundEffect
@@ -33,6 +34,9 @@ _SYMBOLS = r"""
 | $F$, $M$ | force and moment in body axes |
 | $F_i$, $\Delta T_i$ | forces at rotor i, the second along $-z$; each gives its moment $r_i \times F_i$ too |
 """
+
+# Of `SHAPE`, in its order.
+_SHAPE_SYMBOLS = ("{Fx}", "{Fy}", "{Fz}", "{Mx}", "{My}", "{Mz}", "V", "u", "v", "w", "l", r"\Omega", "g")
 
 _HEAD = '''"""Effects that quadpi found in flights, as functions of numpy alone.
 
@@ -53,9 +57,10 @@ class _Row:
             setattr(self, name, value if row is None else value[row])
 
 
-def wrench_of(effect, p, states, vehicle):
+def wrench_of(effect, p, states, vehicle, shape=np.zeros({shapes})):
     """Wrench (N, 6) [N, Nm] that an effect adds at N instants.
 
+    shape: `NAME_SHAPE` of an effect that has one.
     states: arrays (N, ...) by name: position, attitude, velocity_air, rates, rotor_speeds,
         rotor_accelerations,
         hub_velocity (N, 4, 3), thrusts (N, 4) along -z, torques (N, 4), wrench (N, 6) of all other forces.
@@ -64,15 +69,24 @@ def wrench_of(effect, p, states, vehicle):
     """
     vehicle = _Row(vehicle)
     count = len(states["rates"])
-    return np.array([effect(_Row(states, row), vehicle, p) for row in range(count)])
+    rows = [_Row(states, row) for row in range(count)]
+    return np.array([shaped(effect(row, vehicle, p), row, vehicle, shape) for row in rows])
 '''
+
+_SHAPED = r"""
+These flights shape the law: what it adds in an axis $a$ is multiplied by
+$1 + s_a + s_V V/v_h + s_u u/v_h + s_v v/v_h + s_w w/v_h + s_l \sum_i \omega_i^2/(4 \omega_h^2)
++ s_\Omega R |\Omega|/v_h + s_g R/\max(h, R)$, from 0 to 3, of the height $h$ of the vehicle and
+"""
 
 
 def write_formulas(effects: Sequence[FoundEffect], folder: Path) -> list[Path]:
     """Write `effects.md` and `effects.py` into a folder that exists."""
     text, code = folder / "effects.md", folder / "effects.py"
     text.write_text(formula_text(effects))
-    values = {effect.name: {p.name: p.value for p in effect.parameters} for effect in effects}
+    values = {
+        effect.name: {**{p.name: p.value for p in effect.parameters}, **effect.shape} for effect in effects
+    }
     code.write_text(python_source(values))
     return [text, code]
 
@@ -92,25 +106,47 @@ def formula_text(effects: Sequence[FoundEffect]) -> str:
         parts.append(
             "\n".join(["| | parameter | value | 95 % | |", "| --- | --- | --- | --- | --- |", *rows, ""])
         )
+        if found.shape:
+            parts.append(_SHAPED + "\n" + shape_text(found.shape) + ".\n")
     return "\n".join([*parts, "## Symbols", _SYMBOLS])
+
+
+def shape_text(shape: Mapping[str, float]) -> str:
+    """What shapes a law, its values after their symbols of :data:`_SHAPED`, as Markdown with LaTeX."""
+    names = (p.name for p in SHAPE)
+    return ", ".join(
+        f"$s_{symbol} = {shape[name]:.3g}$"
+        for name, symbol in zip(names, _SHAPE_SYMBOLS, strict=True)
+        if name in shape
+    )
 
 
 def python_source(effects: dict[str, dict[str, float]]) -> str:
     """A Python file with a function for each effect that needs numpy and the standard library alone.
 
     Args:
-        effects: names and the values of their parameters.
+        effects: names and the values of their parameters, and of what shapes their laws.
     """
     sources = _Sources()
     for name in effects:
         sources.add(name, EFFECTS[name].function)
     names = "\n".join(f"{name}: {EFFECTS[name].summary}." for name in effects)
-    values = "\n".join(
-        f"{name.upper()}_PARAMETERS = np.array({list(found.values())!r})  # {_described(EFFECTS[name])}"
-        for name, found in effects.items()
-    )
-    driver = _WRENCH if any(EFFECTS[name].kind == "wrench" for name in effects) else ""
+    values = "\n".join(line for name, found in effects.items() for line in _constants(name, found))
+    driver = ""
+    if any(EFFECTS[name].kind == "wrench" for name in effects):
+        sources.add("shaped", shaped)
+        driver = _WRENCH.replace("{shapes}", str(len(SHAPE)))
     return _HEAD.format(names=names) + sources.text() + f"\n\n{values}\n" + driver
+
+
+def _constants(name: str, found: Mapping[str, float]) -> list[str]:
+    effect = EFFECTS[name]
+    parameters = [found[p.name] for p in effect.parameters]
+    lines = [f"{name.upper()}_PARAMETERS = np.array({parameters!r})  # {_described(effect)}"]
+    if any(p.name in found for p in effect.shape):
+        shape = [found.get(p.name, p.default) for p in SHAPE]
+        lines.append(f"{name.upper()}_SHAPE = np.array({shape!r})  # {', '.join(p.name for p in SHAPE)}")
+    return lines
 
 
 def _described(effect: Effect) -> str:

@@ -30,15 +30,20 @@ class Gap(NamedTuple):
     reduction: float
 
 
-def gap(design: Design, chosen: Sequence[int]) -> Gap:
+def gap(design: Design, chosen: Sequence[int], shaped: Sequence[int]) -> Gap:
     """The gap of each flight with parameters found on all others; as it is where no effect was chosen.
 
     Coefficients alone are not moved: without an effect that is missing they would go beyond their tolerances.
+
+    Args:
+        design: of the flights.
+        chosen: indices of the candidates that were named.
+        shaped: those of them whose laws flights shape, see :func:`shaped_by_flights`.
     """
     before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
     samples = 0
     unchanged = residual_weights(1, ())
-    for place, found in enumerate(left_out_fits(design, chosen)):
+    for place, found in enumerate(left_out_fits(design, chosen, shaped)):
         before += np.square(design.combined(place, unchanged)).sum(axis=1)
         after += np.square(design.combined(place, found.left if chosen else unchanged)).sum(axis=1)
         floor += design.noise[:, design.bands[place]].sum(axis=1)
@@ -53,12 +58,29 @@ def gap(design: Design, chosen: Sequence[int]) -> Gap:
     )
 
 
-def left_out_fits(design: Design, chosen: Sequence[int]) -> list[Fit]:
-    """Per flight a fit of all others, without the form of the effects."""
+def shaped_by_flights(design: Design, chosen: Sequence[int]) -> tuple[int, ...]:
+    """Those chosen whose laws flights may shape, if that brings flights that are left out closer."""
+    # What is not in proportion to its parameters is shaped by them.
+    laws = [design.candidates[index] for index in chosen]
+    shaped = tuple(index for index, law in zip(chosen, laws, strict=True) if law.effect.shape and law.linear)
+    if not shaped:
+        return ()
+    bare, closer = (
+        sum(
+            float(fit.left @ own[: len(fit.left), : len(fit.left)] @ fit.left)
+            for fit, own in zip(left_out_fits(design, chosen, formed), design.per_flight, strict=True)
+        )
+        for formed in ((), shaped)
+    )
+    return shaped if closer < bare else ()
+
+
+def left_out_fits(design: Design, chosen: Sequence[int], shaped: Sequence[int] = ()) -> list[Fit]:
+    """Per flight a fit of all others, by the laws of the effects, some of them shaped by flights."""
     fits = []
     for own in design.per_flight:
         others = design.gram - own
-        found = design.fit(chosen, others, form=False) or design.fit((), others)
+        found = design.fit(chosen, others, form=shaped) or design.fit((), others)
         assert found is not None  # without effects there is always a fit
         fits.append(found)
     return fits

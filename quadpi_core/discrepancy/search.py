@@ -13,7 +13,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.design import Design
 from quadpi_core.discrepancy.evidence import Fit, null_gains, residual_weights
-from quadpi_core.discrepancy.gap import left_out_fits
+from quadpi_core.discrepancy.gap import left_out_fits, shaped_by_flights
 from quadpi_core.discrepancy.generic import Left, generic_spectra, predicted
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -59,6 +59,8 @@ class Found:
         design: the regression.
         chosen: indices of the candidates that were named.
         fit: of them.
+        shaped: those of the chosen whose laws flights shape: their formulas alone leave flights that are left
+            out farther away.
         gain: evidence of the set over none.
         threshold: that a further effect has to exceed.
         rivals: per chosen candidate, others that do about as well in its place, best first, each with its
@@ -71,6 +73,7 @@ class Found:
     design: Design
     chosen: tuple[int, ...]
     fit: Fit
+    shaped: tuple[int, ...]
     gain: float
     threshold: float
     rivals: dict[int, list[tuple[int, float]]]
@@ -124,6 +127,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         design=design,
         chosen=chosen,
         fit=found,
+        shaped=shaped_by_flights(design, chosen),
         gain=gain,
         threshold=threshold,
         rivals=rivals,

@@ -156,6 +156,9 @@ def _effect(found: FoundEffect) -> str:
         if effect.formula
         else ""
     )
+    if found.shape:
+        shape = ", ".join(f"{name.removeprefix('shape_')} {value:.2f}" for name, value in found.shape.items())
+        formula += f"<p>Shaped by these flights (effects.md tells how): {escape(shape)}.</p>"
     apart = f"<p>{escape(text.ambiguity(found))}</p>" if found.rivals else ""
     return (
         f"<h3>{escape(text.words(found.name))} · {percent(found.probability)}</h3>"

@@ -63,6 +63,8 @@ def _effects(study: Study) -> Table:
     for effect in study.discovery.effects:
         whole = {p.name for p in EFFECTS[effect.name].parameters if p.whole}
         lines = [f"{p.name} {text.parameter_text(p, whole=p.name in whole)}" for p in effect.parameters]
+        if effect.shape:
+            lines.append("its law shaped by these flights")
         table.add_row(
             Text(effect.name), percent(effect.probability), " ".join(effect.axes), Text("\n".join(lines))
         )

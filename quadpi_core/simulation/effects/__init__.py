@@ -9,14 +9,16 @@ from quadpi_core.simulation.effects.apply import (
     altered_vehicle,
     compose,
     effect_wrench,
+    state_modulators,
 )
-from quadpi_core.simulation.effects.definition import Effect, Effects, Parameter, effect
+from quadpi_core.simulation.effects.definition import SHAPE, Effect, Effects, Parameter, effect
 from quadpi_core.simulation.effects.reading import read_effects
 from quadpi_core.simulation.effects.registry import EFFECTS
 
 __all__ = [
     "EFFECTS",
     "FUNCTION_TYPE",
+    "SHAPE",
     "Effect",
     "Effects",
     "Parameter",
@@ -27,4 +29,5 @@ __all__ = [
     "effect",
     "effect_wrench",
     "read_effects",
+    "state_modulators",
 ]

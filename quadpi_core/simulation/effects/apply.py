@@ -17,7 +17,8 @@ from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.definition import Effect, Effects, Wrench
+from quadpi_core.simulation.effects.definition import SHAPE, Effect, Effects, Wrench
+from quadpi_core.simulation.effects.kernels import modulators, shaped
 from quadpi_core.simulation.effects.registry import EFFECTS, WRENCH_INDEX, added_wrench
 from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
 from quadpi_core.vehicle import Vehicle, is_rigid_body
@@ -27,6 +28,9 @@ SIGNATURE = types.void(STATE_TYPE, VEHICLE_TYPE, types.float64[:, ::1])
 FUNCTION_TYPE = types.FunctionType(SIGNATURE)
 # In the place of an index into the registry: a function that is no part of it.
 _EXTRA = -1
+# A row of parameters ends with the shape of its law and that index.
+_SHAPES = len(SHAPE)
+_SHAPE_AT = -1 - _SHAPES
 
 # Functions that are passed to kernels: numba calls them experimental since 2020.
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
@@ -45,13 +49,16 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
 
     Returns:
         A function of type :data:`FUNCTION_TYPE` that adds to `state.wrench`, one effect after the other, and
-        its parameters (K, P): a row for each, with its index in the last column.
+        its parameters (K, P): a row for each, with the shape of its law and its index in the last columns.
     """
-    rows: list[tuple[Sequence[float] | Array, int]] = [(values, _EXTRA) for _, values in extra]
-    rows += [(values, WRENCH_INDEX[effect.name]) for effect, values in _of_kind(effects, "wrench")]
-    parameters = np.zeros((len(rows), 1 + max((len(values) for values, _ in rows), default=0)))
-    for row, (values, index) in zip(parameters, rows, strict=True):
+    rows = [(np.asarray(values, dtype=float), _shape({}), _EXTRA) for _, values in extra]
+    for effect, own in _of_kind(effects, "wrench"):
+        rows.append((own, _shape(effects[effect.name]), WRENCH_INDEX[effect.name]))
+    longest = max((len(values) for values, _, _ in rows), default=0)
+    parameters = np.zeros((len(rows), longest + _SHAPES + 1))
+    for row, (values, shape, index) in zip(parameters, rows, strict=True):
         row[: len(values)] = values
+        row[_SHAPE_AT:-1] = shape
         row[-1] = index
     if not rows:
         # Spares a flight without effects the seconds in which all of them compile for the first time.
@@ -63,7 +70,8 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
 def _registered(state: Any, vehicle: Any, parameters: Array) -> None:
     for row in range(len(parameters)):
         p = parameters[row]
-        _add(state, added_wrench(int(p[-1]), state, vehicle, p))
+        wrench = added_wrench(int(p[-1]), state, vehicle, p)
+        _add(state, shaped(wrench, state, vehicle, p[_SHAPE_AT:-1]))
 
 
 @njit(cache=True)
@@ -117,14 +125,37 @@ def effect_wrench(
     """
     if name not in WRENCH_INDEX:
         raise SimulationError(f"`{name}` is no effect on the wrench{nearest(name, WRENCH_INDEX)}")
-    return _added_to_all(WRENCH_INDEX[name], states, vehicle, _values(EFFECTS[name], parameters))
+    values, shape = _values(EFFECTS[name], parameters), _shape(parameters)
+    return _added_to_all(WRENCH_INDEX[name], states, vehicle, values, shape)
+
+
+def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]) -> Array:
+    """What laws may be shaped with (N, 7), see :func:`kernels.modulators`, of recorded states.
+
+    Args:
+        states: (N,) of `records.STATE`.
+        vehicle: (1,) of `records.VEHICLE`.
+    """
+    found: Array = _modulators_of_all(states, vehicle)
+    return found
 
 
 @njit(cache=True)
-def _added_to_all(index: int, states: Any, vehicles: Any, p: Array) -> Array:
+def _modulators_of_all(states: Any, vehicles: Any) -> Array:
+    found = np.empty((len(states), 7))
+    for i in range(len(states)):
+        of = modulators(states[i], vehicles[0])
+        for index in range(7):
+            found[i, index] = of[index]
+    return found
+
+
+@njit(cache=True)
+def _added_to_all(index: int, states: Any, vehicles: Any, p: Array, shape: Array) -> Array:
     added = np.empty((len(states), 6))
     for i in range(len(states)):
         wrench = added_wrench(index, states[i], vehicles[0], p)
+        wrench = shaped(wrench, states[i], vehicles[0], shape)
         for axis in range(6):
             added[i, axis] = wrench[axis]
     return added
@@ -170,3 +201,7 @@ def _of_kind(effects: Effects, kind: str) -> Iterator[tuple[Effect, Array]]:
 
 def _values(effect: Effect, parameters: Mapping[str, float]) -> Array:
     return np.array([parameters[parameter.name] for parameter in effect.parameters], dtype=float)
+
+
+def _shape(parameters: Mapping[str, float]) -> Array:
+    return np.array([parameters.get(parameter.name, parameter.default) for parameter in SHAPE])

@@ -49,6 +49,15 @@ class Parameter:
     whole: bool = False
 
 
+# How flights may shape a law that is off where the air is not as it assumes: it adds this share more in each
+# axis, and of all axes as much more as what `kernels.modulators` gives times these. An effect of a file may
+# have any of them beside its parameters.
+SHAPE = tuple(
+    Parameter(f"shape_{name}", "", 0.0, -5.0, 5.0)
+    for name in (*("fx", "fy", "fz", "mx", "my", "mz"), *("speed", "u", "v", "w", "load", "rates", "ground"))
+)
+
+
 @dataclass(frozen=True)
 class Effect:
     """One physical effect that can be switched on.
@@ -78,6 +87,11 @@ class Effect:
     formula: str = ""
     symbols: tuple[str, ...] = ()
     last: bool = False
+
+    @property
+    def shape(self) -> tuple[Parameter, ...]:
+        """Parameters by which flights may shape its law; none of one that is exact or acts on the air."""
+        return SHAPE if self.kind == "wrench" and self.form > 0.0 else ()
 
     def undo(self, values: Array) -> Array:
         """Parameters that undo those given, to first order at least."""

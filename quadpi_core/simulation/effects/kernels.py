@@ -14,6 +14,46 @@ from quadpi_core.signals.rotations import inverse, product
 from quadpi_core.simulation.effects.definition import Wrench
 
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+# A law that is shaped neither turns around nor grows without bound where no flight has been.
+_MOST = 3.0
+
+
+@njit(cache=True)
+def modulators(state: Any, vehicle: Any) -> tuple[float, float, float, float, float, float, float]:
+    """What a law may depend on other than it says: in the order of the last seven of `definition.SHAPE`.
+
+    Airspeed and its components over the induced velocity of hover, mean square of the rotor speeds over that
+    of hover, speed of a rotor's radius at the body rates over the induced velocity, radius over height.
+    """
+    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
+    p, q, r = state.rates[0], state.rates[1], state.rates[2]
+    induced, radius = vehicle.hover_induced_velocity, vehicle.rotor_radius
+    load = 0.0
+    for rotor in range(4):
+        load += 0.25 * (state.rotor_speeds[rotor] / vehicle.hover_rotor_speed) ** 2
+    speed = np.sqrt(u * u + v * v + w * w)
+    turning = radius * np.sqrt(p * p + q * q + r * r)
+    ground = radius / max(-state.position[2], radius)
+    return speed / induced, u / induced, v / induced, w / induced, load, turning / induced, ground
+
+
+@njit(cache=True)
+def shaped(wrench: Wrench, state: Any, vehicle: Any, shape: Array) -> Wrench:
+    """The wrench of a law as flights have shaped it, by the values (13,) of `definition.SHAPE`."""
+    if not shape.any():
+        return wrench
+    more = 1.0
+    of = modulators(state, vehicle)
+    for index in range(7):
+        more += shape[6 + index] * of[index]
+    return (
+        wrench[0] * min(max(more + shape[0], 0.0), _MOST),
+        wrench[1] * min(max(more + shape[1], 0.0), _MOST),
+        wrench[2] * min(max(more + shape[2], 0.0), _MOST),
+        wrench[3] * min(max(more + shape[3], 0.0), _MOST),
+        wrench[4] * min(max(more + shape[4], 0.0), _MOST),
+        wrench[5] * min(max(more + shape[5], 0.0), _MOST),
+    )
 
 
 @njit(cache=True)

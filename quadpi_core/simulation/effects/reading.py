@@ -22,7 +22,7 @@ def read_effects(data: Any, where: str) -> Effects:
         where: file and key, for messages.
 
     Returns:
-        Every parameter of every effect, in the order of the registry.
+        Every parameter of every effect, in the order of the registry, and what shapes its law.
 
     Raises:
         SimulationError: naming `where` and the effect or parameter that is unknown or out of bounds.
@@ -46,13 +46,14 @@ def _read_parameters(effect: Effect, data: Any, where: str) -> dict[str, float]:
         data = {}
     if not isinstance(data, Mapping):
         raise SimulationError(f"{where}: expected parameters and their values, found {data!r}")
-    known = tuple(parameter.name for parameter in effect.parameters)
+    given = [parameter for parameter in effect.shape if parameter.name in data]
+    known = tuple(parameter.name for parameter in (*effect.parameters, *effect.shape))
     for name in data:
         if name not in known:
             raise SimulationError(f"{where}: unknown parameter `{name}`{_suggestion(str(name), known)}")
     return {
         parameter.name: _read_value(parameter, data.get(parameter.name, parameter.default), where)
-        for parameter in effect.parameters
+        for parameter in (*effect.parameters, *given)
     }
 
 

@@ -19,7 +19,8 @@ from quadpi_core.discrepancy import (
 from quadpi_core.discrepancy.addition import augmented, merged, write_addition
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effects import read_effects
+from quadpi_core.simulation.effects import effect_wrench, read_effects
+from quadpi_core.simulation.records import STATE, VEHICLE
 from quadpi_core.simulation.vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 
@@ -65,6 +66,47 @@ def test_the_vehicle_file_flies_with_the_effect(discovery, flown, tmp_path):
     namespace = {}
     exec(code.read_text(), namespace)
     assert namespace["INFLOW_DAMPING_PARAMETERS"][0] == discovery.effects[0].parameters[0].value
+
+
+def test_a_law_that_flights_shape(flown, tmp_path):
+    """Another law than that of the library is hidden: what is added is as the flights have it."""
+    hidden = ("inflow_damping:damping_n_s_m=0.2,shape_speed=-0.25,shape_load=0.4,shape_fz=-0.1",)
+    plain = load_simulation("bebop2")
+    found = discover(plain, flown(*hidden), names=NAMES)
+    (effect,) = found.effects
+    assert effect.name == "inflow_damping"
+    assert effect.shape["shape_speed"] < -0.1
+    assert found.as_dict()["effects"][0]["shape"] == effect.shape
+    path, text, code = write_addition(found, tmp_path)
+    simulation = load_simulation(str(path))
+    bare = {p.name: p.value for p in effect.parameters}
+    before, lawful, after, floor = (
+        left(simulation, flights)[2]
+        for simulation, flights in (
+            (plain, flown(*hidden)),
+            (AugmentedSimulation(plain, read_effects({effect.name: bare}, "test")), flown(*hidden)),
+            (simulation, flown(*hidden)),
+            (plain, flown()),
+        )
+    )
+    assert after**2 - floor**2 < 0.1 * (lawful**2 - floor**2)
+    assert after**2 - floor**2 < 0.01 * (before**2 - floor**2)
+    # One number is in the file, in the formula and in Python.
+    assert simulation.effects[effect.name] == pytest.approx({**bare, **effect.shape})
+    assert f"$s_V = {effect.shape['shape_speed']:.3g}$" in text.read_text()
+    namespace = {}
+    exec(code.read_text(), namespace)
+    flight = flown(*hidden)[0].slice(slice(0, 2000, 100))
+    states, record = plain.states(flight), plain.record()
+    exported = namespace["wrench_of"](
+        namespace["inflow_damping"],
+        namespace["INFLOW_DAMPING_PARAMETERS"],
+        {name: states[name] for name in STATE.names},
+        {name: record[name][0] for name in VEHICLE.names},
+        namespace["INFLOW_DAMPING_SHAPE"],
+    )
+    expected = effect_wrench(effect.name, simulation.effects[effect.name], states, record)
+    np.testing.assert_allclose(exported, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_nothing_more_is_found_in_what_was_written(discovery, flown, tmp_path):
@@ -130,6 +172,21 @@ def test_effects_add_up_or_are_refused():
         "loss": 1.0,
         "torque_change": -0.2,
     }
+
+
+def test_shapes_of_one_law_add_up_by_their_sizes():
+    one = read_effects({"rotor_drag": {"drag_n_s_m": 0.1, "shape_u": 0.4}}, "test")
+    other = read_effects({"rotor_drag": {"drag_n_s_m": 0.3}}, "test")
+    both = merged(one, other)["rotor_drag"]
+    assert both == pytest.approx({"drag_n_s_m": 0.4, "shape_u": 0.1})
+
+
+def test_an_effect_of_nothing_on_sensors_changes_nothing(flown):
+    """Though the simulation and the flights lie apart."""
+    simulation, flight = load_simulation("bebop2"), flown(*HIDDEN)[0]
+    nothing = read_effects({"imu_lever_arm": {"x_m": 0.0, "y_m": 0.0, "z_m": 0.0}}, "test")
+    added = AugmentedSimulation(simulation, nothing)
+    np.testing.assert_allclose(added.wrench(flight), simulation.wrench(flight), rtol=0.0, atol=1e-12)
 
 
 def test_sensors_are_corrected_before_the_simulation_is_asked(flown):

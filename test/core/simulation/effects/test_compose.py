@@ -43,6 +43,18 @@ def test_one_effect_is_that_effect(name, states, record):
     assert np.array_equal(composed(states, record, [name]), expected)
 
 
+def test_shaped_laws_beside_others(states, record):
+    shaped = {"rotor_drag": {"shape_u": 0.3, "shape_fy": -0.5}, "body_drag": None, "vortex_ring": None}
+    function, parameters = compose(read_effects(shaped, "test"))
+    expected, found = states.copy(), states.copy()
+    for name, values in read_effects(shaped, "test").items():
+        expected["wrench"] += effect_wrench(name, values, expected, record)
+    for state in found:
+        function(state, record[0], parameters)
+    np.testing.assert_array_equal(found["wrench"], expected["wrench"])
+    assert np.any(found["wrench"] != composed(states, record, list(shaped)))
+
+
 def test_all_effects_add_up_in_order(states, record):
     expected = one_after_the_other(states, record, WRENCH)
     assert np.array_equal(composed(states, record, WRENCH), expected)

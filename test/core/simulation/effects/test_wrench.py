@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.errors import SimulationError
 from quadpi_core.flight import AXES
 from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
 
@@ -262,3 +263,28 @@ def test_offset_centre_feels_every_force(states, record):
     offset = typical("cg_offset", x_m=0.003, y_m=-0.004, z_m=0.01)
     moment = effect_wrench("cg_offset", offset, states, record)[:, 3:]
     np.testing.assert_allclose(moment, -np.cross(list(offset.values()), states["wrench"][:, :3]), atol=1e-15)
+
+
+def test_a_shaped_law_adds_its_shares_more(hover, record):
+    """In each axis by its own share, and in all by slopes; never turned around, never beyond three times."""
+    state = hover(velocity=[4.0, -3.0, 0.0], height=3.0)
+    bare = effect_wrench("rotor_drag", typical("rotor_drag"), state, record)
+
+    def shaped(**shape):
+        return effect_wrench("rotor_drag", typical("rotor_drag") | shape, state, record)
+
+    induced = record["hover_induced_velocity"][0]
+    np.testing.assert_allclose(shaped(shape_fx=0.5), bare * [1.5, 1.0, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(shaped(shape_speed=0.1), bare * (1.0 + 0.1 * 5.0 / induced))
+    np.testing.assert_allclose(shaped(shape_v=0.1), bare * (1.0 - 0.1 * 3.0 / induced))
+    np.testing.assert_allclose(shaped(shape_ground=0.1), bare * (1.0 + 0.1 * record["rotor_radius"][0] / 3.0))
+    np.testing.assert_allclose(shaped(shape_load=-4.0), 0.0 * bare)
+    np.testing.assert_allclose(shaped(shape_fx=4.0)[:, 0], 3.0 * bare[:, 0])
+
+
+def test_only_laws_that_may_be_off_are_shaped():
+    assert read_effects({"rotor_drag": {"shape_u": 0.2}}, "test")["rotor_drag"]["shape_u"] == 0.2
+    with pytest.raises(SimulationError, match="effect `payload`: unknown parameter `shape_u`"):
+        read_effects({"payload": {"shape_u": 0.2}}, "test")
+    with pytest.raises(SimulationError, match="`shape_u` must be between -5 and 5, found 9"):
+        read_effects({"rotor_drag": {"shape_u": 9.0}}, "test")
