@@ -103,7 +103,7 @@ def _chain(extra: tuple[Any, ...], row: int = 0) -> Any:
 
     @njit(SIGNATURE)
     def both(state: Any, vehicle: Any, parameters: Array) -> None:
-        _add(state, first(state, vehicle, parameters[row]))
+        _add(state, first(state, vehicle, parameters[row, :_SHAPE_AT]))
         others(state, vehicle, parameters)
 
     return both

@@ -60,9 +60,9 @@ def row(formulas: Mapping[str, Sequence[float]]) -> list[float]:
 # Not cached on disk: a cached function is not renewed when one of another file that it calls is.
 @numba.njit
 def hidden(state, vehicle, p):
-    """Wrench of the formulas of a row; `simulate_flight` adds one number at its end."""
+    """Wrench of the formulas of a row."""
     wrench = NOTHING
-    for start in range(0, len(p) - 1, _BLOCK):
+    for start in range(0, len(p), _BLOCK):
         block = p[start : start + _BLOCK]
         which = int(block[_BLOCK - 1])
         candidate = 0
