@@ -138,22 +138,26 @@ def merged(one: Effects, other: Effects) -> Effects:
         if name not in one or name not in other:
             return one.get(name) or other[name]
         whole = {p.name: one[name][p.name] for p in EFFECTS[name].parameters if p.whole}
-        sums = [one[name][p.name] + other[name][p.name] for p in EFFECTS[name].parameters]
+        both = [(p, one[name][p.name], other[name][p.name]) for p in EFFECTS[name].parameters]
+        # The second change of a moment of inertia is one of what the first has left.
+        shares = EFFECTS[name].kind == "vehicle"
+        sums = [a + b + (a * b if shares and not p.unit else 0.0) for p, a, b in both]
         return _named(name, sums) | whole | _both_shapes(name, one[name], other[name])
 
     return {name: parameters(name) for name in EFFECTS if name in one or name in other}
 
 
 def _both_shapes(name: str, one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """Shape of the law of two that add up: each has its say in proportion to its size."""
-    sizes = [
-        sum(abs(own[p.name]) / (abs(p.default) or 1.0) for p in EFFECTS[name].parameters if not p.whole)
-        for own in (one, other)
-    ]
+    """Shape of the law of two that add up: each has its say by its part in their sum."""
+    free = [p for p in EFFECTS[name].parameters if not p.whole]
+    parts = np.array([[own[p.name] / (abs(p.default) or 1.0) for p in free] for own in (one, other)])
+    total = parts.sum(axis=0)
+    if not total.any():
+        return {}
+    say = parts @ total / (total @ total)
     shape = {
-        p.name: float(np.average([one.get(p.name, 0.0), other.get(p.name, 0.0)], weights=sizes))
+        p.name: float(np.clip(say @ [own.get(p.name, 0.0) for own in (one, other)], p.lowest, p.highest))
         for p in EFFECTS[name].shape
-        if sum(sizes) > 0.0
     }
     return {key: value for key, value in shape.items() if value != 0.0}
 

@@ -46,7 +46,7 @@ def wrench(model):
             position=np.tile([0.0, 0.0, -height], (count, 1)),
         )
         vehicle = model.record()[0]
-        rows = [np.array([*formulas.row({name: parameters}), -1.0]) for _ in states]
+        rows = [np.array(formulas.row({name: parameters})) for _ in states]
         return np.array(
             [formulas.hidden(state, vehicle, row) for state, row in zip(states, rows, strict=True)]
         )
@@ -173,7 +173,7 @@ def test_wind_is_as_flying_the_other_way(model):
         position=np.tile([0.0, 0.0, -3.0], (2, 1)),
     )  # fmt: skip
     blown, flown = states[0], states[1]
-    formulas.hidden(blown, model.record()[0], np.array([*formulas.row({"wind": (2.0, 0.0, 0.0, 0.1)}), -1.0]))
+    formulas.hidden(blown, model.record()[0], np.array(formulas.row({"wind": (2.0, 0.0, 0.0, 0.1)})))
     np.testing.assert_allclose(blown["wrench"], flown["wrench"])
 
 

@@ -179,6 +179,16 @@ def test_shapes_of_one_law_add_up_by_their_sizes():
     other = read_effects({"rotor_drag": {"drag_n_s_m": 0.3}}, "test")
     both = merged(one, other)["rotor_drag"]
     assert both == pytest.approx({"drag_n_s_m": 0.4, "shape_u": 0.1})
+    back = read_effects({"rotor_drag": {"drag_n_s_m": -0.05}}, "test")
+    assert merged(one, back)["rotor_drag"] == pytest.approx({"drag_n_s_m": 0.05, "shape_u": 0.8})
+    none = read_effects({"rotor_drag": {"drag_n_s_m": -0.1}}, "test")
+    assert merged(one, none)["rotor_drag"] == {"drag_n_s_m": 0.0}
+
+
+def test_changes_of_inertia_multiply():
+    one = read_effects({"inertia": {"x_change": 0.2, "y_change": -0.1, "z_change": 0.0}}, "test")
+    both = merged(one, one)["inertia"]
+    assert both == pytest.approx({"x_change": 0.44, "y_change": -0.19, "z_change": 0.0})
 
 
 def test_an_effect_of_nothing_on_sensors_changes_nothing(flown):
