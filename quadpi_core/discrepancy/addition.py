@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,10 @@ from quadpi_core.config import is_config_path, read_config
 from quadpi_core.discrepancy.augmented import AugmentedSimulation
 from quadpi_core.discrepancy.contributions import body_tolerances
 from quadpi_core.discrepancy.discovery import Discovery
-from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.formulas import write_formulas
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, VehicleError
-from quadpi_core.frames import Array
 from quadpi_core.simulation.effects import EFFECTS, Effects
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
 from quadpi_core.vehicle import ROTORS, Vehicle, is_rigid_body
@@ -50,12 +48,12 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
     found = discovery.found
     design = found.design
     simulation = design.flights[0].simulation
-    gram = design.gram if without is None else design.gram - design.per_flight[without]
-    fitted, bare = _fit(found, gram), _fit(found, gram, ())
+    law, fitted = found.closing.fits(without)
     effects: Effects = {}
     for index in found.chosen:
         candidate = design.candidates[index]
-        values, shape = design.law(index, fitted, bare)
+        values = candidate.values(candidate.within_bounds(design.parameters(index, law)))
+        shape = design.shape(index, law, fitted)
         effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
     adjusted: dict[str, float] = {}
     if _adjusting_helps(found):
@@ -82,20 +80,12 @@ def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
     return {**effects, "inertia": _named("inertia", changes)}
 
 
-def _fit(found: Found, gram: Array, shaped: Sequence[int] | None = None) -> Fit:
-    """As effects are reported: by their laws as flights shape them, no other room for their forms."""
-    shaped = found.shaped if shaped is None else shaped
-    fitted = found.design.fit(found.chosen, gram, form=shaped) or found.design.fit((), gram)
-    assert fitted is not None  # without effects there is always a fit
-    return fitted
-
-
 def _adjusting_helps(found: Found) -> bool:
     """Whether coefficients moved within their tolerances bring flights that are left out closer."""
     design = found.design
     gained = 0.0
-    for own in design.per_flight:
-        weights = _fit(found, design.gram - own).left
+    for own, fit in zip(found.closing.grams, found.closing.left_out(), strict=True):
+        weights = fit.left
         unmoved = weights.copy()
         unmoved[design.tolerances] = 0.0
         gained += float(unmoved @ own @ unmoved - weights @ own @ weights)

@@ -11,7 +11,7 @@ import numpy as np
 
 from quadpi_core.discrepancy.candidates import Candidate, linearise
 from quadpi_core.discrepancy.contributions import Compared, body_tolerances, share_of_wrench
-from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit, residual_weights
+from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit, fit_forms, residual_weights
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -260,42 +260,59 @@ class Design:
         columns += [share * here * modulator[:, None] for modulator in self._modulators[place].T]
         return np.stack(columns, axis=2)
 
-    def law(self, index: int, found: Fit, bare: Fit) -> tuple[Array, dict[str, float]]:
-        """Parameters (P,) of a candidate within their bounds, and those of `simulation.effects.SHAPE`.
-
-        A law and its shape can have the size of each other: the law keeps that which it has alone.
+    def shape(self, index: int, law: Fit, found: Fit) -> dict[str, float]:
+        """Parameters of `simulation.effects.SHAPE` by which a fit shapes the law of a candidate.
 
         Args:
             index: of the candidate.
-            found: a fit, with or without the columns of its form.
-            bare: the fit without any.
+            law: fit that its parameters are of.
+            found: see :meth:`fit_shapes`.
         """
         candidate, block = self.candidates[index], self.blocks[index]
-        size, alone = (float(np.linalg.norm(fit.of(block.parameters))) for fit in (found, bare))
+        size = float(np.linalg.norm(law.of(block.parameters)))
         weights = candidate.form * found.of(block.form)
-        if not candidate.effect.shape or not weights.any() or size == 0.0 or alone == 0.0:
-            return candidate.values(candidate.within_bounds(self.parameters(index, found))), {}
+        if not weights.any() or size == 0.0:
+            return {}
         # The columns are made of an effect of another size.
         weights *= block.formed_at / size
-        more = size / alone
         axes = [AXES.index(name) for name in candidate.effect.axes]
         slopes = weights[len(axes) :] / self._deviation
         shares = np.zeros(len(AXES))
-        shares[axes] = more * (1.0 + _AXES_OVER_FORM * weights[: len(axes)] - slopes @ self._mean) - 1.0
-        values = candidate.values(candidate.within_bounds(self.parameters(index, found) / more))
-        shape = zip(SHAPE, np.concatenate((shares, more * slopes)), strict=True)
-        return values, {p.name: float(np.clip(value, p.lowest, p.highest)) for p, value in shape if value}
+        shares[axes] = _AXES_OVER_FORM * weights[: len(axes)] - slopes @ self._mean
+        shape = zip(SHAPE, np.concatenate((shares, slopes)), strict=True)
+        return {p.name: float(np.clip(value, p.lowest, p.highest)) for p, value in shape if value}
 
-    def fit(
-        self, chosen: Sequence[int], gram: Array | None = None, *, form: bool | Sequence[int] = True
-    ) -> Fit | None:
-        """Fit a set of candidates, by their indices, with the columns of their form: all, none, or of some.
+    def fit(self, chosen: Sequence[int], gram: Array | None = None, *, form: bool = True) -> Fit | None:
+        """Fit a set of candidates, by their indices, with or without the columns of their form.
 
         See :func:`evidence.fit`.
         """
-        formed = (chosen if form else ()) if isinstance(form, bool) else form
-        blocks = [self.blocks[i] if i in formed else replace(self.blocks[i], form=_NONE) for i in chosen]
+        blocks = [self.blocks[i] if form else replace(self.blocks[i], form=_NONE) for i in chosen]
         return fit(self.gram if gram is None else gram, self.tolerances, blocks)
+
+    def fit_shapes(self, chosen: Sequence[int], shaped: Sequence[int], law: Fit, gram: Array) -> Fit:
+        """Fit tolerances and the forms of some of those chosen, whose parameters stay those of `law`.
+
+        See :func:`evidence.fit_forms`.
+        """
+        blocks = {index: self.blocks[index] for index in chosen}
+        return fit_forms(gram, self.tolerances, list(blocks.values()), law, [blocks[i] for i in shaped])
+
+    def even_grams(self, chosen: Sequence[int]) -> Array:
+        """Gram matrices (F, K, K) in which all frequencies count alike, in units of the fastest noise.
+
+        Only of the residual, the tolerances and the candidates chosen; 0 for all other columns.
+        """
+        parts = [np.zeros(1, dtype=np.intp), self.tolerances]
+        for block in (self.blocks[index] for index in chosen):
+            offset = [] if block.offset is None else [block.offset]
+            parts += [block.parameters, block.form, np.array(offset, dtype=np.intp)]
+        columns = np.concatenate(parts)
+        grams = np.zeros((len(self.flights), self._width, self._width))
+        for place in range(len(self.flights)):
+            rows = self.rows(place, columns) / np.sqrt(self.noise[:, -1])[:, None, None]
+            grams[place][np.ix_(columns, columns)] = cross_gram(rows, rows)
+        return grams
 
     def left(self, found: Fit) -> list[Array]:
         """Rows (6, B) of each flight that a fit leaves of the residual."""

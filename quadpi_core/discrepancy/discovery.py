@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.gap import Gap, gap
 from quadpi_core.discrepancy.search import UNEXPLAINED_SHARE, Found, search
 from quadpi_core.discrepancy.simulations import Simulation
@@ -152,15 +153,14 @@ def discover(
     left = np.where(found.left.gain > _MATTERS * rows, found.left.gain, 0.0)
     share = _unexplained(left, np.maximum(found.named, 0.0), _LOUD * rows)
     unknown = share > UNEXPLAINED_SHARE
-    bare = design.fit(found.chosen, form=False) or found.fit
-    reported = design.fit(found.chosen, form=found.shaped) or found.fit
-    effects = [_effect(found, index, *design.law(index, reported, bare)) for index in found.chosen]
+    law, whole = found.closing.fits()
+    effects = [_effect(found, index, law, whole) for index in found.chosen]
     return Discovery(
         verdict="unknown" if unknown else "effects" if effects else "none",
         effects=tuple(effects),
         unexplained=share,
         unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if left[i]},
-        gap=gap(design, found.chosen, found.shaped),
+        gap=gap(found.closing),
         found=found,
     )
 
@@ -187,9 +187,10 @@ def require_flights(count: int) -> None:
         )
 
 
-def _effect(found: Found, index: int, values: Array, shape: dict[str, float]) -> FoundEffect:
+def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
     design, candidate = found.design, found.design.candidates[index]
     block = design.blocks[index]
+    values = candidate.values(candidate.within_bounds(design.parameters(index, law)))
     deviation = np.zeros(len(values))
     deviation[list(candidate.free)] = found.fit.deviation(block.parameters) * candidate.scale
     rivals = found.rivals[index]
@@ -203,7 +204,7 @@ def _effect(found: Found, index: int, values: Array, shape: dict[str, float]) ->
             FoundParameter(p.name, p.unit, float(v), float(v - _INTERVAL * d), float(v + _INTERVAL * d))
             for p, v, d in zip(candidate.effect.parameters, values, deviation, strict=True)
         ),
-        shape=shape,
+        shape=design.shape(index, law, whole),
         axes=candidate.effect.axes,
         rivals=names,
         shown_by=tuple(dict.fromkeys(manoeuvres)),

@@ -122,6 +122,26 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
 
 
+def fit_forms(
+    gram: Array, tolerances: Indices, blocks: Sequence[Block], held: Fit, formed: Sequence[Block]
+) -> Fit:
+    """Fit tolerances and the forms of some effects, while the parameters of all stay as they are.
+
+    Args:
+        gram: (K, K); column 0 is the residual.
+        tolerances: indices of the columns of the simulation's tolerances.
+        blocks: of the effects.
+        held: the fit that their parameters are of.
+        formed: those of the blocks whose forms are fitted.
+    """
+    residual = residual_weights(len(gram), blocks)
+    for block in blocks:
+        residual[block.parameters] -= held.of(block.parameters)
+    precisions = [np.full(len(block.form), _form_precision(held, block)) for block in formed]
+    columns = np.concatenate([tolerances, *(block.form for block in formed)]).astype(np.intp)
+    return _evidence(gram, columns, residual, np.concatenate([np.ones(len(tolerances)), *precisions]))
+
+
 def residual_weights(width: int, blocks: Sequence[Block]) -> Array:
     """Weight (width,) of each column in the residual beside the points that effects are linearised at."""
     weights = np.zeros(width)

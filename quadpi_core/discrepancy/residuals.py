@@ -16,7 +16,6 @@ from scipy.stats import norm
 
 from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.evidence import residual_weights
-from quadpi_core.discrepancy.gap import left_out_fits
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.frames import Array, rotation_matrix
 
@@ -60,9 +59,7 @@ def residuals(found: Found) -> list[Residual]:
     beyond = before.copy()
     beyond[tolerances] -= fitted
     result = []
-    for place, (flight, held_out) in enumerate(
-        zip(design.flights, left_out_fits(design, found.chosen), strict=True)
-    ):
+    for place, (flight, held_out) in enumerate(zip(design.flights, found.closing.left_out(), strict=True)):
         samples = len(flight.thinned)
         at = places(len(design.bands[place]), samples)
         rows = [design.combined(place, weights) for weights in (before, beyond, held_out.left)]

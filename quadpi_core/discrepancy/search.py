@@ -13,8 +13,8 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.contributions import Compared
 from quadpi_core.discrepancy.design import Design
 from quadpi_core.discrepancy.evidence import Fit, null_gains, residual_weights
-from quadpi_core.discrepancy.gap import left_out_fits, shaped_by_flights
 from quadpi_core.discrepancy.generic import Left, generic_spectra, predicted
+from quadpi_core.discrepancy.shaping import Closing
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
@@ -59,8 +59,7 @@ class Found:
         design: the regression.
         chosen: indices of the candidates that were named.
         fit: of them.
-        shaped: those of the chosen whose laws flights shape: their formulas alone leave flights that are left
-            out farther away.
+        closing: what they close the gap by.
         gain: evidence of the set over none.
         threshold: that a further effect has to exceed.
         rivals: per chosen candidate, others that do about as well in its place, best first, each with its
@@ -73,7 +72,7 @@ class Found:
     design: Design
     chosen: tuple[int, ...]
     fit: Fit
-    shaped: tuple[int, ...]
+    closing: Closing
     gain: float
     threshold: float
     rivals: dict[int, list[tuple[int, float]]]
@@ -127,7 +126,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         design=design,
         chosen=chosen,
         fit=found,
-        shaped=shaped_by_flights(design, chosen),
+        closing=Closing.of(design, chosen),
         gain=gain,
         threshold=threshold,
         rivals=rivals,
@@ -237,7 +236,7 @@ def _without_idle(
 def left_out_squares(design: Design, chosen: Sequence[int]) -> Array:
     """Squares (6,) in variances of the noise that each flight is left with by a fit of all others."""
     squares = np.zeros(len(AXES))
-    for place, found in enumerate(left_out_fits(design, chosen)):
+    for place, found in enumerate(Closing.by_laws(design, chosen).left_out()):
         left = np.square(design.combined(place, found.left))
         squares += np.sum(left / design.noise[:, design.bands[place]], axis=1)
     return squares

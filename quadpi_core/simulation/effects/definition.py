@@ -53,7 +53,7 @@ class Parameter:
 # axis, and of all axes as much more as what `kernels.modulators` gives times these. An effect of a file may
 # have any of them beside its parameters.
 SHAPE = tuple(
-    Parameter(f"shape_{name}", "", 0.0, -5.0, 5.0)
+    Parameter(f"shape_{name}", "", 0.0, -100.0, 100.0)
     for name in (*("fx", "fy", "fz", "mx", "my", "mz"), *("speed", "u", "v", "w", "load", "rates", "ground"))
 )
 
