@@ -23,10 +23,10 @@ from quadpi_core.frames import Array
 
 _INTERVAL = 1.96
 # What is predicted of an axis beyond the effects matters where its squares are this multiple of those of the
-# noise: of flights without any effect nothing is predicted, of a hover up to 0.25, where all motion is noise
-# of the estimator, of a turned IMU up to 0.4, as slow parts went into its bias. Where it is about as loud as
-# the noise, the axis is judged by itself, too: an effect may explain another axis so well that it hides this.
-_MATTERS, _LOUD = 0.5, 0.8
+# noise: of flights without any effect nothing is predicted, of a hover up to a quarter, where all motion is
+# noise of the estimator. Where it is about as loud as the noise, the axis is judged by itself, too: an effect
+# may explain another axis so well that it hides this one.
+_MATTERS, _LOUD = 0.3, 0.8
 _FEWEST_FLIGHTS = 2
 
 

@@ -36,7 +36,10 @@ _SYMBOLS = r"""
 """
 
 # Of `SHAPE`, in its order.
-_SHAPE_SYMBOLS = ("{Fx}", "{Fy}", "{Fz}", "{Mx}", "{My}", "{Mz}", "V", "u", "v", "w", "l", r"\Omega", "g")
+_SHAPE_SYMBOLS = (
+    *("{Fx}", "{Fy}", "{Fz}", "{Mx}", "{My}", "{Mz}"),
+    *("V", "u", "v", "w", "l", r"\Omega", "g", "{ww}"),
+)
 
 _HEAD = '''"""Effects that quadpi found in flights, as functions of numpy alone.
 
@@ -75,8 +78,9 @@ def wrench_of(effect, p, states, vehicle, shape=np.zeros({shapes})):
 
 _SHAPED = r"""
 These flights shape the law: what it adds in an axis $a$ is multiplied by
-$1 + s_a + s_V V/v_h + s_u u/v_h + s_v v/v_h + s_w w/v_h + s_l \sum_i \omega_i^2/(4 \omega_h^2)
-+ s_\Omega R |\Omega|/v_h + s_g R/\max(h, R)$, from 0 to 3, of the height $h$ of the vehicle and
+$1 + s_a + s_V V/v_h + s_u u/v_h + s_v v/v_h + s_w w/v_h + s_{ww} w^2/v_h^2
++ s_l \sum_i \omega_i^2/(4 \omega_h^2) + s_\Omega R |\Omega|/v_h + s_g R/\max(h, R)$,
+from 0 to 3, of the height $h$ of the vehicle and
 """
 
 

@@ -142,10 +142,10 @@ def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]
 
 @njit(cache=True)
 def _modulators_of_all(states: Any, vehicles: Any) -> Array:
-    found = np.empty((len(states), 7))
+    found = np.empty((len(states), 8))
     for i in range(len(states)):
         of = modulators(states[i], vehicles[0])
-        for index in range(7):
+        for index in range(8):
             found[i, index] = of[index]
     return found
 

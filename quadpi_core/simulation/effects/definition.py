@@ -54,7 +54,10 @@ class Parameter:
 # have any of them beside its parameters.
 SHAPE = tuple(
     Parameter(f"shape_{name}", "", 0.0, -100.0, 100.0)
-    for name in (*("fx", "fy", "fz", "mx", "my", "mz"), *("speed", "u", "v", "w", "load", "rates", "ground"))
+    for name in (
+        *("fx", "fy", "fz", "mx", "my", "mz"),
+        *("speed", "u", "v", "w", "load", "rates", "ground", "w2"),
+    )
 )
 
 

@@ -19,32 +19,37 @@ _MOST = 3.0
 
 
 @njit(cache=True)
-def modulators(state: Any, vehicle: Any) -> tuple[float, float, float, float, float, float, float]:
-    """What a law may depend on other than it says: in the order of the last seven of `definition.SHAPE`.
+def modulators(state: Any, vehicle: Any) -> tuple[float, float, float, float, float, float, float, float]:
+    """What a law may depend on other than it says: in the order of the last eight of `definition.SHAPE`.
 
     Airspeed and its components over the induced velocity of hover, mean square of the rotor speeds over that
-    of hover, speed of a rotor's radius at the body rates over the induced velocity, radius over height.
+    of hover, speed of a rotor's radius at the body rates over the induced velocity, radius over height, and
+    the square of the velocity along z over the induced one: climb and descent alike.
     """
-    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
-    p, q, r = state.rates[0], state.rates[1], state.rates[2]
     induced, radius = vehicle.hover_induced_velocity, vehicle.rotor_radius
+    u, v, w = (
+        state.velocity_air[0] / induced,
+        state.velocity_air[1] / induced,
+        state.velocity_air[2] / induced,
+    )
+    p, q, r = state.rates[0], state.rates[1], state.rates[2]
     load = 0.0
     for rotor in range(4):
         load += 0.25 * (state.rotor_speeds[rotor] / vehicle.hover_rotor_speed) ** 2
     speed = np.sqrt(u * u + v * v + w * w)
     turning = radius * np.sqrt(p * p + q * q + r * r)
     ground = radius / max(-state.position[2], radius)
-    return speed / induced, u / induced, v / induced, w / induced, load, turning / induced, ground
+    return speed, u, v, w, load, turning / induced, ground, w * w
 
 
 @njit(cache=True)
 def shaped(wrench: Wrench, state: Any, vehicle: Any, shape: Array) -> Wrench:
-    """The wrench of a law as flights have shaped it, by the values (13,) of `definition.SHAPE`."""
+    """The wrench of a law as flights have shaped it, by the values (14,) of `definition.SHAPE`."""
     if not shape.any():
         return wrench
     more = 1.0
     of = modulators(state, vehicle)
-    for index in range(7):
+    for index in range(8):
         more += shape[6 + index] * of[index]
     return (
         wrench[0] * min(max(more + shape[0], 0.0), _MOST),
