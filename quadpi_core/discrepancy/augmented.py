@@ -120,7 +120,8 @@ class AugmentedSimulation(Simulation):
             share = max(effect.form, self.tolerances.coefficient)
             added = share * (whole - replace(self, effects=others).wrench(flight))
             for axis, name in enumerate(AXES):
-                if np.any(added[:, axis]):
+                # Those of every flight are the same, whether it feels the effect or not.
+                if name in effect.axes:
                     single = np.zeros_like(added)
                     single[:, axis] = added[:, axis]
                     columns.append(Column(f"{name} of {effect.name}", single))

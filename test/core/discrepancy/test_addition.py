@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,3 +212,16 @@ def test_sensors_are_corrected_before_the_simulation_is_asked(flown):
     shift = round((corrected.start_ns - true.start_ns) * 1e-9 * true.rate_hz)
     one, other = corrected.rotor_speeds[50:-50], true.rotor_speeds[50 + shift :][: len(corrected) - 100]
     assert np.std(one - other) < 0.2 * np.std(late.rotor_speeds[50:-50] - other)
+
+
+def test_every_flight_has_the_same_tolerances(flown):
+    """Of an addition, too: an axis that one flight does not feel has a column all the same."""
+    effects = read_effects(
+        {"ground_effect": None, "imu_lever_arm": {"x_m": 1e-4, "y_m": 0.0, "z_m": 0.0}}, "test"
+    )
+    added = AugmentedSimulation(load_simulation("bebop2"), effects)
+    low, *_ = flown(*HIDDEN)
+    high = replace(low, position=low.position - [0.0, 0.0, 1000.0])
+    names = [[column.name for column in added.uncertain(flight)] for flight in (low, high)]
+    assert names[0] == names[1]
+    assert "Fz of ground_effect" in names[0]
