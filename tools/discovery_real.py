@@ -101,13 +101,13 @@ _READING = """## What these figures say
   set, Fx and Fz are 30 % worse after one round and the rest 20 % and more better; after two rounds no axis
   is worse. Its second round improves no roll-out: a closer fit, no findings.
 - The share of the removable gap says little here: the floor holds all that no function of the library
-  explains.
-- Up to 20 Hz the search on NeuroBEM is misled: rotor speeds a third too low, and roll-outs no better. Above
-  about 5 Hz the measured moments hardly follow the rotor speeds (the gyro lags the attitude by 5 to 7 ms).
-  The verdict should be `unknown`.
-- The second round on the Crazyflie takes back the rotor drag of the first, which closes the one-step gap and
-  makes roll-outs much worse: to distrust. Roll-outs test what one-step errors do not.
-- After the first round roll-outs of half a second still go far off: 31° and 17° in attitude.
+  explains. On NeuroBEM an axis holds more that can be predicted than was named in it, hence `unknown`.
+- Up to 20 Hz the search on NeuroBEM is misled: most of the thrust lost, and roll-outs no better. Above about
+  5 Hz the measured moments hardly follow the rotor speeds (the gyro lags the attitude by 5 to 7 ms). The
+  verdict should be `unknown`.
+- The second round on the Crazyflie names what closes nothing, beside coefficients of moments that make
+  roll-outs much worse: to distrust. Roll-outs test what one-step errors do not.
+- After the first round roll-outs of half a second still go far off: 31° and 19° in attitude.
 """
 
 
