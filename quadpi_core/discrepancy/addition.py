@@ -52,7 +52,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
     effects: Effects = {}
     for index in found.chosen:
         candidate = design.candidates[index]
-        values = candidate.values(candidate.within_bounds(design.parameters(index, law)))
+        values = candidate.values(design.parameters(index, law))
         shape = design.shape(index, law, fitted)
         effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
     adjusted: dict[str, float] = {}
@@ -84,7 +84,7 @@ def _adjusting_helps(found: Found) -> bool:
     """Whether coefficients moved within their tolerances bring flights that are left out closer."""
     design = found.design
     gained = 0.0
-    for own, fit in zip(found.closing.grams, found.closing.left_out(), strict=True):
+    for own, fit in zip(found.closing.grams, found.closing.left_out, strict=True):
         weights = fit.left
         unmoved = weights.copy()
         unmoved[design.tolerances] = 0.0

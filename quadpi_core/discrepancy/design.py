@@ -344,8 +344,9 @@ class Design:
         return self.combined(place, weights)
 
     def parameters(self, index: int, found: Fit) -> Array:
-        """Free parameters (k,) of a candidate in a fit."""
-        return found.of(self.blocks[index].parameters) * self.candidates[index].scale
+        """Free parameters (k,) of a candidate in a fit, brought within their bounds."""
+        candidate = self.candidates[index]
+        return candidate.within_bounds(found.of(self.blocks[index].parameters) * candidate.scale)
 
 
 def _rows(flight: Compared, wrench: Array) -> Array:

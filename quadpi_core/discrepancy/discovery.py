@@ -190,7 +190,7 @@ def require_flights(count: int) -> None:
 def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
     design, candidate = found.design, found.design.candidates[index]
     block = design.blocks[index]
-    values = candidate.values(candidate.within_bounds(design.parameters(index, law)))
+    values = candidate.values(design.parameters(index, law))
     deviation = np.zeros(len(values))
     deviation[list(candidate.free)] = found.fit.deviation(block.parameters) * candidate.scale
     rivals = found.rivals[index]

@@ -111,11 +111,11 @@ def formula_text(effects: Sequence[FoundEffect]) -> str:
             "\n".join(["| | parameter | value | 95 % | |", "| --- | --- | --- | --- | --- |", *rows, ""])
         )
         if found.shape:
-            parts.append(_SHAPED + "\n" + shape_text(found.shape) + ".\n")
+            parts.append(_SHAPED + "\n" + _shape_text(found.shape) + ".\n")
     return "\n".join([*parts, "## Symbols", _SYMBOLS])
 
 
-def shape_text(shape: Mapping[str, float]) -> str:
+def _shape_text(shape: Mapping[str, float]) -> str:
     """What shapes a law, its values after their symbols of :data:`_SHAPED`, as Markdown with LaTeX."""
     names = (p.name for p in SHAPE)
     return ", ".join(

@@ -38,7 +38,7 @@ def gap(closing: Closing) -> Gap:
     before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
     samples = 0
     unchanged = residual_weights(1, ())
-    for place, found in enumerate(closing.left_out()):
+    for place, found in enumerate(closing.left_out):
         before += np.square(design.combined(place, unchanged)).sum(axis=1)
         after += np.square(design.combined(place, found.left if chosen else unchanged)).sum(axis=1)
         floor += design.noise[:, design.bands[place]].sum(axis=1)

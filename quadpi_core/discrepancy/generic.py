@@ -125,7 +125,7 @@ def places(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
     return names, values
 
 
-def headings(flight: Compared) -> tuple[list[str], Array]:
+def courses(flight: Compared) -> tuple[list[str], Array]:
     """Names and values (M, 3, 18) of a vector of the world that goes with the velocity through the air.
 
     As of a cable that unrolls, or of air that one direction of flight stirs up.
@@ -153,13 +153,13 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
     spectra = []
     for flight, place in zip(flights, place_values, strict=True):
         names, values = functions(flight)
-        heading_names, heading = headings(flight)
+        course_names, course = courses(flight)
         rate = flight.thinned.rate_hz
         alike = spectrum(values[:, None, :], rate)
-        local = spectrum(np.concatenate((heading, place), axis=2), rate)
+        local = spectrum(np.concatenate((course, place), axis=2), rate)
         rows = (np.tile(alike.rows, (len(AXES), 1, 1)), np.tile(local.rows, (2, 1, 1)))
         spectra.append(Spectrum(np.concatenate(rows, axis=2), alike.band))
-    return [*names, *heading_names, *place_names], spectra
+    return [*names, *course_names, *place_names], spectra
 
 
 def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:

@@ -59,7 +59,7 @@ def residuals(found: Found) -> list[Residual]:
     beyond = before.copy()
     beyond[tolerances] -= fitted
     result = []
-    for place, (flight, held_out) in enumerate(zip(design.flights, found.closing.left_out(), strict=True)):
+    for place, (flight, held_out) in enumerate(zip(design.flights, found.closing.left_out, strict=True)):
         samples = len(flight.thinned)
         at = places(len(design.bands[place]), samples)
         rows = [design.combined(place, weights) for weights in (before, beyond, held_out.left)]

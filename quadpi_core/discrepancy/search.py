@@ -143,7 +143,7 @@ def _settle(design: Design) -> None:
         for index, candidate in enumerate(design.candidates):
             found = design.fit((index,), form=False) if turn == 0 or not candidate.linear else None
             if found is not None:
-                at[index] = candidate.within_bounds(design.parameters(index, found))
+                at[index] = design.parameters(index, found)
         for index, point in at.items():
             design.move(index, point)
         design.refresh()
@@ -237,7 +237,7 @@ def _without_idle(
 def left_out_squares(design: Design, chosen: Sequence[int]) -> Array:
     """Squares (6,) in variances of the noise that each flight is left with by a fit of all others."""
     squares = np.zeros(len(AXES))
-    for place, found in enumerate(Closing.by_laws(design, chosen).left_out()):
+    for place, found in enumerate(Closing.by_laws(design, chosen).left_out):
         left = np.square(design.combined(place, found.left))
         squares += np.sum(left / design.noise[:, design.bands[place]], axis=1)
     return squares
@@ -277,8 +277,7 @@ def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit | None:
         if refined is None:
             break
         for index in chosen:
-            candidate = design.candidates[index]
-            design.move(index, candidate.within_bounds(design.parameters(index, refined)))
+            design.move(index, design.parameters(index, refined))
         design.refresh()
         refined = design.fit(chosen)
     return refined

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from quadpi_core.discrepancy.design import Design
 from quadpi_core.discrepancy.evidence import Fit
@@ -50,15 +51,7 @@ class Closing:
         if not shaped:
             return bare
         whole = cls(design, tuple(chosen), shaped, design.even_grams(chosen))
-        left_bare, left_shaped = (
-            sum(
-                float(left @ own @ left)
-                for place, own in enumerate(whole.grams)
-                for left in (closing.fits(place)[1].left,)
-            )
-            for closing in (bare, whole)
-        )
-        return whole if left_shaped < left_bare else bare
+        return whole if whole._leaves(whole.grams) < bare._leaves(whole.grams) else bare
 
     def fits(self, without: int | None = None) -> tuple[Fit, Fit]:
         """Of the parameters, by the laws alone, and of all that is added: tolerances and shapes too.
@@ -73,9 +66,16 @@ class Closing:
             law = law or design.fit((), gram)
             assert law is not None  # without effects there is always a fit
             return law, law
-        even = self.grams.sum(axis=0) if without is None else self.grams.sum(axis=0) - self.grams[without]
+        even = self.grams.sum(axis=0)
+        if without is not None:
+            even -= self.grams[without]
         return law, design.fit_shapes(self.chosen, self.shaped, law, even)
 
+    @cached_property
     def left_out(self) -> list[Fit]:
         """Per flight all that the others would add."""
         return [self.fits(place)[1] for place in range(len(self.design.flights))]
+
+    def _leaves(self, grams: Array) -> float:
+        """Squares that flights are left with when they are left out, by Gram matrices (F, K, K)."""
+        return sum(float(fit.left @ own @ fit.left) for own, fit in zip(grams, self.left_out, strict=True))

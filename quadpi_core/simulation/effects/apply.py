@@ -18,7 +18,7 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effects.definition import SHAPE, Effect, Effects, Wrench
-from quadpi_core.simulation.effects.kernels import modulators, shaped
+from quadpi_core.simulation.effects.kernels import MODULATORS, modulators, shaped
 from quadpi_core.simulation.effects.registry import EFFECTS, WRENCH_INDEX, added_wrench
 from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
 from quadpi_core.vehicle import Vehicle, is_rigid_body
@@ -130,7 +130,7 @@ def effect_wrench(
 
 
 def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]) -> Array:
-    """What laws may be shaped with (N, 7), see :func:`kernels.modulators`, of recorded states.
+    """What laws may be shaped with (N, MODULATORS), see :func:`kernels.modulators`, of recorded states.
 
     Args:
         states: (N,) of `records.STATE`.
@@ -142,10 +142,10 @@ def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]
 
 @njit(cache=True)
 def _modulators_of_all(states: Any, vehicles: Any) -> Array:
-    found = np.empty((len(states), 8))
+    found = np.empty((len(states), MODULATORS))
     for i in range(len(states)):
         of = modulators(states[i], vehicles[0])
-        for index in range(8):
+        for index in range(MODULATORS):
             found[i, index] = of[index]
     return found
 

@@ -11,16 +11,19 @@ import numpy as np
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.signals.rotations import inverse, product
-from quadpi_core.simulation.effects.definition import Wrench
+from quadpi_core.simulation.effects.definition import SHAPE, Wrench
 
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 # A law that is shaped neither turns around nor grows without bound where no flight has been.
 _MOST = 3.0
+# Of `SHAPE`, a share for each axis comes first.
+_AXES = 6
+MODULATORS = len(SHAPE) - _AXES
 
 
 @njit(cache=True)
 def modulators(state: Any, vehicle: Any) -> tuple[float, float, float, float, float, float, float, float]:
-    """What a law may depend on other than it says: in the order of the last eight of `definition.SHAPE`.
+    """What a law may depend on other than it says: in the order of the last of `definition.SHAPE`.
 
     Airspeed and its components over the induced velocity of hover, mean square of the rotor speeds over that
     of hover, speed of a rotor's radius at the body rates over the induced velocity, radius over height, and
@@ -44,13 +47,13 @@ def modulators(state: Any, vehicle: Any) -> tuple[float, float, float, float, fl
 
 @njit(cache=True)
 def shaped(wrench: Wrench, state: Any, vehicle: Any, shape: Array) -> Wrench:
-    """The wrench of a law as flights have shaped it, by the values (14,) of `definition.SHAPE`."""
+    """The wrench of a law as flights have shaped it, by the values of `definition.SHAPE`."""
     if not shape.any():
         return wrench
     more = 1.0
     of = modulators(state, vehicle)
-    for index in range(8):
-        more += shape[6 + index] * of[index]
+    for index in range(MODULATORS):
+        more += shape[_AXES + index] * of[index]
     return (
         wrench[0] * min(max(more + shape[0], 0.0), _MOST),
         wrench[1] * min(max(more + shape[1], 0.0), _MOST),

@@ -132,9 +132,7 @@ class _Told:
 
     def __init__(self, evidence):
         self.evidence = {tuple(sorted(chosen)): value for chosen, value in evidence.items()}
-        self.candidates = [
-            SimpleNamespace(name=f"effect {k}", form=0.0, within_bounds=lambda at: at) for k in range(3)
-        ]
+        self.candidates = [SimpleNamespace(name=f"effect {k}", form=0.0) for k in range(3)]
         self.blocks = [SimpleNamespace(parameters=np.array([k])) for k in range(3)]
         self.weighed = 0
 
