@@ -15,6 +15,7 @@ from quadpi_core.discrepancy.contributions import expected, undone
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
+from quadpi_core.signals.bias_response import BiasResponse
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effects import (
     EFFECTS,
@@ -61,8 +62,8 @@ class AugmentedSimulation(Simulation):
 
     @property
     def memoryless(self) -> bool:  # type: ignore[override]
-        """As the base."""
-        return self.base.memoryless
+        """As the base, unless sensors report what was."""
+        return self.base.memoryless and not self._of("sensor")
 
     @cached_property
     def vehicle(self) -> Vehicle:  # type: ignore[override]
@@ -81,8 +82,9 @@ class AugmentedSimulation(Simulation):
 
     def corrected(self, flight: Flight) -> Flight:
         """The flight as sensors without the effects on them would have reported it."""
+        biases = BiasResponse(flight, self.vehicle, flight.rate_hz)
         for effect in reversed(self._of("sensor")):
-            flight = undone(flight, effect, self.vehicle, self._values(effect))
+            flight = undone(flight, effect, self.vehicle, self._values(effect), biases)
         return flight
 
     def wrench(self, flight: Flight) -> Array:

@@ -25,6 +25,7 @@ from scipy.ndimage import gaussian_filter1d
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
+from quadpi_core.signals.bias_response import BiasResponse
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effects import EFFECTS, Effect, effect_wrench
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -49,6 +50,7 @@ class Compared:
 
     def __init__(self, flight: Flight, simulation: Simulation) -> None:
         self.simulation = simulation
+        self._imu_rate_hz = flight.rate_hz
         step = max(1, int(flight.rate_hz / RATE_HZ + 0.5))
         self.thinned = _every(flight, step)
         self.flight, self.step = (self.thinned, 1) if simulation.memoryless else (flight, step)
@@ -102,6 +104,11 @@ class Compared:
     def expected_residual(self) -> Array:
         """Residual (M, 6) that would be left of :attr:`expected`, thinned."""
         return residual(self.expected, self.simulation)[:: self.step]
+
+    @cached_property
+    def bias_response(self) -> BiasResponse:
+        """What the estimator takes for biases where the IMU reports what did not happen."""
+        return BiasResponse(self.flight, self.simulation.vehicle, self._imu_rate_hz)
 
     def uncertain(self) -> list[Column]:
         """What tolerances allow, a column (M, 6) each."""
@@ -196,14 +203,15 @@ def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
 
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
-    altered = undone(compared.expected, effect, compared.simulation.vehicle, values)
+    vehicle, biases = compared.simulation.vehicle, compared.bias_response
+    altered = undone(compared.expected, effect, vehicle, values, biases)
     return compared.expected_residual - residual(altered, compared.simulation)[:: compared.step]
 
 
-def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> Flight:
+def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array, biases: BiasResponse) -> Flight:
     """The flight as sensors without this effect would have given it, through the same estimator.
 
-    What an effect adds to the IMU all the time, the estimator took for a bias: the flight is without it.
+    What an effect adds to the IMU for long, the estimator took for a bias: the flight is without it.
     """
     time_ns = np.round(1e9 * flight.time).astype(np.int64)
     recording = Recording(
@@ -216,12 +224,15 @@ def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> F
     )
     altered = effect.function(recording, vehicle, effect.undo(values))
     rotors, pose = altered.rotor_speeds, altered.pose
-    rates = _less_bias(altered.imu.angular_velocity, flight.rates)
+    rates, force = altered.imu.angular_velocity, altered.imu.specific_force
     acceleration = flight.angular_acceleration
     if rates is not flight.rates:
         # The derivative belongs to the rates as they were filtered: turn it as they are turned.
         turned = replace(recording, imu=ImuStream(time_ns, acceleration, flight.specific_force))
         acceleration = effect.function(turned, vehicle, effect.undo(values)).imu.angular_velocity
+    if altered.imu is not recording.imu:
+        gyro_bias, accelerometer_bias = biases(rates - flight.rates, force - flight.specific_force)
+        rates, force = rates - gyro_bias, force - accelerometer_bias
 
     def shifted(values: Array, delay_s: float) -> Array:
         return values if delay_s == 0.0 else _delayed(flight.time, values, delay_s)
@@ -232,17 +243,12 @@ def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array) -> F
         flight,
         rates=rates,
         angular_acceleration=acceleration,
-        specific_force=_less_bias(altered.imu.specific_force, flight.specific_force),
+        specific_force=force,
         rotor_speeds=shifted(rotors.speeds, rotor_delay),
         position=shifted(pose.position, pose_delay),
         attitude=shifted(pose.attitude, pose_delay),
         velocity=shifted(flight.velocity, pose_delay),
     )
-
-
-def _less_bias(altered: Array, values: Array) -> Array:
-    """Altered values (N, 3) with the mean that they had."""
-    return values if altered is values else altered + (values - altered).mean(axis=0)
 
 
 def _delayed(time: Array, values: Array, delay_s: float) -> Array:

@@ -39,7 +39,7 @@ from quadpi_core.vehicle import Vehicle
 
 _COLLECTED_MAX = 8192
 # How far the delay of motion capture wanders: the drift of unrelated clocks, 0.5 ms in half a minute.
-_DELAY_WALK_S = 1e-4
+DELAY_WALK_S = 1e-4
 _OUTCOMES = tuple(Outcome)
 _STATUSES = tuple(EstimatorStatus)
 _IMU, _POSE, _VELOCITY = range(3)
@@ -509,7 +509,7 @@ def _noise(vehicle: Vehicle, rate_hz: float) -> Noise:
         accelerometer=noise.accelerometer_noise_m_s2**2 / rate_hz,
         gyro_bias=noise.gyro_bias_walk**2,
         accelerometer_bias=noise.accelerometer_bias_walk**2,
-        delay=_DELAY_WALK_S**2 if noise.mocap_delay_std_s > 0.0 else 0.0,
+        delay=DELAY_WALK_S**2 if noise.mocap_delay_std_s > 0.0 else 0.0,
         position=noise.mocap_position_m**2,
         attitude=noise.mocap_attitude_rad**2,
         velocity=noise.mocap_velocity_m_s**2,

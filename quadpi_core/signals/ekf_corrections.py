@@ -52,11 +52,11 @@ Count: TypeAlias = npt.NDArray[np.int64]
 _RATES, _FORCE, _POSITION, _VELOCITY = Row.RATES, Row.FORCE, Row.POSITION, Row.VELOCITY
 _ATTITUDE, _GYRO_BIAS, _ACCELEROMETER_BIAS = Row.ATTITUDE, Row.GYRO_BIAS, Row.ACCELEROMETER_BIAS
 # How fast body rates change in flight [rad/s²]: what a wrong delay does to an attitude, to second order.
-_ANGULAR_ACCELERATION = 20.0
+ANGULAR_ACCELERATION = 20.0
 # And the acceleration [m/s³]: what it does to a velocity.
 _JERK = 20.0
 # A motion counts in full when it is well above three standard deviations.
-_SIGNIFICANCE = 9.0
+SIGNIFICANCE = 9.0
 
 
 @njit(cache=True)
@@ -110,7 +110,7 @@ def _told(vector: tuple[float, float, float], variance: float) -> float:
     An error of the velocity, taken for motion, would seem to tell the delay of a vehicle that stands still.
     """
     square = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
-    return square / (square + _SIGNIFICANCE * variance) if square > 0.0 else 0.0
+    return square / (square + SIGNIFICANCE * variance) if square > 0.0 else 0.0
 
 
 @njit(cache=True)
@@ -153,7 +153,7 @@ def _pose(
         of_velocity, of_bias = covariance[3 + axis, 3 + axis], covariance[9 + axis, 9 + axis]
         left_out[axis] = _left_out(covariance, of_velocity, acceleration[axis])
         left_out[axis] += covariance[3 + axis, DELAY] ** 2
-        left_out[3 + axis] = _left_out(covariance, noise.rates + of_bias, _ANGULAR_ACCELERATION)
+        left_out[3 + axis] = _left_out(covariance, noise.rates + of_bias, ANGULAR_ACCELERATION)
     turned = rotations.product(
         row[_ATTITUDE], rotations.from_rotation_vector((lag * rates[0], lag * rates[1], lag * rates[2]))
     )

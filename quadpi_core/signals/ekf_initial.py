@@ -13,7 +13,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.signals import rotations
-from quadpi_core.signals.ekf_corrections import BODY_VELOCITY
+from quadpi_core.signals.ekf_corrections import ANGULAR_ACCELERATION, BODY_VELOCITY
 from quadpi_core.signals.ekf_kernels import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -42,7 +42,6 @@ _HEADING_STD_LEAST_RAD = 0.05
 # Accelerations in a second [m/s] by which a heading shows in velocities of the world.
 _LEAST_TURNING = 0.3
 _BLOCKS = 5
-_ANGULAR_ACCELERATION = 20.0
 
 ImuSample: TypeAlias = tuple[int, Array]
 Measurement: TypeAlias = tuple[int, int, Array]
@@ -240,7 +239,7 @@ def _initial(
     # Half the curvature times the squared delay, which the linear model leaves out.
     left_out = 0.5 * delay_variance**2
     covariance[POSITION, POSITION] += left_out * np.diag(acceleration**2)
-    covariance[ATTITUDE, ATTITUDE] += left_out * _ANGULAR_ACCELERATION**2 * np.eye(3)
+    covariance[ATTITUDE, ATTITUDE] += left_out * ANGULAR_ACCELERATION**2 * np.eye(3)
     covariance[DELAY, DELAY] = delay_variance
     row = np.zeros(Row.WIDTH)
     row[Row.RATES], row[Row.FORCE] = inertial.rates[last], inertial.force[last]
