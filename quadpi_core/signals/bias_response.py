@@ -38,6 +38,8 @@ STEP_S = 0.04
 MOCAP_HZ = 120.0
 # Of the EKF's velocity once it has settled.
 _VELOCITY_STD_M_S = 0.01
+# Beyond any bias: of a flight of a few samples nothing tells one.
+_GYRO_BIAS_STD_RAD_S, _ACCELEROMETER_BIAS_STD_M_S2 = 1.0, 10.0
 # A delay that is known is known to this.
 _EXACT_S = 1e-6
 
@@ -152,7 +154,11 @@ class BiasResponse:
         jacobian = np.tile(np.eye(ERROR_STATES), (self._steps + 1, 1, 1))
         jacobian[:, :, DELAY] = by_delay
         information: Array = np.swapaxes(jacobian, 1, 2) @ (weight[:, :, None] * jacobian)
-        information[0, DELAY, DELAY] += 1.0 / max(noise.mocap_delay_std_s, _EXACT_S) ** 2
+        before = np.zeros(ERROR_STATES)
+        before[GYRO_BIAS] = _GYRO_BIAS_STD_RAD_S**-2
+        before[ACCELEROMETER_BIAS] = _ACCELEROMETER_BIAS_STD_M_S2**-2
+        before[DELAY] = 1.0 / max(noise.mocap_delay_std_s, _EXACT_S) ** 2
+        information[0] += np.diag(before)
         return information
 
     @cached_property

@@ -98,8 +98,8 @@ def test_effects_of_the_vehicle_file_are_in_its_wrench(vehicle_file, flight):
     assert simulation.record()["mass"] == simulation.vehicle.mass_kg
 
 
-# Not flown or not as strong as switched on: no flight leads away from the anchor of a typical tether, and the
-# estimator finds a late motion capture itself and takes most of a turned IMU for its biases.
+# Not flown or not as strong as switched on: no flight leads away from the anchor of a typical tether, the
+# estimator finds a late motion capture itself, and while markers are hidden less of a turned IMU is a bias.
 WEAKENED = {"tether", "sensor_delay", "imu_misalignment"}
 
 
