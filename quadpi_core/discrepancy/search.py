@@ -138,12 +138,20 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
 
 def _settle(design: Design) -> None:
     """Linearise every candidate where it fits best alone, with the columns of its form."""
-    for turn in range(_ROUNDS):
+    best: dict[int, tuple[float, Array]] = {}
+    for turn in range(_ROUNDS + 1):
         at = {}
         for index, candidate in enumerate(design.candidates):
-            found = design.fit((index,), form=False) if turn == 0 or not candidate.linear else None
-            if found is not None:
-                at[index] = design.parameters(index, found)
+            if turn > 0 and candidate.linear:
+                continue
+            found, here = design.fit((index,), form=False), design.points[index]
+            if found is not None and (index not in best or found.log_evidence >= best[index][0]):
+                best[index] = (found.log_evidence, here)
+                if turn < _ROUNDS:
+                    at[index] = design.parameters(index, found)
+            elif index in best:
+                # Too far: half of the way, and at last none of it.
+                at[index] = 0.5 * (best[index][1] + here) if turn < _ROUNDS else best[index][1]
         for index, point in at.items():
             design.move(index, point)
         design.refresh()
@@ -271,16 +279,33 @@ def _sizeable(design: Design, chosen: tuple[int, ...], found: Fit) -> bool:
 
 
 def _refine(design: Design, chosen: tuple[int, ...], found: Fit) -> Fit | None:
-    """Linearise the chosen again where they fit together; None where bounds then leave nothing of one."""
+    """Linearise the chosen again where they fit together; None where bounds then leave nothing of one.
+
+    A step to where they fit worse, as far ones of a tether are, is taken half.
+    """
+    curved = any(not design.candidates[index].linear for index in chosen)
+    best, at = found, [design.points[index] for index in chosen]
     refined: Fit | None = found
+    to = [design.parameters(index, found) for index in chosen]
     for _ in range(_ROUNDS):
-        if refined is None:
-            break
-        for index in chosen:
-            design.move(index, design.parameters(index, refined))
-        design.refresh()
+        _move(design, chosen, to)
         refined = design.fit(chosen)
-    return refined
+        if refined is not None and (not curved or refined.log_evidence > best.log_evidence - _LEAST_EVIDENCE):
+            best, at, to = refined, to, [design.parameters(index, refined) for index in chosen]
+        elif not curved:
+            return None
+        else:
+            to = [0.5 * (old + new) for old, new in zip(at, to, strict=True)]
+    if refined is best:
+        return best
+    _move(design, chosen, at)
+    return design.fit(chosen)
+
+
+def _move(design: Design, chosen: Sequence[int], points: Sequence[Array]) -> None:
+    for index, point in zip(chosen, points, strict=True):
+        design.move(index, point)
+    design.refresh()
 
 
 def _rivals(design: Design, chosen: tuple[int, ...], found: Fit) -> dict[int, list[tuple[int, float]]]:

@@ -28,14 +28,18 @@ def plans():
 
 @pytest.fixture(scope="session")
 def flown(plans):
-    """flown("name:parameter=value", …) → four flights of the Bebop 2 that has these effects."""
+    """flown("name:parameter=value", …) → four flights of the Bebop 2 that has these effects.
+
+    With hover=True they are of nothing but hover and throttle.
+    """
+    hovers = {plan.name: plan for plan in load_scenario("discovery_hover").flights}
     vehicle, suite = SimulatedVehicle.load("bebop2"), SensorSuite.load("paper")
 
     @cache
-    def fly(*texts):
+    def fly(*texts, hover=False):
         effects = parse_effects(texts) if texts else read_effects(None, "test")
         flights = []
-        for plan in plans.values():
+        for plan in (hovers if hover else plans).values():
             _, sensed = fly_and_sense(replace(plan, effects=effects), vehicle, suite)
             flights.append(fuse_airborne(sensed.recording, vehicle.vehicle, CUTOFF_HZ["default"]))
         return flights

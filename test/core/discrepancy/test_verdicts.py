@@ -108,6 +108,15 @@ def test_another_body_is_told_from_another_thrust(effect, true, flown):
         assert parameter.value == pytest.approx(true[parameter.name], rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_tether_is_told_from_hover(flown):
+    """Along one line stiffness, length and anchor do the same: steps from one such point overshoot."""
+    hidden = "tether:stiffness_n_m=0.1,length_m=2,north_m=0,east_m=0,height_m=0,hook_m=0.01"
+    found = discover(load_simulation("bebop2"), flown(hidden, hover=True))
+    assert [effect.name for effect in found.effects] == ["tether"]
+    assert found.effects[0].parameters[0].value == pytest.approx(0.1, rel=0.15)
+
+
 def test_every_flight_has_to_be_of_the_vehicle(simulation, flights):
     with pytest.raises(
         DiscrepancyError, match=r"flown by vehicle other, but the simulation bebop2 is of bebop2"
