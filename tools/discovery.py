@@ -26,6 +26,7 @@ sys.path.append(str(ROOT / "tools"))
 
 from blind import elsewhere  # noqa: E402
 from blind.cases import (  # noqa: E402
+    KINDS,
     SINGLE,
     SIZES,
     Case,
@@ -165,18 +166,21 @@ def main() -> None:
         help="cases of other seeds, to look at while the search changes; the page stays as it is",
     )
     few.add_argument("--cases", type=int, help="so many of all, evenly mixed; the page stays as it is")
+    few.add_argument("--only", choices=KINDS, help="all cases of this kind; the page stays as it is")
     parser.add_argument("--workers", type=int, help="processes; default: one per core")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "discovery", help="for results by case")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "discovery.json")
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     options = parser.parse_args()
-    whole = not (options.short or options.development or options.cases)
+    whole = not (options.short or options.development or options.cases or options.only)
     if options.short:
         cases = short_cases()
     elif options.development:
         cases = development_cases()
     else:
         cases = all_cases()[: options.cases]
+        if options.only:
+            cases = [case for case in cases if Hidden.opened(case.seal).kind == options.only]
     if whole and not elsewhere.available():
         print("no rotorpy here: its flights are left out; `make bench` installs it")
     results = run(cases, options.work / fingerprint(), options.workers)
