@@ -110,7 +110,7 @@ _READING = """## What these figures say
   that is left at low frequencies, as no moments at all are. Roll-outs need the moments: half a second
   goes off by 31° and 19°.
 - The share of the removable gap says little here: the floor holds all that no function of the library
-  explains. On NeuroBEM an axis holds more that can be predicted than was named in it, hence `unknown`.
+  explains. On NeuroBEM an axis holds much that can be predicted beside what was named, hence `unknown`.
 - Up to 20 Hz the search on NeuroBEM is misled: most of the thrust lost, beside a coefficient of it 26
   tolerances off, and roll-outs no better. From 5 to 20 Hz measured Mx and My go with the simulated ones
   (correlation 0.9) at 0.7 of their size, Mz hardly does (0.5 to 0.2): the gyro lags the attitude by 5 to

@@ -24,9 +24,9 @@ from quadpi_core.frames import Array
 _INTERVAL = 1.96
 # What is predicted of an axis beyond the effects matters where its squares are this multiple of those of the
 # noise: of flights without any effect nothing is predicted, of a hover up to a quarter, where all motion is
-# noise of the estimator. Where it is about as loud as the noise, the axis is judged by itself, too: an effect
-# may explain another axis so well that it hides this one.
-_MATTERS, _LOUD = 0.3, 0.8
+# noise of the estimator. Where it is about as loud as the noise, and no small part of what was named in the
+# axis, the axis is judged by itself, too: an effect may explain another axis so well that it hides this one.
+_MATTERS, _LOUD, _PART = 0.3, 0.8, 0.2
 _FEWEST_FLIGHTS = 2
 
 
@@ -166,10 +166,10 @@ def discover(
 
 
 def _unexplained(left: Array, named: Array, loudness: float) -> float:
-    """Share without a name of squares (6,) left and named, of all axes or of one with more left than that."""
+    """Share without a name of squares (6,) left and named, of all axes or of one that is louder than that."""
     if not left.any():
         return 0.0
-    loud = (left > loudness) & (left > named)
+    loud = (left > loudness) & (left > _PART * named)
     alone = left[loud] / (left[loud] + named[loud])
     return float(max(left.sum() / (left.sum() + named.sum()), np.max(alone, initial=0.0)))
 

@@ -47,9 +47,8 @@ _HEARD = 0.1
 # which the effect may enlarge what is left of the axis. Coefficients settle elsewhere beside it.
 _GROWS = 0.5
 _FEW_FLIGHTS = 4
-# Of the discrepancy that can be predicted from flight to flight: what may stay without a name. A turned IMU
-# leaves up to 0.06 of it, as slow parts went into its bias.
-UNEXPLAINED_SHARE = 0.08
+# Of the discrepancy that can be predicted from flight to flight: what may stay without a name.
+UNEXPLAINED_SHARE = 0.05
 
 
 @dataclass(frozen=True)
