@@ -98,7 +98,8 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
     while True:
         kept = [[i for i in block.parameters if i not in out] for block in blocks]
         if any(len(own) == 0 for own in kept):
-            return None
+            # Of a law that its form would turn round the law as it is remains, if anything.
+            return exact
         parts, precisions = [tolerances], [np.ones(len(tolerances))]
         for place, (own, block) in enumerate(zip(kept, blocks, strict=True)):
             parts.append(np.asarray(own))
