@@ -40,6 +40,8 @@ MOCAP_HZ = 120.0
 _VELOCITY_STD_M_S = 0.01
 # Beyond any bias: of a flight of a few samples nothing tells one.
 _GYRO_BIAS_STD_RAD_S, _ACCELEROMETER_BIAS_STD_M_S2 = 1.0, 10.0
+# A bias that wanders less does not wander over a flight; and numbers stay within what can be solved.
+_LEAST_WALK = 1e-5
 # A delay that is known is known to this.
 _EXACT_S = 1e-6
 
@@ -118,8 +120,8 @@ class BiasResponse:
         diagonal = np.zeros(ERROR_STATES)
         diagonal[POSITION], diagonal[VELOCITY] = force * dt**3 / 3.0, force * dt
         diagonal[ATTITUDE] = rate * dt
-        diagonal[GYRO_BIAS] = noise.gyro_bias_walk**2 * dt
-        diagonal[ACCELEROMETER_BIAS] = noise.accelerometer_bias_walk**2 * dt
+        diagonal[GYRO_BIAS] = max(noise.gyro_bias_walk, _LEAST_WALK) ** 2 * dt
+        diagonal[ACCELEROMETER_BIAS] = max(noise.accelerometer_bias_walk, _LEAST_WALK) ** 2 * dt
         diagonal[DELAY] = walk**2 * dt
         wander = np.diag(diagonal)
         wander[POSITION, VELOCITY] = wander[VELOCITY, POSITION] = 0.5 * force * dt**2 * np.eye(3)

@@ -80,6 +80,16 @@ def test_it_is_linear_and_the_same_of_a_thinned_flight(reported):
         np.testing.assert_allclose(part, once[::4], atol=0.03 * np.abs(once).max())
 
 
+@pytest.mark.parametrize("walk", ["accelerometer_bias_walk", "gyro_bias_walk"])
+def test_a_bias_that_hardly_wanders(noisy_vehicle, simulate_flight, walk):
+    vehicle = replace(noisy_vehicle, noise=SensorNoise(**{walk: 1e-9}))
+    flight = fuse(simulate_flight(1).recording, noisy_vehicle, CUTOFF_HZ)
+    error = np.sin(flight.time)[:, None] * [0.01, 0.02, 0.03]
+    gyro, accelerometer = BiasResponse(flight, vehicle, 500.0)(error, error)
+    still, free = (gyro, accelerometer) if walk.startswith("gyro") else (accelerometer, gyro)
+    assert np.ptp(still, axis=0).max() < 1e-4 < np.ptp(free, axis=0).max()
+
+
 def test_a_flight_shorter_than_a_step(noisy_vehicle, simulate_flight):
     flight = fuse(simulate_flight(1).recording, noisy_vehicle, CUTOFF_HZ)
     short = flight.slice(slice(0, 10))
