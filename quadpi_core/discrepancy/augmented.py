@@ -62,7 +62,7 @@ class AugmentedSimulation(Simulation):
 
     @property
     def memoryless(self) -> bool:  # type: ignore[override]
-        """As the base, unless sensors report what was."""
+        """As the base; but what effects on sensors change depends on the whole flight."""
         return self.base.memoryless and not self._of("sensor")
 
     @cached_property

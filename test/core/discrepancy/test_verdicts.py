@@ -141,8 +141,9 @@ class _Told:
 
     def __init__(self, evidence):
         self.evidence = {tuple(sorted(chosen)): value for chosen, value in evidence.items()}
-        self.candidates = [SimpleNamespace(name=f"effect {k}", form=0.0) for k in range(3)]
+        self.candidates = [SimpleNamespace(name=f"effect {k}", form=0.0, linear=True) for k in range(3)]
         self.blocks = [SimpleNamespace(parameters=np.array([k])) for k in range(3)]
+        self.points = [np.zeros(1) for _ in range(3)]
         self.weighed = 0
 
     def fit(self, chosen, *_, **__):
