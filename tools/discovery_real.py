@@ -110,12 +110,13 @@ _READING = """## What these figures say
   that is left at low frequencies, as no moments at all are. Roll-outs need the moments: half a second
   goes off by 31° and 19°.
 - The share of the removable gap says little here: the floor holds all that no function of the library
-  explains. On NeuroBEM an axis holds much that can be predicted beside what was named, hence `unknown`.
+  explains. Of what can be predicted, too much has no name: in an axis of NeuroBEM, and 6 % on the
+  Crazyflie. Hence `unknown`.
 - Up to 20 Hz the search on NeuroBEM is misled: most of the thrust lost, beside a coefficient of it 26
   tolerances off, and roll-outs no better. From 5 to 20 Hz measured Mx and My go with the simulated ones
   (correlation 0.9) at 0.7 of their size, Mz hardly does (0.5 to 0.2): the gyro lags the attitude by 5 to
   7 ms. The verdict should be `unknown`.
-- The second round on the Crazyflie names what closes nothing, beside coefficients of moments that make
+- The second round on the Crazyflie names what closes little, beside coefficients of moments that make
   roll-outs much worse: to distrust. Roll-outs test what one-step errors do not.
 """
 
