@@ -20,8 +20,8 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotation_matrix
-from quadpi_core.signals.ekf import DELAY_WALK_S
-from quadpi_core.signals.ekf_corrections import ANGULAR_ACCELERATION, SIGNIFICANCE
+from quadpi_core.signals.ekf import assumed_noise
+from quadpi_core.signals.ekf_corrections import ANGULAR_ACCELERATION, told
 from quadpi_core.signals.ekf_kernels import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -42,7 +42,7 @@ _VELOCITY_STD_M_S = 0.01
 _GYRO_BIAS_STD_RAD_S, _ACCELEROMETER_BIAS_STD_M_S2 = 1.0, 10.0
 # A bias that wanders less does not wander over a flight; and numbers stay within what can be solved.
 _LEAST_WALK = 1e-5
-# A delay that is known is known to this.
+# A delay that is known is known to this, and wanders by no more.
 _EXACT_S = 1e-6
 
 
@@ -57,9 +57,7 @@ class BiasResponse:
 
     def __init__(self, flight: Flight, vehicle: Vehicle, imu_rate_hz: float) -> None:
         self._flight = flight
-        self._noise = vehicle.noise
-        self._gravity = vehicle.gravity_m_s2
-        self._imu_rate_hz = imu_rate_hz
+        self._noise = assumed_noise(vehicle, imu_rate_hz)
         self._samples = max(1, round(STEP_S * flight.rate_hz))
         self._steps = max(1, len(flight) // self._samples)
         self._dt = self._samples / flight.rate_hz
@@ -73,7 +71,7 @@ class BiasResponse:
         """
         moved = np.zeros((self._steps, ERROR_STATES))
         moved[:, ATTITUDE] = self._dt * self._means(rates)
-        moved[:, VELOCITY] = self._dt * np.einsum("nij,nj->ni", self._rotation, self._means(force))
+        moved[:, VELOCITY] = self._dt * self._into_world(self._means(force))
         moved[:, POSITION] = 0.5 * self._dt * moved[:, VELOCITY]
         weighted = moved @ self._information
         right = np.zeros((self._steps + 1, ERROR_STATES))
@@ -114,17 +112,17 @@ class BiasResponse:
     def _wander(self) -> Array:
         """Covariance (16, 16) that a step adds."""
         dt, noise = self._dt, self._noise
-        force = noise.accelerometer_noise_m_s2**2 / self._imu_rate_hz
-        rate = noise.gyro_noise_rad_s**2 / self._imu_rate_hz
-        walk = DELAY_WALK_S if noise.mocap_delay_std_s > 0.0 else _EXACT_S
         diagonal = np.zeros(ERROR_STATES)
-        diagonal[POSITION], diagonal[VELOCITY] = force * dt**3 / 3.0, force * dt
-        diagonal[ATTITUDE] = rate * dt
-        diagonal[GYRO_BIAS] = max(noise.gyro_bias_walk, _LEAST_WALK) ** 2 * dt
-        diagonal[ACCELEROMETER_BIAS] = max(noise.accelerometer_bias_walk, _LEAST_WALK) ** 2 * dt
-        diagonal[DELAY] = walk**2 * dt
+        diagonal[POSITION] = noise.accelerometer * dt**3 / 3.0
+        diagonal[VELOCITY] = noise.accelerometer * dt
+        diagonal[ATTITUDE] = noise.gyro * dt
+        diagonal[GYRO_BIAS] = max(noise.gyro_bias, _LEAST_WALK**2) * dt
+        diagonal[ACCELEROMETER_BIAS] = max(noise.accelerometer_bias, _LEAST_WALK**2) * dt
+        diagonal[DELAY] = max(noise.delay, _EXACT_S**2) * dt
         wander = np.diag(diagonal)
-        wander[POSITION, VELOCITY] = wander[VELOCITY, POSITION] = 0.5 * force * dt**2 * np.eye(3)
+        wander[POSITION, VELOCITY] = wander[VELOCITY, POSITION] = (
+            0.5 * noise.accelerometer * dt**2 * np.eye(3)
+        )
         return wander
 
     @cached_property
@@ -136,21 +134,21 @@ class BiasResponse:
         """Information (K + 1, 16, 16) that motion capture gives of the errors at each step."""
         noise, poses = self._noise, MOCAP_HZ * self._dt
         velocity, rates = self._means(self._flight.velocity), self._means(self._flight.rates)
-        acceleration = np.einsum("nij,nj->ni", self._rotation, self._means(self._flight.specific_force))
-        acceleration[:, 2] += self._gravity
+        acceleration = self._into_world(self._means(self._flight.specific_force))
+        acceleration[:, 2] += noise.gravity
         # As the EKF: an uncertain delay widens a pose, motion that stands out tells the delay.
         pushed = np.square(acceleration).sum(axis=1) / 3.0
-        moving, turning = _told(velocity, _VELOCITY_STD_M_S), _told(rates, noise.gyro_noise_rad_s)
+        moving, turning = _told(velocity, _VELOCITY_STD_M_S**2), _told(rates, noise.rates)
         weight = np.zeros((self._steps + 1, ERROR_STATES))
-        delay = max(noise.mocap_delay_std_s, _EXACT_S) ** 2
+        delay = known = max(noise.delay_prior, _EXACT_S**2)
         for step in range(self._steps):
-            position = poses / (noise.mocap_position_m**2 + 0.5 * delay**2 * pushed[step])
-            attitude = poses / (noise.mocap_attitude_rad**2 + 0.5 * (delay * ANGULAR_ACCELERATION) ** 2)
+            position = poses / (noise.position + 0.5 * delay**2 * pushed[step])
+            attitude = poses / (noise.attitude + 0.5 * (delay * ANGULAR_ACCELERATION) ** 2)
             weight[step, POSITION], weight[step, ATTITUDE] = position, attitude
             delay = 1.0 / (1.0 / delay + position * moving[step] + attitude * turning[step])
         weight[-1] = weight[-2]
         by_delay = np.zeros_like(weight)
-        by_delay[:-1, POSITION] = -np.einsum("nij,nj->ni", self._rotation, velocity)
+        by_delay[:-1, POSITION] = -self._into_world(velocity)
         by_delay[:-1, ATTITUDE] = -rates
         by_delay[-1] = by_delay[-2]
         jacobian = np.tile(np.eye(ERROR_STATES), (self._steps + 1, 1, 1))
@@ -159,7 +157,7 @@ class BiasResponse:
         before = np.zeros(ERROR_STATES)
         before[GYRO_BIAS] = _GYRO_BIAS_STD_RAD_S**-2
         before[ACCELEROMETER_BIAS] = _ACCELEROMETER_BIAS_STD_M_S2**-2
-        before[DELAY] = 1.0 / max(noise.mocap_delay_std_s, _EXACT_S) ** 2
+        before[DELAY] = 1.0 / known
         information[0] += np.diag(before)
         return information
 
@@ -183,6 +181,11 @@ class BiasResponse:
                 banded[distant, column:-ERROR_STATES:ERROR_STATES] = below[:, row, column]
         return cholesky_banded(banded, lower=True, check_finite=False), scale
 
+    def _into_world(self, values: Array) -> Array:
+        """Body vectors (K, 3) of each step in the world."""
+        rotated: Array = np.einsum("nij,nj->ni", self._rotation, values)
+        return rotated
+
     def _means(self, values: Array) -> Array:
         """Of values (N, 3) over each step (K, 3)."""
         used = values[: self._steps * self._samples]
@@ -196,11 +199,11 @@ class BiasResponse:
         return np.stack([np.interp(time, ends, column) for column in values.T], axis=1)
 
 
-def _told(motion: Array, std: float) -> Array:
-    """Squares (K,) of motion (K, 3), as far as it stands out from errors of that standard deviation."""
-    square = np.square(motion).sum(axis=1)
-    told: Array = square * (square / (square + SIGNIFICANCE * 3.0 * std**2)) ** 2
-    return told
+def _told(motion: Array, variance: float) -> Array:
+    """Squares (K,) of what of a motion (K, 3) tells the delay, of that variance in each component."""
+    shares = np.array([told((x, y, z), 3.0 * variance) for x, y, z in motion])
+    squares: Array = np.square(motion * shares[:, None]).sum(axis=1)
+    return squares
 
 
 def _cross(vectors: Array) -> Array:

@@ -39,7 +39,7 @@ from quadpi_core.vehicle import Vehicle
 
 _COLLECTED_MAX = 8192
 # How far the delay of motion capture wanders: the drift of unrelated clocks, 0.5 ms in half a minute.
-DELAY_WALK_S = 1e-4
+_DELAY_WALK_S = 1e-4
 _OUTCOMES = tuple(Outcome)
 _STATUSES = tuple(EstimatorStatus)
 _IMU, _POSE, _VELOCITY = range(3)
@@ -209,7 +209,7 @@ class Ekf:
     def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
         self._sensors = vehicle.noise
         self._gravity = vehicle.gravity_m_s2
-        self._memory = ekf_memory.allocate(rate_hz, _noise(vehicle, rate_hz))
+        self._memory = ekf_memory.allocate(rate_hz, assumed_noise(vehicle, rate_hz))
         self._initial: Initial | None = None
         self._caught_up: Stamps = np.empty(0, dtype=np.int64)
         self._imu: deque[ImuSample] = deque(maxlen=_COLLECTED_MAX)
@@ -502,14 +502,15 @@ class Ekf:
         return {outcome: int(counted[outcome]) for outcome in Outcome}
 
 
-def _noise(vehicle: Vehicle, rate_hz: float) -> Noise:
+def assumed_noise(vehicle: Vehicle, rate_hz: float) -> Noise:
+    """What the filter assumes of the sensors of a vehicle whose IMU has this rate."""
     noise = vehicle.noise
     return Noise(
         gyro=noise.gyro_noise_rad_s**2 / rate_hz,
         accelerometer=noise.accelerometer_noise_m_s2**2 / rate_hz,
         gyro_bias=noise.gyro_bias_walk**2,
         accelerometer_bias=noise.accelerometer_bias_walk**2,
-        delay=DELAY_WALK_S**2 if noise.mocap_delay_std_s > 0.0 else 0.0,
+        delay=_DELAY_WALK_S**2 if noise.mocap_delay_std_s > 0.0 else 0.0,
         position=noise.mocap_position_m**2,
         attitude=noise.mocap_attitude_rad**2,
         velocity=noise.mocap_velocity_m_s**2,

@@ -56,7 +56,7 @@ ANGULAR_ACCELERATION = 20.0
 # And the acceleration [m/s³]: what it does to a velocity.
 _JERK = 20.0
 # A motion counts in full when it is well above three standard deviations.
-SIGNIFICANCE = 9.0
+_SIGNIFICANCE = 9.0
 
 
 @njit(cache=True)
@@ -104,13 +104,13 @@ def fuse(row: Array, noise: Noise, kind: int, lag: float, value: Array, scalars:
 
 
 @njit(cache=True)
-def _told(vector: tuple[float, float, float], variance: float) -> float:
+def told(vector: tuple[float, float, float], variance: float) -> float:
     """Share of a motion (3,) that is told from the error of its estimate, of that total variance.
 
     An error of the velocity, taken for motion, would seem to tell the delay of a vehicle that stands still.
     """
     square = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
-    return square / (square + SIGNIFICANCE * variance) if square > 0.0 else 0.0
+    return square / (square + _SIGNIFICANCE * variance) if square > 0.0 else 0.0
 
 
 @njit(cache=True)
@@ -140,8 +140,8 @@ def _pose(
     """Residual (6,), variance that the linear model leaves out (6,) and Jacobian (6, 16) of a pose."""
     position, velocity = row[_POSITION], row[_VELOCITY]
     rates = _corrected(row, _RATES.start, _GYRO_BIAS.start)
-    moving = _told((velocity[0], velocity[1], velocity[2]), _variance(row, VELOCITY.start))
-    turning = _told(rates, 3.0 * noise.rates + _variance(row, GYRO_BIAS.start))
+    moving = told((velocity[0], velocity[1], velocity[2]), _variance(row, VELOCITY.start))
+    turning = told(rates, 3.0 * noise.rates + _variance(row, GYRO_BIAS.start))
     for axis in range(3):
         residual[axis] = value[axis] - position[axis] - lag * velocity[axis]
         by[axis, axis] = 1.0
@@ -185,7 +185,7 @@ def _velocity(
     uncertain += noise.gravity**2 * _variance(row, ATTITUDE.start)
     for axis in range(3):
         left_out[axis] = _left_out(covariance_of(row), uncertain / 3.0, _JERK)
-    pushed = _told(acceleration, uncertain)
+    pushed = told(acceleration, uncertain)
     if not body:
         for axis in range(3):
             residual[axis] = value[axis] - velocity[axis] - lag * acceleration[axis]
@@ -201,7 +201,7 @@ def _velocity(
         a[1] - rates[2] * u[0] + rates[0] * u[2],
         a[2] - rates[0] * u[1] + rates[1] * u[0],
     )
-    pushed = _told(slope, uncertain)
+    pushed = told(slope, uncertain)
     for axis in range(3):
         residual[axis] = value[axis] - u[axis] - lag * slope[axis]
         for column in range(3):
