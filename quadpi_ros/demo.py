@@ -98,10 +98,13 @@ def _real_flights(data: Path, output: Path, console: Console) -> DemoFlights:
     vehicle = Vehicle.load("neurobem")
     console.rule("1  Import: flight logs to MCAP bags")
     groups: dict[str, list[Path]] = {"identification": [], "extrapolation": []}
-    for bag, imu_samples, _, _ in import_logs(logs, vehicle, output / "bags"):
-        speed = float(np.linalg.norm(read_recording(bag, vehicle).odometry.velocity, axis=1).max())
-        groups["identification" if speed < FASTEST_IDENTIFIED_M_S else "extrapolation"].append(bag)
-        console.print(f"{bag}: {imu_samples} IMU samples, up to {speed:.1f} m/s")
+    for flight in import_logs(logs, vehicle, output / "bags"):
+        odometry = read_recording(flight.bag, vehicle).odometry
+        if odometry is None:
+            raise QuadpiError(what_to_provide)
+        speed = float(np.linalg.norm(odometry.velocity, axis=1).max())
+        groups["identification" if speed < FASTEST_IDENTIFIED_M_S else "extrapolation"].append(flight.bag)
+        console.print(f"{flight.bag}: {flight.imu_samples} IMU samples, up to {speed:.1f} m/s")
     if len(groups["identification"]) < 2 or not groups["extrapolation"]:
         raise QuadpiError(what_to_provide)
     return DemoFlights(vehicle, groups, groups["extrapolation"][0])

@@ -191,7 +191,7 @@ def real_cases(job: Job) -> list[Case]:
         return []
     logs = [folder / f"{name}.mat" for name in FLIGHTS.values()]
     imported = import_logs(logs, Vehicle.load(REAL_VEHICLE), job.work / "neurobem")
-    flights = job.prepared([bag for bag, *_ in imported], REAL_VEHICLE)
+    flights = job.prepared([flight.bag for flight in imported], REAL_VEHICLE)
     return [
         Case(
             f"NeuroBEM, the others → {speed} m/s",

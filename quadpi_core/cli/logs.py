@@ -42,7 +42,7 @@ def import_(
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
     with counting(console, "Logs", len(logs)) as progress:
-        bags = import_logs(
+        flights = import_logs(
             logs,
             the_vehicle,
             output,
@@ -52,14 +52,17 @@ def import_(
             scheduler=scheduler,
             progress=progress,
         )
-    for bag, imu_samples, topics, alignment, missing in bags:
-        console.print(f"{bag}: {imu_samples} IMU samples; topics {', '.join(topics)}", soft_wrap=True)
-        if alignment is not None:
+    for flight in flights:
+        console.print(
+            f"{flight.bag}: {flight.imu_samples} IMU samples; topics {', '.join(flight.topics)}",
+            soft_wrap=True,
+        )
+        if (alignment := flight.alignment) is not None:
             console.print(
                 f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
                 f"{alignment.correlation:.3f} over {alignment.matches} samples"
             )
-        for sentence in missing:
+        for sentence in flight.missing:
             console.print(f"  {sentence}", soft_wrap=True)
 
 

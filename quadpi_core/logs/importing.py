@@ -5,9 +5,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 from quadpi_core.config import is_config_path
 from quadpi_core.errors import LogError
@@ -22,7 +21,8 @@ from quadpi_core.signals.alignment import Alignment, align_pose
 from quadpi_core.vehicle import Vehicle
 
 
-class Imported(NamedTuple):
+@dataclass(frozen=True)
+class Imported:
     """A bag that was written: what it holds and lacks, and how its poses were moved in time, if they were."""
 
     bag: Path
@@ -80,7 +80,7 @@ def import_logs(
             if (folder / name).resolve() == log.resolve():
                 raise LogError(f"{log}: its own bag would replace it; choose another folder")
         refuse_duplicates((str(log), sha256) for log, (_, sha256) in zip(logs, converted, strict=True))
-    return [imported._replace(bag=folder / imported.bag.name) for imported, _ in converted]
+    return [replace(imported, bag=folder / imported.bag.name) for imported, _ in converted]
 
 
 @dataclass(frozen=True)

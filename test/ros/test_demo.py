@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import scipy.io
 from rich.console import Console
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
@@ -17,6 +20,8 @@ from quadpi_ros.demo import run_demo
 
 # When the bundled flight `extrapolation` passes the range of its training by a tenth, at 7 m/s.
 LEAVES_THE_ENVELOPE_S = 9.5
+# Of each real flight, from its start: by then the fastest has passed the 12 m/s that tell the groups apart.
+REAL_FLIGHT_S = 8.0
 
 
 @pytest.mark.slow
@@ -36,4 +41,28 @@ def test_demo_on_the_bundled_flights(tmp_path: Path) -> None:
     assert "ALARM" in told.getvalue()
     assert f"first warning at {live['warning_first_s']:.1f} s" in told.getvalue()
     assert "extrapolation.mcap" in told.getvalue()
+    assert (tmp_path / "out" / "report.html").stat().st_size > 4e6
+
+
+@pytest.mark.slow
+def test_demo_on_real_flights(shared_data: Path, tmp_path: Path) -> None:
+    """The command of README, on the first seconds of the flights that it is for."""
+    flights = tmp_path / "neurobem"
+    flights.mkdir()
+    for log in (shared_data / "neurobem").glob("*.mat"):
+        matrix = scipy.io.loadmat(log)[log.stem]
+        beginning = matrix[matrix[:, 0] < matrix[0, 0] + REAL_FLIGHT_S]
+        scipy.io.savemat(flights / log.name, {log.stem: beginning})
+    command = ["demo", "--data", str(tmp_path), "--rate", "2", "-o", str(tmp_path / "out")]
+    result = subprocess.run(
+        [sys.executable, "-m", "quadpi_core.cli", *command], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert {name: len(group["flights"]) for name, group in summary["groups"].items()} == {
+        "identification": 3,
+        "extrapolation": 1,
+    }
+    assert summary["live"]["predictions_out"] > 0.8 * summary["live"]["samples_in"]
+    assert summary["live"]["alarm_first_s"] is not None
     assert (tmp_path / "out" / "report.html").stat().st_size > 4e6

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -51,8 +53,8 @@ def test_a_cluster_writes_the_same_bytes(bags, vehicle, cluster, tmp_path, monke
     theirs = import_logs(
         bags, vehicle, (tmp_path / "theirs").relative_to(tmp_path), align=True, scheduler=cluster
     )
-    assert [flight._replace(bag=flight.bag.name) for flight in theirs] == [
-        flight._replace(bag=flight.bag.name) for flight in own
+    assert [replace(flight, bag=Path(flight.bag.name)) for flight in theirs] == [
+        replace(flight, bag=Path(flight.bag.name)) for flight in own
     ]
     for one, other in zip(own, theirs, strict=True):
         assert one.bag.read_bytes() == other.bag.read_bytes()
