@@ -95,7 +95,7 @@ def definition_of(message_type: Any) -> str:
     """The definition of an installed message and all that it contains, as a bag embeds it (`ros2msg`)."""
     contained: dict[str, Any] = {}
     text = _fields_of(message_type, contained)
-    sections, done = [text], set()
+    sections, done = [text], set[str]()
     while names := contained.keys() - done:
         for name in sorted(names):
             done.add(name)

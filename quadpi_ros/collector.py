@@ -98,7 +98,7 @@ class Listener:
         topics: message type, name and what takes the messages of each.
     """
 
-    def __init__(self, name: str, topics: Sequence[tuple[type, str, Callable[[bytes], object]]]) -> None:
+    def __init__(self, name: str, topics: Sequence[tuple[type, str, Callable[[bytes], None]]]) -> None:
         self._context = Context()
         self._context.init()
         self._node = Node(name, context=self._context, start_parameter_services=False)

@@ -17,6 +17,7 @@ from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
+from rclpy.clock import ROSClock
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, RotorSpeedStream, WindStream
@@ -107,6 +108,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         super().__init__("monitor", MonitorParameters, shared_with)
         self._estimator = estimator
         self._load_model: SlowService | None = None
+        self._dropped = 0
+        self._newest_ns = _LONG_AGO_NS
 
     def configure(self) -> None:
         """Load the vehicle, the models and every compiled kernel."""
@@ -160,7 +163,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def _latencies(self) -> dict[str, float | str | None]:
         """Since the last status; results that are far from their stamps tell that the clocks differ."""
         clock = self.get_clock()
-        ahead_ns = None if clock.ros_time_is_active else clock.now().nanoseconds - time.monotonic_ns()
+        simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        ahead_ns = None if simulated else clock.now().nanoseconds - time.monotonic_ns()
         latency = self._latency.report(ahead_ns)
         if latency is None:
             return {}

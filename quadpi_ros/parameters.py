@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar
 
@@ -85,7 +85,9 @@ class ParameterServer(Generic[Parameters]):
         self._where = f"node {node.get_name()}"
         self._changed = changed
         others = {item.name for other in shared_with for item in fields(other)}
-        given = {name: value.value for name, value in node.get_parameters_by_prefix("").items()}
+        # rclpy declares that it gives values; it gives parameters.
+        overrides: Mapping[str, Any] = node.get_parameters_by_prefix("")
+        given = {name: override.value for name, override in overrides.items()}
         for name in given.keys() - self._fields.keys() - others - _RCLPY_PARAMETERS:
             raise ParameterError(
                 f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"

@@ -153,7 +153,7 @@ class Playlist:
             stamps = unpack_stamps(topic.payloads)[published[1][mine]]
             columns[name] = np.column_stack((stamps, sent_ns[mine]))
         with whole_output(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **columns)
+            np.savez(file, allow_pickle=False, **columns)
 
 
 def playable(path: Path) -> list[str]:

@@ -187,9 +187,9 @@ class SensorNode(ManagedNode[Parameters]):
         array.status.append(self.status("state", level, problem or self.state, {"state": self.state}))
         array.status += [self._input_status(name, topic, period_s) for name, topic in self._inputs.items()]
         array.status += [
-            self.status(name, diagnostics.ERROR, output.mismatch, {})
+            self.status(name, diagnostics.ERROR, mismatch, {})
             for name, output in self._outputs.items()
-            if self._still_mismatched(output)
+            if (mismatch := self._standing_mismatch(output))
         ]
         if self.state == "active":
             array.status += self.statuses()
@@ -243,11 +243,11 @@ class SensorNode(ManagedNode[Parameters]):
     def _note_lost(topic: _Input, total: int) -> None:
         topic.lost = total
 
-    def _still_mismatched(self, output: _Output) -> bool:
-        """Whether a subscriber stands that cannot hear this output; forgets a mismatch that is gone."""
+    def _standing_mismatch(self, output: _Output) -> str | None:
+        """Why a subscriber that is still there cannot hear this output; forgets a mismatch that is gone."""
         if output.mismatch is None or output.publisher is None:
-            return False
+            return None
         standing = self.count_subscribers(output.publisher.topic_name)
         if standing == output.publisher.get_subscription_count():
             output.mismatch = None
-        return output.mismatch is not None
+        return output.mismatch

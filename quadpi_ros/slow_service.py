@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -35,7 +35,7 @@ class SlowService:
     ) -> None:
         self._node, self._work = node, work
         self._one_at_a_time = threading.Lock()
-        self._service = node.create_service(service_type, name, self._take)
+        self._service = cast(Any, node.create_service(service_type, name, self._take))
         self._send = self._service.send_response
         # The executor sends what the callback returns; here that is a promise.
         self._service.send_response = self._send_when_kept
