@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.report import sections
 from quadpi_core.report.decimation import bins_within
 from quadpi_core.report.groups import group_figure, interval_figure, lines_drawn
+from quadpi_core.report.holding import covers_too_little, in_cells, of_axes
 from quadpi_core.report.page import (
     figure,
     figure_of_flight,
@@ -30,7 +31,7 @@ from quadpi_core.report.page import (
     table,
     write_page,
 )
-from quadpi_core.report.style import covers_too_little, hundredths, number, percent, unit
+from quadpi_core.report.style import hundredths, number, percent, unit
 from quadpi_core.report.tables import alarm_sentence
 
 PUBLISHED = "published"
@@ -177,16 +178,18 @@ def write_comparison_page(
 
 
 def verdict(comparison: Mapping[str, Any]) -> str:
-    """One sentence: in how many cells of each group the intervals cover enough."""
+    """One sentence: in how many axes of all models the intervals hold on each group, and where not."""
+    cells = {
+        group: [
+            replace(coverage, what=f"{name} {coverage.what}")
+            for name, model in comparison["models"].items()
+            for coverage in of_axes(model["groups"][group]["axes"])
+        ]
+        for group in comparison["groups"]
+    }
     confidence = comparison["confidence"]
-    found = [row for row in rows(comparison) if row.model is not None]
-    clauses = []
-    for group in comparison["groups"]:
-        holding = sum(not row.short(group, confidence) for row in found)
-        clauses.append(f"{holding} of {len(found)} on {group}")
-    *first, last = clauses
-    listed = f"{', '.join(first)} and {last}" if first else last
-    return f"{100 * confidence:g}\u00a0% prediction intervals hold in {listed} (axes of all models)."
+    found = in_cells(cells, confidence)
+    return f"{100 * confidence:g}\u00a0% prediction intervals {found} (axes of all models)."
 
 
 def _header(comparison: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.report.holding import Holding, covers_too_little, joint, listed, of_axes
 from quadpi_core.report.live import LiveReplay
 from quadpi_core.report.page import (
     cells,
@@ -23,7 +24,6 @@ from quadpi_core.report.page import (
     table,
 )
 from quadpi_core.report.style import (
-    covers_too_little,
     determination,
     group_colours,
     number,
@@ -38,33 +38,25 @@ HISTORY = "history"
 
 
 def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
-    """One sentence: on which groups the intervals hold, and on which they cover too little, how badly.
+    """One sentence: on which groups the intervals hold, on which that is not shown, on which they do not.
 
-    A group of `training` flights alone is marked: there the intervals hold by construction. Where an axis
-    covers too little, but not beyond chance, the least one is told: few flights leave much open.
+    A group of `training` flights alone is marked: there the intervals hold by construction. The axis that
+    covers least is named with its numbers, of those that the clause is about, unless all cover enough.
     """
     confidence = evaluation["confidence"]
-    holding, clauses = [], []
+    groups: dict[Holding, list[str]] = {}
     for group, part in evaluation["groups"].items():
-        axes = part["axes"]
-        short = {a: m["picp"] for a, m in axes.items() if covers_too_little(m, confidence)}
-        if short:
-            worst = min(short, key=lambda axis: short[axis])
-            extent = f"{len(short)} of {len(axes)} axes; {worst} covers {percent(short[worst])}"
-            clauses.append(f"fall short on {group} ({extent})")
-            continue
+        holding, axes = joint(of_axes(part["axes"]), confidence)
         remarks = ["in sample"] if set(part["flights"]) <= set(training) else []
-        least = min(axes, key=lambda axis: axes[axis]["picp"])
-        if axes[least]["picp"] < confidence:
-            low, high = axes[least]["picp_ci"]
-            remarks.append(f"{least} {percent(axes[least]['picp'])}, {percent(low)} to {percent(high)}")
-        holding.append(f"{group} ({'; '.join(remarks)})" if remarks else group)
-    if holding:
-        *first, last = holding
-        clauses.insert(0, f"hold on {', '.join(first)} and {last}" if first else f"hold on {last}")
-    if not clauses:
+        if holding is not Holding.HOLDS:
+            remarks.append(f"{len(axes)} of {len(part['axes'])} axes")
+        if holding is not Holding.HOLDS or axes[0].estimate < confidence:
+            remarks.append(axes[0].sentence())
+        groups.setdefault(holding, []).append(f"{group} ({'; '.join(remarks)})" if remarks else group)
+    if not groups:
         return f"{100 * confidence:g} % prediction intervals, flight by flight."
-    return f"{100 * confidence:g} % prediction intervals {', but '.join(clauses)}."
+    clauses = [f"{holding.value} on {listed(groups[holding])}" for holding in Holding if holding in groups]
+    return f"{100 * confidence:g} % prediction intervals {', and '.join(clauses)}."
 
 
 def header(evaluation: Mapping[str, Any], model: AerodynamicModel) -> str:

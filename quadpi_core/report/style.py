@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import cycle
 from typing import Any
 
@@ -115,8 +115,3 @@ def number(value: float | None) -> str:
 def determination(r2: float | None) -> str:
     """R² with three decimals; a dash where it is undefined."""
     return "–" if r2 is None else f"{r2:.3f}"
-
-
-def covers_too_little(metrics: Mapping[str, Any], confidence: float) -> bool:
-    """Whether the confidence interval of the coverage lies below the nominal coverage."""
-    return bool(metrics["picp_ci"][1] < confidence)

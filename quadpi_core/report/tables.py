@@ -14,7 +14,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from quadpi_core.report.style import covers_too_little, determination, number, percent, percent_range, unit
+from quadpi_core.report.holding import covers_too_little
+from quadpi_core.report.style import determination, number, percent, percent_range, unit
 
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -69,12 +70,15 @@ def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table
 def alarm_sentence(alarm: Mapping[str, Any]) -> str:
     """False alarms, detection and what each signal tells, as `evaluate_flights` found them for one group."""
     parts = []
-    if alarm["false_alarms_per_hour"] is not None:
-        minutes = 60.0 * alarm["hours_inside"]
-        parts.append(
-            f"{alarm['false_alarms']} false in {number(minutes)} min inside coverage "
-            f"({number(alarm['false_alarms_per_hour'])} per hour)"
-        )
+    if alarm["hours_inside"] > 0.0:
+        rate = alarm["false_alarms_per_hour"]
+        stated = "–, too short to state a rate" if rate is None else f"{number(rate)} per hour"
+        minutes = _minutes(alarm["hours_inside"])
+        parts.append(f"{alarm['false_alarms']} false in {minutes} inside the envelope ({stated})")
+    if alarm["hours_outside"] > 0.0:
+        plural = "" if alarm["alarms_outside"] == 1 else "s"
+        minutes = _minutes(alarm["hours_outside"])
+        parts.append(f"{alarm['alarms_outside']} alarm{plural} in {minutes} outside the envelope")
     if alarm["flights_off"]:
         found = alarm["flights_off"] - alarm["flights_undetected"]
         late = "" if alarm["detection_delay_s"] is None else f", {alarm['detection_delay_s']:.2f} s late"
@@ -83,6 +87,10 @@ def alarm_sentence(alarm: Mapping[str, Any]) -> str:
     if known:
         parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
     return "; ".join(parts)
+
+
+def _minutes(hours: float) -> str:
+    return f"{number(60.0 * hours)} min"
 
 
 def held_out_table(model: AerodynamicModel) -> Table | None:

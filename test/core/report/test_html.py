@@ -7,6 +7,7 @@ import pytest
 
 from quadpi_core.report.html import write_report
 from quadpi_core.report.sections import verdict
+from quadpi_core.report.style import percent
 
 
 @pytest.fixture
@@ -73,9 +74,10 @@ def test_flights_without_a_group_are_shown_too(case, read_page, tmp_path):
 def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
     axes = case.evaluation["groups"]["new & fast"]["axes"]
     worst = min(axes, key=lambda axis: axes[axis]["picp"])
+    low, high = axes[worst]["picp_ci"]
     assert verdict(case.evaluation, ["slow", "mid", "another"]) == (
-        "95 % prediction intervals hold on known (in sample), but fall short on new & fast "
-        f"(6 of 6 axes; {worst} covers {100 * axes[worst]['picp']:.1f} %)."
+        "95 % prediction intervals hold on known (in sample), and do not hold on new & fast "
+        f"(6 of 6 axes; {worst} {percent(axes[worst]['picp'])}, {percent(low)} to {percent(high)})."
     )
 
 
@@ -85,9 +87,9 @@ def test_verdict_lists_the_groups_on_which_intervals_hold(case):
     assert verdict(evaluation, []) == "95 % prediction intervals hold on a, b and c."
 
 
-def test_verdict_tells_the_least_coverage_that_chance_excuses(case):
+def test_verdict_tells_the_least_coverage_that_is_still_called_holding(case):
     known = deepcopy(case.evaluation["groups"]["known"])
-    known["axes"]["Mz"] |= {"picp": 0.83, "picp_ci": [0.62, 0.96]}
+    known["axes"]["Mz"] |= {"picp": 0.94, "picp_ci": [0.92, 0.96]}
     assert verdict(case.evaluation | {"groups": {"few": known}}, []) == (
-        "95 % prediction intervals hold on few (Mz 83.0 %, 62.0 % to 96.0 %)."
+        "95 % prediction intervals hold on few (Mz 94.0 %, 92.0 % to 96.0 %)."
     )
