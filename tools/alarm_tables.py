@@ -41,7 +41,7 @@ from quadpi_core.monitor.alarm import (
     MISCOVERAGE,
     alarm_time,
 )
-from quadpi_core.monitor.assessment import auroc
+from quadpi_core.monitor.assessment import auroc, per_hour
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.paths import data_directory, whole_output
 from quadpi_core.prepared import PreparedFlight, prepare_flights
@@ -287,8 +287,9 @@ class Counts:
     def row(self) -> list[str]:
         """Cells from the hours on."""
         count = int(self.alarms.sum())
-        low, high = (bound / self.hours for bound in poisson_interval(count))
-        rate = f"{count / self.hours:.2g} ({low:.2g} to {high:.2g})"
+        rates = [per_hour(number, self.hours) for number in (count, *poisson_interval(count))]
+        mean, low, high = ("–" if rate is None else f"{rate:.2g}" for rate in rates)
+        rate = f"{mean} ({low} to {high})"
         counts = map(str, (*self.alarms, self.early))
         return [f"{self.hours:.2f}", *counts, rate, f"{100.0 * self.warned / self.hours:.2g} %"]
 

@@ -139,7 +139,10 @@ def evaluate_flights(
 
     `alarm` is null where the alarm was not run, else holds (see :mod:`quadpi_core.monitor.assessment`)
 
-    - `false_alarms` in `hours_inside`, and `false_alarms_per_hour`, null without such time;
+    - `false_alarms` in `hours_inside`: alarms that begin inside the envelope while the model is not off, and
+      the time there was; `false_alarms_per_hour`, null for less than a minute of it;
+    - `alarms_outside` in `hours_outside`: alarms that begin outside the envelope, where an input is beyond
+      its warning limit; `hours_monitored`: all time in which the alarm had something to judge;
     - `flights_off`: flights in which the model is off; `flights_undetected`: those without an alarm from then
       on; `detection_delay_s`: median delay of the others, null without any;
     - `auroc.{inputs, leverage, width, miscoverage}`: area under the ROC curve of each signal for samples

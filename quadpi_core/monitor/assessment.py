@@ -4,13 +4,18 @@
 
 A model is off at an instant if of the three seconds that follow, more than half of the samples of an axis
 lie outside their interval. Detection is late by the time from the first such instant to the alarm; an alarm
-that stands there already is not late. An alarm is false if no such span that holds its begin is that bad.
+that is raised already is not late.
+
+A flight is outside the envelope while an input is beyond its warning limit (10 % of its training range). An
+alarm that begins there is counted apart and never false: there the model promises nothing. One that begins
+inside is false if no span of three seconds that contains its begin is off. Leverage and width do not decide
+what is outside: the alarm goes by them, and would be its own judge.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -24,6 +29,8 @@ from quadpi_core.monitor.alarm import LEVEL_ALARM, Alarm, Judged, MonitorSetting
 from quadpi_core.monitor.live import LiveSamples
 
 SIGNALS = ("inputs", "leverage", "width", "miscoverage")
+# Least monitored flight for a rate per hour: of less, a single alarm would make more than 60 per hour.
+SHORTEST_HOURS = 1.0 / 60.0
 _OFF_SHARE, _OFF_S = 0.5, 3.0
 # A row of the alarm for every sample.
 _EVERY_SAMPLE_HZ = 1e9
@@ -37,11 +44,15 @@ class FlightAlarm:
         scores: by name of :data:`SIGNALS` (N,), the worst input's or axis' value over its limit.
         raised: (N,) whether EXTRAPOLATION or MISCOVERAGE stands at alarm level.
         missed: (N, 6) whether the measured wrench lay outside its interval, order as `AXES`.
+        monitored: (N,) False where the alarm had nothing to judge.
+        outside: (N,) whether an input is outside the envelope: beyond its warning limit.
     """
 
     scores: Mapping[str, Array]
     raised: npt.NDArray[np.bool_]
     missed: npt.NDArray[np.bool_]
+    monitored: npt.NDArray[np.bool_]
+    outside: npt.NDArray[np.bool_]
 
 
 def alarm_of_flight(
@@ -85,12 +96,38 @@ def alarm_of_flight(
     )
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
     missed[known] = (wrench < evaluation.lower) | (wrench > evaluation.upper)
+    outside = np.zeros(samples, dtype=np.bool_)
+    outside[known] = (model.envelope.input_excess(inputs) > model.envelope.near.margin).any(axis=1)
     scores = (rows.input_score, rows.leverage, rows.width, rows.miscoverage)
     return FlightAlarm(
         {name: score.max(axis=1) for name, score in zip(SIGNALS, scores, strict=True)},
         (rows.cause_level[:, :2] == LEVEL_ALARM).any(axis=1),
         missed,
+        known,
+        outside,
     )
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Alarms of flights, and the hours in which they could have come.
+
+    Attributes:
+        false_alarms, hours_inside: inside the envelope, while the model is not off.
+        alarms_outside, hours_outside: outside the envelope, whatever the model.
+        hours_monitored: inside, outside and off.
+    """
+
+    false_alarms: int
+    hours_inside: float
+    alarms_outside: int
+    hours_outside: float
+    hours_monitored: float
+
+    @classmethod
+    def total(cls, parts: Sequence[Counted]) -> Counted:
+        """Those of several flights together."""
+        return cls(*(sum(getattr(part, field.name) for part in parts) for field in fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -129,28 +166,39 @@ class Assessed:
         raised = np.flatnonzero(self.alarm.raised[start:])
         return float(self.time[start + raised[0]] - self.time[start]) if len(raised) else float("inf")
 
-    def false_alarms(self) -> tuple[int, float]:
-        """How many, and the hours in which they could have come."""
+    def counted(self) -> Counted:
+        """Alarms inside and outside the envelope."""
         off = np.flatnonzero(self.off())
         bad = np.zeros(len(self.time) + 1)
         np.add.at(bad, off, 1.0)
         np.add.at(bad, np.searchsorted(self.time, self.time[off] + _OFF_S), -1.0)
-        inside = np.cumsum(bad)[:-1] <= 0.0
+        outside = self.alarm.outside
+        inside = (np.cumsum(bad)[:-1] <= 0.0) & ~outside
         begins = self.alarm.raised & ~np.concatenate(([False], self.alarm.raised[:-1]))
-        steps = np.diff(self.time, append=self.time[-1])
-        return int(np.sum(begins & inside)), float(steps[inside].sum()) / 3600.0
+        hours = np.diff(self.time, append=self.time[-1]) * self.alarm.monitored / 3600.0
+        return Counted(
+            false_alarms=int(np.sum(begins & inside)),
+            hours_inside=float(hours[inside].sum()),
+            alarms_outside=int(np.sum(begins & outside)),
+            hours_outside=float(hours[outside].sum()),
+            hours_monitored=float(hours.sum()),
+        )
+
+
+def per_hour(count: float, hours: float) -> float | None:
+    """A rate; None for less time than :data:`SHORTEST_HOURS`, which is too short to state one."""
+    return count / hours if hours >= SHORTEST_HOURS else None
 
 
 def assess(flights: Sequence[Assessed]) -> dict[str, Any]:
     """The alarm on flights as plain JSON; keys as of `quadpi_core.intervals.evaluate.evaluate_flights`."""
-    counts, hours = zip(*(flight.false_alarms() for flight in flights), strict=True)
+    counted = Counted.total([flight.counted() for flight in flights])
     delays = [delay for flight in flights if (delay := flight.delay_s()) is not None]
     detected = [delay for delay in delays if np.isfinite(delay)]
     missed = np.concatenate([flight.missed.any(axis=1) for flight in flights])
     return {
-        "false_alarms": sum(counts),
-        "hours_inside": sum(hours),
-        "false_alarms_per_hour": sum(counts) / sum(hours) if sum(hours) > 0.0 else None,
+        **asdict(counted),
+        "false_alarms_per_hour": per_hour(counted.false_alarms, counted.hours_inside),
         "flights_off": len(delays),
         "flights_undetected": len(delays) - len(detected),
         "detection_delay_s": float(np.median(detected)) if detected else None,
