@@ -5,18 +5,16 @@
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar
 
 import yaml
 
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.paths import config_directory
-
-_Number = TypeVar("_Number", int, float)
+from quadpi_core.reading import CONFIG_BYTES_MAX, read_bounded
 
 
 def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -> tuple[Path, Any]:
@@ -35,14 +33,16 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
     if not is_config_path(name_or_path):
         path = own / f"{name_or_path}.yaml"
     try:
-        return path, yaml.load(path.read_text(), _Loader)
+        return path, yaml.load(read_bounded(path, CONFIG_BYTES_MAX).decode(), _Loader)
     except FileNotFoundError:
         known = sorted(file.stem for file in own.glob("*.yaml"))
         raise error(
             f"{path}: no such {kind} file; known {kind}s: {', '.join(known)}, or the path of a .yaml file"
             f"{nearest(path.stem, known)}"
         ) from None
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as reason:
+    except RecursionError:
+        raise error(f"{path}: not a readable YAML file: nested too deeply") from None
+    except (OSError, ValueError, yaml.YAMLError) as reason:
         raise error(f"{path}: not a readable YAML file: {one_line(reason)}") from reason
 
 
@@ -53,45 +53,111 @@ def is_config_path(name_or_path: str | Path) -> bool:
 
 # No quantity is larger, or smaller unless it is zero; powers and products of such numbers stay finite.
 _LARGEST = 1e30
+# With every alias written out: an alias of aliases of aliases names as much as anyone likes.
+_NODES_MAX = 100_000
+_TAG = "tag:yaml.org,2002:"
+_INT = re.compile(r"[-+]?[0-9]+")
+_FLOAT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses numbers that no quantity has, and a key that stands twice: YAML would take the last."""
+    """Knows mappings, lists, text, decimal numbers, true, false and null, and no other tag.
 
-    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+    YAML 1.1 reads 1:30 as 90, 010 as 8, 2024-01-01 as a date, and 1e-3 as text; here the first and the third
+    are text and the others the decimal numbers that they look like. Refused are numbers that no quantity has,
+    a key that stands twice, of which YAML would take the last, and aliases that repeat too much.
+    """
+
+    yaml_constructors: ClassVar[dict[Any, Any]] = {}
+    yaml_multi_constructors: ClassVar[dict[Any, Any]] = {}
+    yaml_implicit_resolvers: ClassVar[dict[Any, Any]] = {}  # type: ignore[misc]  # typed as of an instance
+
+    def construct_document(self, node: yaml.Node) -> Any:
         """See SafeLoader."""
-        return self._sized(super().construct_yaml_int(node), node)
+        _count(node, {})
+        return super().construct_document(node)
 
-    def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
-        """See SafeLoader."""
-        return self._sized(super().construct_yaml_float(node), node)
+    def construct_int(self, node: yaml.ScalarNode) -> int:
+        """A whole decimal number."""
+        self._require(_INT, node, "a whole number")
+        # The length first: Python refuses to read thousands of digits, or takes long.
+        return int(node.value) if len(node.value) <= 32 else int(self._sized(float(node.value), node))
 
-    def _sized(self, value: _Number, node: yaml.ScalarNode) -> _Number:
-        """The number itself; what is no number, or infinite, is judged where its key is known."""
-        if 0 < abs(value) < 1.0 / _LARGEST or _LARGEST < abs(value) < math.inf:
-            problem = f"numbers must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, or 0"
-            raise yaml.constructor.ConstructorError(problem=problem, problem_mark=node.start_mark)
+    def construct_float(self, node: yaml.ScalarNode) -> float:
+        """A decimal number; what is infinite or none is judged where its key is known."""
+        self._require(_FLOAT, node, "a number")
+        text = node.value.lower()
+        return self._sized(float(text.replace(".inf", "inf").replace(".nan", "nan")), node)
+
+    def construct_bool(self, node: yaml.ScalarNode) -> bool:
+        """True or false."""
+        if not isinstance(node, yaml.ScalarNode) or node.value.lower() not in self.bool_values:
+            raise _refused(f"`{node.value}` is neither true nor false", node)
+        return self.bool_values[node.value.lower()]
+
+    def _require(self, pattern: re.Pattern[str], node: yaml.ScalarNode, what: str) -> None:
+        if not isinstance(node, yaml.ScalarNode) or not pattern.fullmatch(node.value):
+            raise _refused(f"`{node.value}` is not {what}", node)
+
+    def _sized(self, value: float, node: yaml.ScalarNode) -> float:
+        written_infinite = "inf" in node.value.lower()
+        if 0 < abs(value) < 1.0 / _LARGEST or (abs(value) > _LARGEST and not written_infinite):
+            raise _refused(f"numbers must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, or 0", node)
         return value
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """See SafeLoader."""
+        if not isinstance(node, yaml.MappingNode):
+            raise _refused("expected keys and values", node)
         seen = set()
         for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
             if key.value in seen:
-                problem = f"the key `{key.value}` stands twice"
-                raise yaml.constructor.ConstructorError(problem=problem, problem_mark=key.start_mark)
+                raise _refused(f"the key `{key.value}` stands twice", key)
             seen.add(key.value)
-        return super().construct_mapping(node, deep)
+        return yaml.constructor.BaseConstructor.construct_mapping(self, node, deep)
 
 
-_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
-_Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_yaml_float)
-# YAML 1.1 takes 1e-3 and 1.5e3 for text: its numbers have a point, and a sign in the exponent.
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
+def _refused(problem: str, node: yaml.Node) -> yaml.constructor.ConstructorError:
+    return yaml.constructor.ConstructorError(problem=problem[:200], problem_mark=node.start_mark)
+
+
+def _count(node: yaml.Node, known: dict[int, int]) -> int:
+    """Nodes at and below a node, with every alias written out; 0 stands for one that is being counted."""
+    if id(node) in known:
+        if known[id(node)] == 0:
+            raise _refused("an alias of what it stands in", node)
+        return known[id(node)]
+    known[id(node)] = 0
+    below: list[yaml.Node] = []
+    if isinstance(node, yaml.MappingNode):
+        below = [part for pair in node.value for part in pair]
+    elif isinstance(node, yaml.SequenceNode):
+        below = node.value
+    total = 1 + sum(_count(part, known) for part in below)
+    if total > _NODES_MAX:
+        raise _refused(f"more than {_NODES_MAX} entries, with every alias written out", node)
+    known[id(node)] = total
+    return total
+
+
+for _name, _construct in (
+    ("null", _Loader.construct_yaml_null),
+    ("bool", _Loader.construct_bool),
+    ("int", _Loader.construct_int),
+    ("float", _Loader.construct_float),
+    ("str", _Loader.construct_yaml_str),
+    ("seq", _Loader.construct_yaml_seq),
+    ("map", _Loader.construct_yaml_map),
+):
+    _Loader.add_constructor(f"{_TAG}{_name}", _construct)
+_Loader.yaml_constructors[None] = _Loader.construct_undefined
+for _name, _pattern, _first in (
+    ("null", re.compile(r"(~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
+    ("bool", re.compile(r"(yes|no|true|false|on|off)$", re.IGNORECASE), list("yYnNtTfFoO")),
+    ("int", re.compile(f"({_INT.pattern})$"), list("-+0123456789")),
+    ("float", re.compile(f"({_FLOAT.pattern})$"), list("-+.0123456789")),
+):
+    _Loader.add_implicit_resolver(f"{_TAG}{_name}", _pattern, _first)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

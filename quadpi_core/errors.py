@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors that quadpi reports to its user in one line."""
 
+# A terminal's worth: a damaged file may hold a name of megabytes.
+_LONGEST = 1600
+
 
 class QuadpiError(Exception):
     """A problem with what the user gave: the message says which file, topic and sample, and what to do.
@@ -11,8 +14,13 @@ class QuadpiError(Exception):
     """
 
     def __str__(self) -> str:
-        """The message in one line, whatever line breaks stand in the names that it cites."""
-        return " ".join(super().__str__().splitlines())
+        """The message in one line of bounded length, whatever controls stand in what it cites."""
+        line = " ".join(super().__str__().splitlines())
+        if not line.isprintable():
+            line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+        if len(line) > _LONGEST:
+            line = f"{line[: _LONGEST // 2]} … {line[-_LONGEST // 2 :]}"
+        return line
 
 
 class VehicleError(QuadpiError):

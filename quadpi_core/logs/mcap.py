@@ -8,28 +8,34 @@ compiled walk over its records instead of one by one in Python (https://mcap.dev
 
 from __future__ import annotations
 
+import sqlite3
 import zlib
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from io import SEEK_CUR, BytesIO
 from pathlib import Path
 from types import TracebackType
+from typing import Any
+from urllib.parse import quote
 
 import numpy as np
+from backports import zstd
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_string
+from rosbags.rosbag2.storage_mcap import McapReader, read_string
 
 from quadpi_core.compiled import njit
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.payloads import Bytes, Indices, Payloads
+from quadpi_core.logs.unpacking import require_unpackable, unlz4, unpacked_limit, unzstd, zstd_size
+from quadpi_core.reading import read_bounded
 
 MAGIC = b"\x89MCAP0\r\n"
-MESSAGE, CHUNK, METADATA = 0x05, 0x06, 0x0C
+SCHEMA, MESSAGE, CHUNK, STATISTICS, METADATA = 0x03, 0x05, 0x06, 0x0B, 0x0C
 RECORD_PREFIX = 9
 MESSAGE_HEADER = np.dtype(
     [("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
@@ -39,6 +45,11 @@ _CHUNK_HEADER = np.dtype(
 )
 _FOOTER = np.dtype([("summary_start", "<u8"), ("offsets_start", "<u8"), ("crc", "<u4")])
 _LENGTH_64 = np.dtype("<u8")
+_METADATA_FILE = "metadata.yaml"
+# What a message takes beside its bytes.
+_ENTRY_BYTES = 100
+# That of a recording of a day, split every minute, is smaller.
+_METADATA_BYTES_MAX = 2**20
 
 
 @dataclass(frozen=True)
@@ -77,11 +88,23 @@ class Bag:
         self.path = path
         if not path.exists():
             raise LogError(f"{path}: no such bag")
-        for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
+        for file in _files_of(path):
             _check_file(file)
         with self._reading():
-            self._reader = Reader(path)
+            self._reader = Reader(_with_metadata(path))
             self._reader.open()
+            self._check_connections()
+
+    def _check_connections(self) -> None:
+        """Refuse what a damaged index or metadata.yaml holds in the place of names and counts."""
+        for connection in self.connections:
+            named = all(isinstance(text, str) for text in (connection.topic, connection.msgtype))
+            if not named or not isinstance(connection.msgcount, int) or connection.msgcount < 0:
+                self._reader.close()
+                raise LogError(
+                    f"damaged: topic {connection.topic} of type {connection.msgtype} is said to hold "
+                    f"{connection.msgcount} messages"
+                )
 
     def __enter__(self) -> Bag:
         return self
@@ -135,15 +158,21 @@ class Bag:
                 )
         return topics
 
-    def _mcap_storages(self) -> list[McapReader]:
+    def _storages(self) -> list[Any]:
         storage = self._reader.storage
-        storages = storage.storages if isinstance(storage, DirectoryReader) else [storage]
-        return [storage for storage in storages if isinstance(storage, McapReader)]
+        return storage.storages if isinstance(storage, DirectoryReader) else [storage]
+
+    def _mcap_storages(self) -> list[McapReader]:
+        return [storage for storage in self._storages() if isinstance(storage, McapReader)]
 
     def _parts_one_by_one(self, connections: list[Connection]) -> list[Topic]:
         times: dict[int, list[int]] = {connection.id: [] for connection in connections}
         messages: dict[int, list[bytes]] = {connection.id: [] for connection in connections}
-        for connection, time_ns, message in self._reader.messages(connections):
+        packed_bytes = sum(file.stat().st_size for file in _files_of(self.path))
+        unpacked_bytes = 0
+        for connection, time_ns, message in self._messages(connections):
+            unpacked_bytes += _ENTRY_BYTES + len(message)
+            require_unpackable(packed_bytes, unpacked_bytes)
             times[connection.id].append(time_ns)
             messages[connection.id].append(message)
         return [
@@ -155,6 +184,19 @@ class Bag:
             )
             for connection in connections
         ]
+
+    def _messages(self, connections: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        """Messages as rosbags orders them; it would unpack those that are packed one by one at any size."""
+        if self._reader.compression_mode != "message":
+            yield from self._reader.messages(connections)
+            return
+        by_name = {(connection.topic, connection.msgtype): connection for connection in connections}
+        for storage in self._storages():
+            own = [known for known in storage.connections if (known.topic, known.msgtype) in by_name]
+            for known, time_ns, message in storage.messages(own) if own else ():
+                size = zstd_size(message, unpacked_limit(len(message)))
+                require_unpackable(len(message), size)
+                yield by_name[known.topic, known.msgtype], time_ns, unzstd(message, size)
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -168,28 +210,93 @@ class Bag:
             raise LogError(f"{self.path}: cannot be read: {reason[0]}") from error
 
 
+def _files_of(path: Path) -> list[Path]:
+    """The files of a bag that hold messages."""
+    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+
+
+def _with_metadata(folder: Path) -> Path:
+    """The folder of a bag, or the one file in it where nothing describes the folder.
+
+    Raises:
+        LogError: if its metadata.yaml is too large, or absent and there is not one file.
+        ValueError: if it is no file.
+    """
+    if not folder.is_dir():
+        return folder
+    if (folder / _METADATA_FILE).exists():
+        read_bounded(folder / _METADATA_FILE, _METADATA_BYTES_MAX)
+        return folder
+    files = [file for file in _files_of(folder) if file.suffix in {".mcap", ".db3"}]
+    if len(files) != 1:
+        raise LogError(
+            f"no {_METADATA_FILE}, and {len(files)} files of messages: `ros2 bag reindex` makes it, or name "
+            "one of the files"
+        )
+    return files[0]
+
+
 def _check_file(file: Path) -> None:
-    """Refuse an MCAP file that is empty, cut off (saying how much is whole) or has a damaged summary."""
-    if file.suffix != ".mcap":
-        return
+    """Refuse a file of a bag that unpacks to too much, and an MCAP file that is damaged.
+
+    That is one that is empty, cut off (saying how much is whole) or has a damaged summary.
+    """
+    try:
+        if file.suffix == ".zstd":
+            packed = _bytes_of(file).data
+            require_unpackable(len(packed), zstd_size(packed, unpacked_limit(len(packed))))
+        elif file.suffix == ".db3":
+            _check_database(file)
+        elif file.suffix == ".mcap":
+            _check_mcap(file)
+    except LogError as error:
+        raise LogError(f"{file}: {error}") from None
+    except OSError as error:
+        raise LogError(f"{file}: cannot be read: {error.strerror or error}") from error
+    except (sqlite3.Error, zstd.ZstdError) as error:
+        raise LogError(f"{file}: cannot be read: {one_line(error)}") from error
+
+
+def _check_database(file: Path) -> None:
+    """Refuse tables that make up their rows, or multiply them: what they yield has no bound."""
+    place = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
+    with closing(sqlite3.connect(place, uri=True)) as database:
+        for table in ("topics", "messages"):
+            made = database.execute("SELECT sql FROM sqlite_master WHERE name = ?", (table,)).fetchall()
+            columns = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
+            is_plain = all(column[-1] == 0 for column in columns)
+            if not is_plain or any("VIRTUAL" in str(text).upper() for (text,) in made):
+                raise LogError(f"damaged: its table `{table}` computes what it holds")
+        if made:
+            total, different = database.execute("SELECT COUNT(*), COUNT(DISTINCT id) FROM topics").fetchone()
+            if total != different:
+                raise LogError("damaged: topics of the same number")
+
+
+def _check_mcap(file: Path) -> None:
     data = _bytes_of(file)
     if len(data) == 0:
-        raise LogError(f"{file}: is empty")
+        raise LogError("is empty")
     if data[: len(MAGIC)].tobytes() != MAGIC:
-        raise LogError(f"{file}: is no MCAP file")
+        raise LogError("is no MCAP file")
     if len(data) < _FOOTER.itemsize + 2 * len(MAGIC) or data[-len(MAGIC) :].tobytes() != MAGIC:
         raise LogError(
-            f"{file}: cut off, it has no footer; {_whole_messages(data)} whole messages can be read, "
+            f"cut off, it has no footer; {_whole_messages(data)} whole messages can be read, "
             "`mcap recover` rebuilds the file"
         )
     footer = data[-_FOOTER.itemsize - len(MAGIC) : -len(MAGIC)].view(_FOOTER)[0]
     summary = data[int(footer["summary_start"]) : -footer["crc"].itemsize - len(MAGIC)]
     if footer["crc"] and zlib.crc32(summary.data) != footer["crc"]:
-        raise LogError(f"{file}: damaged: its summary does not match its checksum")
-    try:
-        _check_whole(find_records(data, len(MAGIC)), data[: -len(MAGIC)])
-    except LogError as error:
-        raise LogError(f"{file}: {error}") from None
+        raise LogError("damaged: its summary does not match its checksum")
+    records = find_records(data, len(MAGIC))
+    _check_whole(records, data[: -len(MAGIC)])
+    chunks = [data[start : start + length] for start, length in zip(*records.of(CHUNK), strict=True)]
+    require_unpackable(len(data), sum(_unpacked_size(chunk) for chunk in chunks))
+    summary_start = int(footer["summary_start"]) or len(data)
+    if not {SCHEMA, STATISTICS} <= set(records.opcodes[records.starts > summary_start].tolist()):
+        # Without them rosbags unpacks every chunk, whatever its size.
+        for chunk in chunks:
+            _decompressed(chunk)
 
 
 def _whole_messages(data: Bytes) -> int:
@@ -293,12 +400,33 @@ def _decompressed(record: Bytes) -> Bytes:
     Raises:
         Exception: of whatever kind, if the bytes are damaged.
     """
-    header = record[: _CHUNK_HEADER.itemsize].view(_CHUNK_HEADER)[0]
-    name_end = _CHUNK_HEADER.itemsize + int(header["name_length"])
-    compression = record[_CHUNK_HEADER.itemsize : name_end].tobytes().decode()
+    header = _chunk_header(record)
+    size, name_end = int(header["size"]), _CHUNK_HEADER.itemsize + int(header["name_length"])
+    compression = record[_CHUNK_HEADER.itemsize : name_end].tobytes()
     content = record[name_end + _LENGTH_64.itemsize :].tobytes()
-    whole = decompress(content, compression, int(header["size"]), int(header["crc"]))
+    match compression:
+        case b"lz4":
+            whole = unlz4(content, size)
+        case b"zstd":
+            whole = unzstd(content, size)
+        case b"" if len(content) == size:
+            whole = content
+        case _:
+            raise LogError(f"damaged: a chunk of {size} bytes, compressed by {compression[:8]!r}")
+    if header["crc"] and zlib.crc32(whole) != header["crc"]:
+        raise LogError("damaged: a chunk does not match its checksum")
     return np.frombuffer(whole, dtype=np.uint8)
+
+
+def _chunk_header(record: Bytes) -> np.void:
+    if len(record) < _CHUNK_HEADER.itemsize:
+        raise LogError("damaged: a chunk is shorter than its header")
+    header: np.void = record[: _CHUNK_HEADER.itemsize].view(_CHUNK_HEADER)[0]
+    return header
+
+
+def _unpacked_size(chunk: Bytes) -> int:
+    return int(_chunk_header(chunk)["size"])
 
 
 def _parse_metadata(record: bytes) -> tuple[str, dict[str, str]]:

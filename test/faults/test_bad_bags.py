@@ -68,8 +68,13 @@ def test_not_a_bag(bag):
     assert_refused(bag, "is no MCAP file")
 
 
-def test_folder_without_metadata(bag):
-    assert_refused(bag.parent, "metadata")
+def test_a_folder_of_one_file_needs_no_metadata(bag):
+    assert len(read_bag(bag.parent).imu) == N
+
+
+def test_a_folder_of_several_files_needs_metadata(bag):
+    bag.with_name("second.mcap").write_bytes(bag.read_bytes())
+    assert_refused(bag.parent, "no metadata.yaml, and 2 files of messages: `ros2 bag reindex` makes it")
 
 
 @pytest.mark.parametrize("fraction", [0.0001, 0.3, 0.9, 0.99])

@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small files that unpack to gigabytes are refused in one line, before memory is taken for them."""
+
+import struct
+
+import pytest
+from backports import zstd
+from lz4 import frame as lz4
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.logs import messages, read_recording
+from quadpi_core.logs.bags import read_bag
+from quadpi_core.logs.definitions import typestore
+from quadpi_core.logs.mcap import MAGIC
+from quadpi_core.logs.unpacking import LIMIT_VARIABLE, unlz4, unpacked_limit, unzstd, zstd_size
+
+from .damage import refusing
+
+BOMB_BYTES = 2**29
+PACKERS = {"zstd": zstd.compress, "lz4": lz4.compress}
+
+
+@pytest.fixture(scope="module")
+def bombs():
+    """Half a gigabyte of zeros in a few kB, and in 2 MB."""
+    zeros = bytes(2**23)
+    packed = {name: pack(zeros) for name, pack in PACKERS.items()}
+    # Frames of Zstandard follow each other; one of LZ4 is long.
+    packer = lz4.LZ4FrameCompressor()
+    blocks = [
+        packer.begin(),
+        *(packer.compress(zeros) for _ in range(BOMB_BYTES // len(zeros))),
+        packer.flush(),
+    ]
+    return {"zstd": packed["zstd"] * (BOMB_BYTES // len(zeros)), "lz4": b"".join(blocks)}
+
+
+def record(opcode, content):
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(content):
+    return struct.pack("<I", len(content)) + content
+
+
+def bag_of(chunk, compression, announced):
+    """An MCAP file of one chunk, without a summary."""
+    header = struct.pack("<QQQI", 0, 1, announced, 0) + text(compression.encode())
+    chunks = record(0x06, header + struct.pack("<Q", len(chunk)) + chunk)
+    start = MAGIC + record(0x01, text(b"ros2") + text(b"quadpi"))
+    return start + chunks + record(0x0F, bytes(4)) + record(0x02, bytes(20)) + MAGIC
+
+
+@pytest.mark.parametrize("announced", [2**10, BOMB_BYTES, 2**63 - 1])
+@pytest.mark.parametrize("compression", PACKERS)
+def test_chunk_of_a_bag(bombs, tmp_path, compression, announced):
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(bag_of(bombs[compression], compression, announced))
+    with refusing(path), pytest.raises(LogError, match="unpacks to|announces 1024 bytes"):
+        read_bag(path)
+    with pytest.raises(LogError, match="unpacks to|announces 1024 bytes"):
+        read_recording(path, None)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
+def test_bag_in_a_folder(monkeypatch, tmp_path, mode):
+    monkeypatch.setenv(LIMIT_VARIABLE, "32")
+    folder = tmp_path / "bag"
+    store = typestore()
+    bag = Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag as writer:
+        connection = writer.add_connection("/imu", messages.IMU, typestore=store)
+        for time_ns in range(4):
+            writer.write(connection, time_ns, bytes(2**24))
+    assert sum(file.stat().st_size for file in folder.iterdir()) < 2**20
+    with (
+        refusing(folder),
+        pytest.raises(LogError, match="unpacks to [0-9]+ MiB or more, beyond the limit of 32"),
+    ):
+        read_bag(folder)
+
+
+def test_the_limit_can_be_raised(monkeypatch, tmp_path):
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(bag_of(zstd.compress(bytes(2**20)), "zstd", 2**20))
+    monkeypatch.setenv(LIMIT_VARIABLE, "1")
+    with pytest.raises(LogError, match="topic imu: missing"):
+        read_bag(path)
+    path.write_bytes(bag_of(zstd.compress(bytes(2**20 + 1)), "zstd", 2**20 + 1))
+    with pytest.raises(
+        LogError, match="2 MiB or more, beyond the limit of 1 MiB; QUADPI_UNPACKED_MIB or `quadpi"
+    ):
+        read_bag(path)
+    monkeypatch.setenv(LIMIT_VARIABLE, "2")
+    with pytest.raises(LogError, match="topic imu: missing"):
+        read_bag(path)
+
+
+@pytest.mark.parametrize("limit", ["", "0", "-1", "1e3", "²", "9" * 20])
+def test_a_limit_that_is_none(monkeypatch, limit):
+    monkeypatch.setenv(LIMIT_VARIABLE, limit)
+    with pytest.raises(QuadpiError, match="must be a positive whole number of MiB"):
+        unpacked_limit(0)
+
+
+def test_a_large_file_may_unpack_to_more():
+    assert unpacked_limit(10 * 2**20) == 1000 * 2**20
+
+
+@pytest.mark.parametrize(("pack", "unpack"), [(zstd.compress, unzstd), (lz4.compress, unlz4)])
+def test_no_more_is_unpacked_than_was_announced(pack, unpack):
+    packed = pack(b"quadpi" * 1000)
+    assert unpack(packed, 6000) == b"quadpi" * 1000
+    for size in (0, 1, 5999, 6001, 2**40):
+        with pytest.raises(LogError, match=f"announces {size} bytes"):
+            unpack(packed, size)
+    with pytest.raises((LogError, RuntimeError, zstd.ZstdError)):
+        unpack(packed[:-3], 6000)
+
+
+def test_frames_of_zstandard_follow_each_other():
+    packed = zstd.compress(b"ab") + zstd.compress(b"") + zstd.compress(b"cde")
+    assert unzstd(packed, 5) == b"abcde"
+    assert zstd_size(packed, 2**20) == 5
+    assert zstd_size(packed[:-2], 2**20) <= 5
