@@ -78,7 +78,9 @@ def unlz4(data: bytes, size: int) -> bytes:
         LogError: if it is of another size; no more than one byte beyond it is unpacked.
         RuntimeError: if the bytes are damaged.
     """
-    return _of_size(lz4.LZ4FrameDecompressor().decompress(data, max_length=size + 1), size)
+    # The library takes memory for as much as it is asked for; this is the most that such bytes can hold.
+    most = min(size, _LZ4_RATIO * len(data))
+    return _of_size(lz4.LZ4FrameDecompressor().decompress(data, max_length=most + 1), size)
 
 
 def unzlib(data: bytes, most: int) -> bytes:
@@ -110,6 +112,7 @@ def zstd_size(data: bytes | memoryview, most: int) -> int:
 
 
 _BLOCK = 2**20
+_LZ4_RATIO = 256
 
 
 def _of_size(unpacked: bytes, size: int) -> bytes:
