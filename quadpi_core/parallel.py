@@ -4,15 +4,19 @@
 
 from __future__ import annotations
 
-import logging
+import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
+
+import cloudpickle
 
 from quadpi_core import __version__
 from quadpi_core.errors import QuadpiError, one_line
@@ -24,9 +28,6 @@ Result = TypeVar("Result")
 # Starting processes takes about as long as reading so many flights of half a minute.
 MANY_FILES = 64
 _ANSWER_S = 30.0
-# What Dask sets for workers before they start. By default it also tells glibc to give memory back at once,
-# which costs array code a third of its time.
-_ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
 # One task per core: threads within a task would only take cores from other tasks.
 _ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 
@@ -70,8 +71,10 @@ def map_tasks(
     if scheduler is None and count <= 1:
         for index, item in enumerate(items):
             finished(index, function(shared, item))
+    elif items and scheduler is None:
+        _map_beside(count, function, items, shared, finished)
     elif items:
-        with _client(count, scheduler) as client:
+        with _client(str(scheduler)) as client:
             _map_on(client, function, items, shared, finished)
     return results
 
@@ -112,6 +115,81 @@ def map_files(
     return map_tasks(function, paths, shared=shared, workers=workers, scheduler=scheduler, done=done)
 
 
+def _map_beside(
+    workers: int,
+    function: Callable[[Shared, Item], Result],
+    items: Sequence[Item],
+    shared: Shared,
+    finished: Callable[[int, Result], None],
+) -> None:
+    """In so many processes of our own, which are reached by pipes: nothing listens on the network."""
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(
+        workers,
+        # A process that is forked has the locks of threads that it does not have.
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin,
+        # By value where a function has no name by which to import it.
+        initargs=(cloudpickle.dumps((function, shared)),),
+    )
+    try:
+        with _undisturbed(), _environment(_ONE_THREAD):
+            index = {pool.submit(_work, item): k for k, item in enumerate(items)}
+        futures = list(index)
+        for future in as_completed(futures):
+            if future.exception() is not None:
+                # Of several that fail, the first of the items is reported, not the first in time.
+                for earlier in futures[: index[future] + 1]:
+                    earlier.result()
+            finished(index[future], future.result())
+        pool.shutdown()
+    except BrokenProcessPool as error:
+        raise ParallelError("a worker ended before its task did") from error
+    finally:
+        # After an error or Ctrl-C nobody waits for what the others are about to do.
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+            process.join()
+
+
+# Of a process beside, what it was begun with: the function and what its tasks share.
+_begun: list[tuple[Callable[[Any, Any], Any], Any]] = []
+
+
+def _begin(task: bytes) -> None:
+    """Begin a process beside, which ends with the process that began it, however that ends."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _begun.append(cloudpickle.loads(task))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _work(item: Any) -> Any:
+    ((function, shared),) = _begun
+    return function(shared, item)
+
+
+@contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Variables that processes begun in the block have."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
 def _map_on(
     client: Any,
     function: Callable[[Shared, Item], Result],
@@ -119,14 +197,15 @@ def _map_on(
     shared: Shared,
     finished: Callable[[int, Result], None],
 ) -> None:
-    from distributed import KilledWorker, as_completed
+    from distributed import KilledWorker
+    from distributed import as_completed as completed
 
     # Not by hash: Dask would take equal arguments of another call for this one's.
     sent = client.scatter(shared, broadcast=True, hash=False)
     futures = [client.submit(function, sent, item, pure=False) for item in items]
     index = {future.key: k for k, future in enumerate(futures)}
     try:
-        outcomes = as_completed(futures, loop=client.loop, with_results=True, raise_errors=False)
+        outcomes = completed(futures, loop=client.loop, with_results=True, raise_errors=False)
         for future, result in outcomes:
             if future.cancelled():
                 raise ParallelError("all workers were lost, with what they had been sent")
@@ -142,27 +221,11 @@ def _map_on(
 
 
 @contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
-    """A client of the scheduler, or of so many processes of our own that end with the block."""
+def _client(scheduler: str) -> Iterator[Any]:
+    """A client of the scheduler."""
     # Slow to import, and few commands need it.
-    import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
-    if scheduler is None:
-        with ExitStack() as stack:
-            with _undisturbed(), dask.config.set({_ENVIRONMENT: _ONE_THREAD}):
-                cluster = stack.enter_context(
-                    LocalCluster(
-                        n_workers=workers,
-                        threads_per_worker=1,
-                        processes=True,
-                        dashboard_address="127.0.0.1:0",
-                        memory_limit=None,
-                        silence_logs=logging.CRITICAL,
-                    )
-                )
-            yield stack.enter_context(Client(cluster, set_as_default=False))
-        return
     try:
         client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -176,7 +239,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
 def _undisturbed() -> Iterator[None]:
     """Signals wait for the end of the block, and processes begun in it never see Ctrl-C.
 
-    Dask cannot clear away workers that are only starting, and a terminal sends Ctrl-C to all processes.
+    A process that is only beginning cannot be cleared away, and a terminal sends Ctrl-C to all processes.
     """
     waiting: list[int] = []
     handler = None

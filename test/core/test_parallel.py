@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -147,3 +150,51 @@ class TestFiles:
         counts = []
         map_files(tasks.path, [Path("a"), Path("b")], shared=None, progress=counts.append, **place)
         assert counts == [1, 2]
+
+
+def test_processes_beside_open_no_port():
+    def listening(_, process):
+        """Sockets that a process listens on; 0: this one."""
+        tables = [Path(f"/proc/net/{name}").read_text().splitlines()[1:] for name in ("tcp", "tcp6")]
+        waiting = {
+            f"socket:[{row.split()[9]}]" for table in tables for row in table if row.split()[3] == "0A"
+        }
+        found = set()
+        for file in Path(f"/proc/{process or os.getpid()}/fd").iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                found.add(str(file.readlink()))
+        return found & waiting
+
+    # The fixture `cluster` may listen in this process already.
+    before = listening(None, 0)
+    assert map_tasks(listening, [0, os.getpid()], shared=None, workers=2) == [set(), before]
+
+
+def test_processes_beside_end_with_a_run_that_is_killed(tmp_path):
+    script = tmp_path / "killed.py"
+    script.write_text(
+        "import os, time\n"
+        "from quadpi_core.parallel import map_tasks\n"
+        "def wait(_, _item):\n"
+        "    print(os.getpid(), flush=True)\n"
+        "    time.sleep(600)\n"
+        "if __name__ == '__main__':\n"
+        "    map_tasks(wait, [1, 2], shared=None, workers=2)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(parallel.__file__).parents[1])}
+    with subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, text=True, env=environment
+    ) as run:
+        workers = [int(run.stdout.readline()) for _ in range(2)]
+        run.kill()
+        # The pipe ends with the last process that holds it.
+        assert run.stdout.read() == ""
+    assert not any(Path(f"/proc/{worker}/cmdline").is_file() and alive(worker) for worker in workers)
+
+
+def alive(process):
+    """Whether a process is more than an entry that nobody has waited for."""
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
+    except FileNotFoundError:
+        return False
