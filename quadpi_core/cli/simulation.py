@@ -202,6 +202,10 @@ def discrepancy(
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle, where the simulation does not name one.")
     ] = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws that thresholds come from.")] = 0,
     workers: FileWorkers = None,
     scheduler: Scheduler = None,
@@ -219,6 +223,7 @@ def discrepancy(
         bags,
         output,
         vehicle=vehicle,
+        allow_code=allow_code,
         names=None if effects is None else effects.split(","),
         seed=seed,
         json_file=json_file,

@@ -51,6 +51,11 @@ class AugmentedSimulation(Simulation):
         return " + ".join((self.base.name, *self.effects))
 
     @property
+    def code(self) -> str:  # type: ignore[override]
+        """Of the base."""
+        return self.base.code
+
+    @property
     def vehicle_file(self) -> str:  # type: ignore[override]
         """Of the base."""
         return self.base.vehicle_file

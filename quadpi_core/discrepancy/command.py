@@ -28,6 +28,7 @@ def run(
     output: Path,
     *,
     vehicle: str | None,
+    allow_code: bool,
     names: Sequence[str] | None,
     seed: int,
     json_file: Path | None,
@@ -43,6 +44,7 @@ def run(
         bags: of the flights.
         output: folder for all files.
         vehicle: of a simulation that does not name one.
+        allow_code: see there.
         names: of effects to look for; unless given, all.
         seed: of all draws.
         json_file: for another copy of the JSON.
@@ -53,7 +55,7 @@ def run(
     Raises:
         QuadpiError: for simulations, flights and outputs that will not do.
     """
-    simulation = load_simulation(text, vehicle, bags)
+    simulation = load_simulation(text, vehicle, bags, allow_code=allow_code)
     with counting(console, "Reading flights", len(bags)) as progress:
         flights = read_flights(bags, simulation, workers=workers, scheduler=scheduler, progress=progress)
     with console.status("Searching"):

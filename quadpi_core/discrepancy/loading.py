@@ -8,6 +8,7 @@ import importlib
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,9 @@ RECORDED = "recorded"
 _ADDITION_KEYS = ("simulation", "vehicle", "effects", "adjusted", "version")
 
 
-def load_simulation(text: str, vehicle: str | Path | None = None, bags: Sequence[Path] = ()) -> Simulation:
+def load_simulation(
+    text: str, vehicle: str | Path | None = None, bags: Sequence[Path] = (), *, allow_code: bool = False
+) -> Simulation:
     """A simulation by what names it.
 
     Args:
@@ -37,6 +40,8 @@ def load_simulation(text: str, vehicle: str | Path | None = None, bags: Sequence
             that stands in the bags; or an `addition.json` that an earlier search wrote.
         vehicle: name or path of the vehicle file, for those that do not name one.
         bags: that a recorded wrench is read from.
+        allow_code: whether an `addition.json` may name a function. Its module is then imported, so whoever
+            wrote the file chooses what runs here. A function that `text` names itself needs no leave.
 
     Raises:
         DiscrepancyError: for what names no simulation, a function that cannot be imported, a vehicle that is
@@ -47,10 +52,10 @@ def load_simulation(text: str, vehicle: str | Path | None = None, bags: Sequence
     if text == RECORDED:
         return RecordedSimulation.load(_required(text, vehicle), bags)
     if path.suffix == ".json":
-        return _addition(path, vehicle, bags)
+        return _addition(path, vehicle, bags, allow_code)
     if path.is_dir():
         return ModelSimulation.load(path, vehicle)
-    if ":" in text and not is_config_path(path):
+    if _names_code(text):
         return _callable(text, _required(text, vehicle))
     if not is_config_path(path) and not (config_directory() / "vehicles" / f"{text}.yaml").is_file():
         known = sorted(file.stem for file in (config_directory() / "vehicles").glob("*.yaml"))
@@ -63,6 +68,11 @@ def load_simulation(text: str, vehicle: str | Path | None = None, bags: Sequence
         raise DiscrepancyError(f"{text}: another vehicle than {vehicle}: mass, inertia or rotors differ")
     effects = own_effects(text)
     return AugmentedSimulation(simulation, effects) if effects else simulation
+
+
+def _names_code(text: str) -> bool:
+    path = Path(text)
+    return ":" in text and path.suffix != ".json" and not path.is_dir() and not is_config_path(path)
 
 
 def _required(text: str, vehicle: str | Path | None) -> str:
@@ -83,16 +93,30 @@ def _callable(text: str, vehicle: str) -> CallableSimulation:
         sys.path.pop(0)
     if not callable(function):
         raise DiscrepancyError(f"{text}: is {type(function).__name__}, not a function")
-    return CallableSimulation(text, Vehicle.load(vehicle), function, read_tolerances(vehicle), vehicle)
+    file = getattr(sys.modules[module], "__file__", None)
+    code = f"{text} of {file}" if file else text
+    return CallableSimulation(
+        text, Vehicle.load(vehicle), function, read_tolerances(vehicle), vehicle, code=code
+    )
 
 
-def _addition(path: Path, vehicle: str | Path | None, bags: Sequence[Path]) -> AugmentedSimulation:
+def _addition(
+    path: Path, vehicle: str | Path | None, bags: Sequence[Path], allow_code: bool
+) -> AugmentedSimulation:
     try:
         data: Any = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise DiscrepancyError(f"{path}: not a readable JSON file: {error}") from error
     section = Section(data, str(path), _ADDITION_KEYS)
-    base = load_simulation(section.text("simulation"), vehicle or section.text("vehicle"), bags)
+    named = section.text("simulation")
+    if _names_code(named) and not allow_code:
+        raise DiscrepancyError(
+            f"{path}: names code to run, the function {named}: "
+            "--allow-code runs it, if you trust who wrote this file"
+        )
+    base = load_simulation(named, vehicle or section.text("vehicle"), bags, allow_code=allow_code)
+    if isinstance(base, CallableSimulation) and base.code:
+        base = replace(base, code=f"{base.code}, named by {path}")
     adjusted = section.get("adjusted", {})
     multiples = Section(adjusted, f"{path}: adjusted", tuple(adjusted))
     return AugmentedSimulation(

@@ -50,6 +50,7 @@ class Study:
         return {
             "quadpi_version": __version__,
             "simulation": self.simulation.name,
+            "code": self.simulation.code or None,
             "vehicle": self.simulation.vehicle.name,
             "seed": self.seed,
             "flights": {

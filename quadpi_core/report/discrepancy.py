@@ -87,6 +87,7 @@ def _facts(study: Study) -> dict[str, str]:
     seconds = sum(float(flight.time[-1] - flight.time[0]) for flight in study.flights)
     return {
         "simulation": study.simulation.name,
+        **({"code that ran": study.simulation.code} if study.simulation.code else {}),
         "vehicle": study.simulation.vehicle.name,
         "flights": f"{len(study.flights)}, {number(seconds)}\u00a0s in the air",
     }

@@ -25,6 +25,8 @@ def discrepancy_tables(study: Study) -> Group:
     """Verdict, where, what, the gap before and after, and what is left to do."""
     discovery = study.discovery
     parts: list[Table | Text] = [Text(text.verdict(study), style="bold"), Text()]
+    if study.simulation.code:
+        parts.insert(1, Text(f"Code that ran: {study.simulation.code}.", style="dim"))
     telling = study.where.telling
     if telling:
         parts.append(_where(telling[:_MOST_RANGES]))

@@ -33,6 +33,7 @@ class CallableSimulation(Simulation):
     function: Callable[[Flight], Array]
     tolerances: Tolerances = field(default_factory=Tolerances)
     vehicle_file: str = ""
+    code: str = ""
 
     def wrench(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""

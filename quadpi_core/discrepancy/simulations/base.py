@@ -79,6 +79,8 @@ class Simulation(ABC):
         vehicle: as the simulation has it.
         vehicle_file: name or path that the vehicle was read from; empty where it was not.
         tolerances: what it is known to be uncertain in.
+        code: that gives its answers and is no part of quadpi: which function, of which file, and what named
+            it; empty without such code.
         memoryless: whether the wrench at an instant depends on that instant alone.
     """
 
@@ -86,6 +88,7 @@ class Simulation(ABC):
     vehicle: Vehicle
     vehicle_file: str = ""
     tolerances: Tolerances
+    code: str = ""
     memoryless: ClassVar[bool] = False
 
     @abstractmethod

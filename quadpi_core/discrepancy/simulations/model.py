@@ -57,7 +57,7 @@ class ModelSimulation(CallableSimulation):
         def predict(flight: Flight) -> Array:
             return model.evaluate(flight_inputs(flight, flown)).predicted
 
-        return cls(str(folder), flown, predict, read_tolerances(file), file, model)
+        return cls(str(folder), flown, predict, read_tolerances(file), file, model=model)
 
     def intervals(self, flight: Flight) -> tuple[Array, Array]:
         """Lower and upper bounds (N, 6) of the model's own confidence."""

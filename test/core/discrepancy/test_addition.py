@@ -155,8 +155,13 @@ def test_an_addition_to_a_function(flown, tmp_path, monkeypatch):
     path, *_ = write_addition(found, tmp_path)
     assert path.name == "addition.json"
     assert json.loads(path.read_text())["simulation"] == "outside:wrench"
-    added = load_simulation(str(path))
+    with pytest.raises(
+        DiscrepancyError, match="names code to run, the function outside:wrench: --allow-code"
+    ):
+        load_simulation(str(path))
+    added = load_simulation(str(path), allow_code=True)
     assert isinstance(added.base, CallableSimulation)
+    assert added.code == f"outside:wrench of {tmp_path / 'outside.py'}, named by {path}"
     expected = augmented(found)
     flight = flown(*HIDDEN)[0]
     np.testing.assert_allclose(added.wrench(flight), expected.wrench(flight), rtol=1e-9, atol=1e-12)

@@ -142,6 +142,12 @@ class TestRefusals:
         says = "is missing" if speeds == "absent" else r"rotor 1 has the same speed throughout, .* rad/s"
         refused(f"train_1.mcap: topic rotor_speeds:? {says}", "bebop2", *altered)
 
+    def test_code_that_a_file_names(self, refused, tmp_path):
+        addition = tmp_path / "addition.json"
+        addition.write_text('{"simulation": "os:getcwd", "vehicle": "bebop2"}')
+        refused("addition.json: names code to run, the function os:getcwd: --allow-code", addition, *TRAINING)
+        refused("os:getcwd: raised TypeError", addition, *TRAINING, "--allow-code")
+
     def test_output_in_the_place_of_an_input(self, quadpi):
         result = quadpi("discrepancy", "bebop2", *TRAINING, "-o", TRAINING[0])
         assert result.status == 2

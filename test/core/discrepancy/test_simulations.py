@@ -323,3 +323,17 @@ def test_what_is_no_addition(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(QuadpiError, match=message):
         load_simulation(str(path))
+
+
+def test_code_that_an_addition_names_is_not_even_imported(tmp_path, monkeypatch):
+    """Nor through an addition to an addition."""
+    (tmp_path / "trap_simulation.py").write_text("from pathlib import Path\nPath('sprung').touch()\n")
+    monkeypatch.chdir(tmp_path)
+    for name, named in (("one", "trap_simulation:f"), ("two", str(tmp_path / "one.json"))):
+        (tmp_path / f"{name}.json").write_text(json.dumps({"simulation": named, "vehicle": "bebop2"}))
+        with pytest.raises(DiscrepancyError, match=r"one\.json: names code to run, .*--allow-code"):
+            load_simulation(str(tmp_path / f"{name}.json"))
+        assert not (tmp_path / "sprung").exists()
+    with pytest.raises(DiscrepancyError, match="cannot be imported: AttributeError"):
+        load_simulation(str(tmp_path / "two.json"), allow_code=True)
+    assert (tmp_path / "sprung").exists()

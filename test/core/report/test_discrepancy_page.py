@@ -3,13 +3,18 @@
 """The page of a search: it says what was found, needs nothing from outside, and draws what is there."""
 
 import json
+from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from quadpi_core.discrepancy.residuals import Residual
+from quadpi_core.discrepancy.simulations import CallableSimulation
 from quadpi_core.report.discrepancy import write_discrepancy_page
 from quadpi_core.report.discrepancy_figures import mean_map
+from quadpi_core.report.discrepancy_tables import discrepancy_tables
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +41,19 @@ def test_everything_stands_on_it(page_file, read_page, found):
         assert parameter.name in page.text
     for part in found.where.telling:
         assert part.conditions in page.text
+
+
+def test_code_that_ran_is_named(found, read_page, tmp_path):
+    code = "mine:wrench of mine.py, named by addition.json"
+    simulation = CallableSimulation("mine:wrench", found.simulation.vehicle, np.zeros_like, code=code)
+    study = replace(found, simulation=simulation)
+    write_discrepancy_page(tmp_path / "page.html", study)
+    console = Console(width=200, file=StringIO())
+    console.print(discrepancy_tables(study))
+    assert f"Code that ran: {code}." in console.file.getvalue()
+    assert code in read_page(tmp_path / "page.html").text
+    assert study.as_dict()["code"] == code
+    assert found.as_dict()["code"] is None
 
 
 def test_figures_of_every_flight(page_file, read_page, found):
