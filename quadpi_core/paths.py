@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -161,6 +161,12 @@ def write_json(path: Path, data: Any) -> None:
     """
     with whole_output(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def resolved_below(path: str | Path, folders: Sequence[Path]) -> Path | None:
+    """The path with links and `..` resolved, if it then lies in or below one of the folders; else None."""
+    found = Path(path).resolve()
+    return found if any(found.is_relative_to(folder.resolve()) for folder in folders) else None
 
 
 def data_directory() -> Path:

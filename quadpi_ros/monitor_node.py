@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -19,13 +20,14 @@ from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
 from rclpy.clock import ROSClock
 
-from quadpi_core.errors import QuadpiError
+from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, RotorSpeedStream, WindStream
 from quadpi_core.logs import messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
 from quadpi_core.monitor.pairing import CAPACITY, TIMEOUT_S, Pairing
+from quadpi_core.paths import resolved_below
 from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
@@ -49,6 +51,11 @@ class MonitorParameters:
     vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
     model: tuple[str, ...] = parameter(
         (), "model folder, as `quadpi identify` writes it; of several, the first gives the alarm"
+    )
+    model_folder: str = parameter(
+        "",
+        "folder below which the service load_model takes models; empty: those that hold the models above",
+        optional=True,
     )
     rotor_topic: str = parameter(
         "rotor_speeds",
@@ -267,12 +274,28 @@ class MonitorNode(SensorNode[MonitorParameters]):
             parameters.persistence_s, parameters.release_s, parameters.alarm_rate_hz, parameters.adaptive
         )
 
+    def _permitted(self, path: str) -> str:
+        """The path of a model that a request may name: anyone on the network can ask for any.
+
+        Raises:
+            ModelError: for a path outside of the folders of models.
+        """
+        given = self.parameters.model_folder
+        folders = (
+            [Path(given)] if given else [Path(model).resolve().parent for model in self.parameters.model]
+        )
+        permitted = resolved_below(path, folders)
+        if permitted is None:
+            listed = " or ".join(str(folder) for folder in dict.fromkeys(folders))
+            raise ModelError(f"{path}: lies outside of {listed}: models are loaded from there (model_folder)")
+        return str(permitted)
+
     def _prepare_model(self, request: LoadModel.Request) -> Callable[[LoadModel.Response], None]:
         """Load and warm up in the service's thread; gives what is to be done between two samples."""
         monitors = self._results.monitors
         name = request.replaces or monitors.names[0]
         try:
-            monitor, error = self._load(request.path), None
+            monitor, error = self._load(self._permitted(request.path)), None
         except QuadpiError as caught:
             monitor, error = None, str(caught)
         except Exception:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,6 +87,16 @@ def test_a_model_is_replaced_without_missing_a_sample(rig: Rig, folder: Path) ->
     assert "no model flies as `x`" in back.message
     back = rig.call(LoadModel, "monitor/load_model", LoadModel.Request(path=str(folder / "model")))
     assert back.success
+
+
+def test_no_model_is_loaded_from_another_folder(rig: Rig, folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "other", tmp_path / "planted")
+    (folder / "link").symlink_to(tmp_path / "planted")
+    for path in (tmp_path / "planted", folder / ".." / tmp_path.name / "planted", folder / "link"):
+        answer = rig.call(LoadModel, "monitor/load_model", LoadModel.Request(path=str(path)))
+        assert not answer.success
+        assert f"{path}: lies outside of {folder}: models are loaded from there" in answer.message
+        assert answer.model.startswith("model")
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
