@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors that quadpi reports to its user in one line."""
 
+from __future__ import annotations
+
 # A terminal's worth: a damaged file may hold a name of megabytes.
 _LONGEST = 1600
 
@@ -29,6 +31,28 @@ class VehicleError(QuadpiError):
 
 class LogError(QuadpiError):
     """A log or bag cannot be read, or what it holds cannot be used."""
+
+
+class SampleError(LogError):
+    """One sample among those decoded together cannot be used.
+
+    Attributes:
+        sample: its place among them, from 0.
+        reason: what is wrong with it.
+    """
+
+    def __init__(self, sample: int, reason: str) -> None:
+        super().__init__(f"sample {sample}: {reason}")
+        self.sample = sample
+        self.reason = reason
+
+    def __reduce__(self) -> tuple[type[SampleError], tuple[int, str]]:
+        """How processes hand it to each other."""
+        return type(self), (self.sample, self.reason)
+
+    def after(self, count: int) -> SampleError:
+        """The same where `count` samples were decoded before."""
+        return SampleError(count + self.sample, self.reason)
 
 
 class SignalError(QuadpiError):

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import SampleError
 from quadpi_core.logs.payloads import Bytes, Indices, Payloads
 
 Columns: TypeAlias = dict[str, npt.NDArray[Any]]
@@ -135,7 +135,7 @@ class Codec:
         Strings come as bytes; a sequence of strings as an object array of tuples of bytes.
 
         Raises:
-            LogError: naming the sample whose bytes are no message of this type.
+            SampleError: naming the sample whose bytes are no message of this type.
         """
         if isinstance(payloads, bytes):
             layout = self._layout_of(payloads, 0)
@@ -155,7 +155,7 @@ class Codec:
         """Header stamps, and the float64 fields that end the message; :attr:`places` says where each is.
 
         Raises:
-            LogError: naming the sample whose bytes are no message of this type, or whose stamp is none.
+            SampleError: naming the sample whose bytes are no message of this type, or whose stamp is none.
         """
         if isinstance(payloads, bytes):
             layout = self._layout_of(payloads, 0)
@@ -244,7 +244,7 @@ class Codec:
         if self._latest is not None and self._latest.describes(message):
             return self._latest
         if message[:2] != _ENCAPSULATION[:2]:
-            raise LogError(f"sample {sample}: not little-endian CDR (starts with {message[:4].hex(' ')})")
+            raise SampleError(sample, f"not little-endian CDR (starts with {message[:4].hex(' ')})")
         lengths: list[int] = []
 
         def read_length(position: int) -> int:
@@ -259,10 +259,10 @@ class Codec:
                 pass
             layout = self._layout(tuple(lengths))
         except struct.error:
-            raise LogError(f"sample {sample}: its {len(message)} bytes are no {self.type_name}") from None
+            raise SampleError(sample, f"its {len(message)} bytes are no {self.type_name}") from None
         if not 0 <= len(message) - len(layout.template) <= _PADDING_MAX:
-            raise LogError(
-                f"sample {sample}: {len(message)} bytes where {self.type_name} takes {len(layout.template)}"
+            raise SampleError(
+                sample, f"{len(message)} bytes where {self.type_name} takes {len(layout.template)}"
             )
         self._latest = layout
         return layout
@@ -371,8 +371,8 @@ def _width(places: Mapping[str, slice]) -> int:
     return max((place.stop for place in places.values()), default=0)
 
 
-def _no_stamp(sample: int, nanoseconds: int) -> LogError:
-    return LogError(f"sample {sample}: the stamp has {nanoseconds} ns beyond its second")
+def _no_stamp(sample: int, nanoseconds: int) -> SampleError:
+    return SampleError(sample, f"the stamp has {nanoseconds} ns beyond its second")
 
 
 class _Place(NamedTuple):

@@ -1,26 +1,30 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading rosbag2 bags topic by topic as arrays.
+"""Reading rosbag2 bags as arrays, whole or block by block in the order of log times.
 
 rosbags opens and validates a bag and lists its topics. The messages of an MCAP bag are then found by a
-compiled walk over its records instead of one by one in Python (https://mcap.dev/spec).
+compiled walk over its records instead of one by one in Python (https://mcap.dev/spec). A file is never held
+in memory, only the chunks whose messages belong to one block.
 """
 
 from __future__ import annotations
 
+import heapq
 import sqlite3
 import zlib
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from io import SEEK_CUR, BytesIO
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
+import numpy.typing as npt
 from backports import zstd
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
@@ -33,6 +37,9 @@ from quadpi_core.flight import Stamps
 from quadpi_core.logs.payloads import Bytes, Indices, Payloads
 from quadpi_core.logs.unpacking import require_unpackable, unlz4, unpacked_limit, unzstd, zstd_size
 from quadpi_core.reading import read_bounded
+
+if TYPE_CHECKING:
+    from rosbags.rosbag2.reader import ReaderProtocol
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, MESSAGE, CHUNK, STATISTICS, METADATA = 0x03, 0x05, 0x06, 0x0B, 0x0C
@@ -50,6 +57,12 @@ _METADATA_FILE = "metadata.yaml"
 _ENTRY_BYTES = 100
 # That of a recording of a day, split every minute, is smaller.
 _METADATA_BYTES_MAX = 2**20
+# So many messages of all topics make a block: 10 s of a flight at 500 Hz, a few MB in all that is made of it.
+BLOCK_MESSAGES = 12_000
+# Bytes of a file that are searched for records at once: the smaller where chunks are passed over unread.
+_WINDOW, _WINDOW_MAX = 1 << 16, 1 << 20
+_MESSAGES_AT_ONCE = 1000
+_END_NS = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -77,6 +90,51 @@ class Records:
         return self.starts[chosen], self.lengths[chosen]
 
 
+class _Section(NamedTuple):
+    """Bytes of a file that are read at once: a chunk record, or message records side by side.
+
+    Attributes:
+        start, length: of the content of the chunk, or of the records.
+        is_chunk: which of the two.
+        first_ns: log time that none of its messages is before.
+        unpacked: bytes of the records.
+    """
+
+    file: Path
+    start: int
+    length: int
+    is_chunk: bool
+    first_ns: int
+    unpacked: int
+
+
+class _Survey(NamedTuple):
+    """Where an MCAP file holds messages and metadata.
+
+    Attributes:
+        sections: in the order of the file.
+        metadata: start and length of the metadata records.
+        stop: position after the last whole record.
+    """
+
+    sections: list[_Section]
+    metadata: list[tuple[int, int]]
+    stop: int
+
+
+class _Part(NamedTuple):
+    """Messages that were read, those of a topic in the order of their log times.
+
+    Attributes:
+        place: of the section; messages of one topic and log time come in the order of their places.
+        limit_ns: all messages that are not read yet are logged then or later.
+    """
+
+    place: int
+    topics: list[Topic]
+    limit_ns: int
+
+
 class Bag:
     """An open bag: a bare .mcap or .db3 file, or a rosbag2 folder of either.
 
@@ -88,8 +146,11 @@ class Bag:
         self.path = path
         if not path.exists():
             raise LogError(f"{path}: no such bag")
+        self._surveys: dict[Path, _Survey] = {}
         for file in _files_of(path):
-            _check_file(file)
+            survey = _check_file(file)
+            if survey is not None:
+                self._surveys[file] = survey
         with self._reading():
             self._reader = Reader(_with_metadata(path))
             self._reader.open()
@@ -125,9 +186,10 @@ class Bag:
         entries: dict[str, str] = {}
         with self._reading():
             for storage in self._mcap_storages():
-                data = _bytes_of(Path(str(storage.path)))[: storage.data_end]
-                for start, length in zip(*find_records(data, storage.data_start).of(METADATA), strict=True):
-                    name, content = _parse_metadata(data[start : start + length].tobytes())
+                file = Path(str(storage.path))
+                for start, length in self._survey(storage).metadata:
+                    with file.open("rb") as stream:
+                        name, content = _parse_metadata(_read_at(stream, start, length))
                     if name == "quadpi":
                         entries |= content
         return entries
@@ -139,64 +201,137 @@ class Bag:
             names: topics of the bag.
             head: read only so many bytes of each message; whole messages where not given.
         """
-        connections = [connection for connection in self.connections if connection.topic in names]
+        blocks = list(self.blocks(names, head=head))
+        types = {connection.topic: connection.msgtype for connection in self.connections}
+        return {
+            name: join_topics([_empty(name, types[name]), *(block[name] for block in blocks)])
+            for name in names
+        }
+
+    def blocks(
+        self, names: Collection[str], *, messages: int = BLOCK_MESSAGES, head: int | None = None
+    ) -> Iterator[dict[str, Topic]]:
+        """Read topics by their full names, block by block in the order of log times.
+
+        What is logged at one instant is in one block. Blocks joined are what :meth:`read` gives.
+
+        Args:
+            names: topics of the bag; each is in every block, if need be without messages.
+            messages: at most so many of all topics are in a block, but for those logged at one instant.
+            head: see :meth:`read`.
+        """
+        types = {
+            connection.topic: connection.msgtype
+            for connection in self.connections
+            if connection.topic in names
+        }
+        found = dict.fromkeys(types, 0)
         with self._reading():
             storages = self._mcap_storages()
             if storages and self._reader.compression_mode != "message":
-                parts = [part for storage in storages for part in _parts(storage, names, head)]
+                parts = self._parts_of_sections(storages, types, head)
             else:
-                parts = self._parts_one_by_one(connections)
-            parts += [_no_messages(connection) for connection in connections]
-        topics = {}
-        for name in names:
-            announced = sum(connection.msgcount for connection in connections if connection.topic == name)
-            topics[name] = _join([part for part in parts if part.name == name])
-            if len(topics[name].payloads) != announced:
+                parts = self._parts_one_by_one(types, head)
+            for topics in _in_log_order(parts, messages):
+                for name, topic in topics.items():
+                    found[name] += len(topic.payloads)
+                yield {name: topics.get(name) or _empty(name, type_name) for name, type_name in types.items()}
+        for name, count in found.items():
+            announced = sum(
+                connection.msgcount for connection in self.connections if connection.topic == name
+            )
+            if count != announced:
                 raise LogError(
-                    f"{self.path}: topic {name}: damaged: holds {len(topics[name].payloads)} messages, "
+                    f"{self.path}: topic {name}: damaged: holds {count} messages, "
                     f"its index announces {announced}"
                 )
-        return topics
 
-    def _storages(self) -> list[Any]:
+    def _storages(self) -> list[ReaderProtocol]:
         storage = self._reader.storage
-        return storage.storages if isinstance(storage, DirectoryReader) else [storage]
+        return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
 
     def _mcap_storages(self) -> list[McapReader]:
         return [storage for storage in self._storages() if isinstance(storage, McapReader)]
 
-    def _parts_one_by_one(self, connections: list[Connection]) -> list[Topic]:
-        times: dict[int, list[int]] = {connection.id: [] for connection in connections}
-        messages: dict[int, list[bytes]] = {connection.id: [] for connection in connections}
+    def _survey(self, storage: McapReader) -> _Survey:
+        """What lies where in a file, but for its summary."""
+        file = Path(str(storage.path))
+        if file not in self._surveys:  # of a file that was compressed as a whole, and lies elsewhere now
+            self._surveys[file] = _survey_mcap(file)
+        whole = self._surveys[file]
+        return _Survey(
+            [section for section in whole.sections if section.start < storage.data_end],
+            [(start, length) for start, length in whole.metadata if start < storage.data_end],
+            whole.stop,
+        )
+
+    def _parts_of_sections(
+        self, storages: Sequence[McapReader], types: Mapping[str, str], head: int | None
+    ) -> Iterator[_Part]:
+        """The messages of MCAP files, section by section in the order of their first log times."""
+        sections = [
+            (section, storage)
+            for storage in storages
+            # Messages outside of chunks come first where log times are equal.
+            for section in sorted(self._survey(storage).sections, key=lambda one: one.is_chunk)
+        ]
+        channels = {
+            id(storage): {connection.id: connection for connection in storage.connections}
+            for storage in storages
+        }
+        order = sorted(range(len(sections)), key=lambda place: sections[place][0].first_ns)
+        limits = [*(sections[place][0].first_ns for place in order[1:]), _END_NS][: len(order)]
+        with ExitStack() as stack:
+            files = {section.file: stack.enter_context(section.file.open("rb")) for section, _ in sections}
+            for place, limit_ns in zip(order, limits, strict=True):
+                section, storage = sections[place]
+                data = _records_of(files[section.file], section)
+                records = find_records(data)
+                _check_whole(records, data)
+                topics = list(_split(data, records, channels[id(storage)], types, head))
+                if any(topic.log_time_ns[0] < section.first_ns for topic in topics):
+                    raise LogError(
+                        f"damaged: the chunk at byte {section.start} holds messages from before the time "
+                        "at which it says that it begins"
+                    )
+                yield _Part(place, topics, limit_ns)
+
+    def _parts_one_by_one(self, types: Mapping[str, str], head: int | None) -> Iterator[_Part]:
+        """The messages of files that only rosbags reads, some at a time."""
+        compressed = self._reader.compression_mode == "message"
         packed_bytes = sum(file.stat().st_size for file in _files_of(self.path))
         unpacked_bytes = 0
-        for connection, time_ns, message in self._messages(connections):
-            unpacked_bytes += _ENTRY_BYTES + len(message)
-            require_unpackable(packed_bytes, unpacked_bytes)
-            times[connection.id].append(time_ns)
-            messages[connection.id].append(message)
-        return [
-            Topic(
-                connection.topic,
-                connection.msgtype,
-                np.array(times[connection.id], dtype=np.int64),
-                Payloads.join(messages[connection.id]),
-            )
-            for connection in connections
+        chosen = [
+            (storage, [one for one in storage.connections if types.get(one.topic) == one.msgtype])
+            for storage in self._storages()
         ]
+        merged = heapq.merge(
+            *(storage.messages(connections) for storage, connections in chosen if connections),
+            key=itemgetter(1),
+        )
+        times: dict[str, list[int]] = {name: [] for name in types}
+        payloads: dict[str, list[bytes]] = {name: [] for name in types}
 
-    def _messages(self, connections: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Messages as rosbags orders them; it would unpack those that are packed one by one at any size."""
-        if self._reader.compression_mode != "message":
-            yield from self._reader.messages(connections)
-            return
-        by_name = {(connection.topic, connection.msgtype): connection for connection in connections}
-        for storage in self._storages():
-            own = [known for known in storage.connections if (known.topic, known.msgtype) in by_name]
-            for known, time_ns, message in storage.messages(own) if own else ():
-                size = zstd_size(message, unpacked_limit(len(message)))
-                require_unpackable(len(message), size)
-                yield by_name[known.topic, known.msgtype], time_ns, unzstd(message, size)
+        def part(place: int, limit_ns: int) -> _Part:
+            topics = [
+                Topic(name, types[name], np.array(times[name], dtype=np.int64), Payloads.join(payloads[name]))
+                for name in types
+                if times[name]
+            ]
+            for name in types:
+                times[name], payloads[name] = [], []
+            return _Part(place, topics, limit_ns)
+
+        count = 0
+        for count, (connection, time_ns, message) in enumerate(merged):
+            if count and count % _MESSAGES_AT_ONCE == 0:
+                yield part(count, time_ns)
+            content = _unpacked_message(message) if compressed else message
+            unpacked_bytes += _ENTRY_BYTES + len(content)
+            require_unpackable(packed_bytes, unpacked_bytes)
+            times[connection.topic].append(time_ns)
+            payloads[connection.topic].append(content[:head])
+        yield part(count + 1, _END_NS)
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -236,25 +371,27 @@ def _with_metadata(folder: Path) -> Path:
     return files[0]
 
 
-def _check_file(file: Path) -> None:
+def _check_file(file: Path) -> _Survey | None:
     """Refuse a file of a bag that unpacks to too much, and an MCAP file that is damaged.
 
-    That is one that is empty, cut off (saying how much is whole) or has a damaged summary.
+    That is one that is empty, cut off (saying how much is whole) or has a damaged summary. Gives what lies
+    where in an MCAP file.
     """
     try:
         if file.suffix == ".zstd":
-            packed = _bytes_of(file).data
+            packed = file.read_bytes()
             require_unpackable(len(packed), zstd_size(packed, unpacked_limit(len(packed))))
         elif file.suffix == ".db3":
             _check_database(file)
         elif file.suffix == ".mcap":
-            _check_mcap(file)
+            return _survey_mcap(file)
     except LogError as error:
         raise LogError(f"{file}: {error}") from None
     except OSError as error:
         raise LogError(f"{file}: cannot be read: {error.strerror or error}") from error
     except (sqlite3.Error, zstd.ZstdError) as error:
         raise LogError(f"{file}: cannot be read: {one_line(error)}") from error
+    return None
 
 
 def _check_database(file: Path) -> None:
@@ -273,90 +410,218 @@ def _check_database(file: Path) -> None:
                 raise LogError("damaged: topics of the same number")
 
 
-def _check_mcap(file: Path) -> None:
-    data = _bytes_of(file)
-    if len(data) == 0:
+def _survey_mcap(file: Path) -> _Survey:
+    size = file.stat().st_size
+    if size == 0:
         raise LogError("is empty")
-    if data[: len(MAGIC)].tobytes() != MAGIC:
-        raise LogError("is no MCAP file")
-    if len(data) < _FOOTER.itemsize + 2 * len(MAGIC) or data[-len(MAGIC) :].tobytes() != MAGIC:
-        raise LogError(
-            f"cut off, it has no footer; {_whole_messages(data)} whole messages can be read, "
-            "`mcap recover` rebuilds the file"
-        )
-    footer = data[-_FOOTER.itemsize - len(MAGIC) : -len(MAGIC)].view(_FOOTER)[0]
-    summary = data[int(footer["summary_start"]) : -footer["crc"].itemsize - len(MAGIC)]
-    if footer["crc"] and zlib.crc32(summary.data) != footer["crc"]:
+    with file.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise LogError("is no MCAP file")
+        ending = _read_at(stream, max(size - _FOOTER.itemsize - len(MAGIC), 0), _FOOTER.itemsize + len(MAGIC))
+        if size < _FOOTER.itemsize + 2 * len(MAGIC) or ending[-len(MAGIC) :] != MAGIC:
+            raise LogError(
+                f"cut off, it has no footer; {_whole_messages(file)} whole messages can be read, "
+                "`mcap recover` rebuilds the file"
+            )
+        footer = np.frombuffer(ending, dtype=_FOOTER, count=1)[0]
+        start, stop = int(footer["summary_start"]), size - footer["crc"].itemsize - len(MAGIC)
+        summary = _read_at(stream, start, stop - start) if start < stop else b""
+    if footer["crc"] and zlib.crc32(summary) != footer["crc"]:
         raise LogError("damaged: its summary does not match its checksum")
-    records = find_records(data, len(MAGIC))
-    _check_whole(records, data[: -len(MAGIC)])
-    chunks = [data[start : start + length] for start, length in zip(*records.of(CHUNK), strict=True)]
-    require_unpackable(len(data), sum(_unpacked_size(chunk) for chunk in chunks))
-    summary_start = int(footer["summary_start"]) or len(data)
-    if not {SCHEMA, STATISTICS} <= set(records.opcodes[records.starts > summary_start].tolist()):
+    survey = _find_sections(file, size - len(MAGIC))
+    if survey.stop != size - len(MAGIC):
+        raise LogError(f"damaged: the record at byte {survey.stop} runs beyond its section")
+    require_unpackable(size, sum(section.unpacked for section in survey.sections if section.is_chunk))
+    indexed = set(find_records(np.frombuffer(summary, dtype=np.uint8)).opcodes.tolist()) if start else set()
+    if not {SCHEMA, STATISTICS} <= indexed:
         # Without them rosbags unpacks every chunk, whatever its size.
-        for chunk in chunks:
-            _decompressed(chunk)
+        with file.open("rb") as stream:
+            for section in survey.sections:
+                _records_of(stream, section)
+    return survey
 
 
-def _whole_messages(data: Bytes) -> int:
+def _whole_messages(file: Path) -> int:
     """Messages in a cut file that are whole, in chunks or not."""
-    records = find_records(data, len(MAGIC))
-    count = len(records.of(MESSAGE)[0])
-    for start, length in zip(*records.of(CHUNK), strict=True):
-        with suppress(Exception):  # a damaged chunk holds no whole message
-            count += len(find_records(_decompressed(data[start : start + length])).of(MESSAGE)[0])
+    count = 0
+    with file.open("rb") as stream:
+        for section in _find_sections(file, file.stat().st_size).sections:
+            with suppress(Exception):  # a damaged chunk holds no whole message
+                count += len(find_records(_records_of(stream, section)).of(MESSAGE)[0])
     return count
 
 
-def _parts(storage: McapReader, names: Collection[str], head: int | None) -> Iterator[Topic]:
-    """The messages of each topic, chunk by chunk of one file."""
-    channels = {connection.id: connection for connection in storage.connections}
-    data = _bytes_of(Path(str(storage.path)))[: storage.data_end]
-    records = find_records(data, storage.data_start)
-    _check_whole(records, data)
-    yield from _split(data, records, channels, names, head)
-    for start, length in zip(*records.of(CHUNK), strict=True):
-        chunk = _decompressed(data[start : start + length])
-        in_chunk = find_records(chunk)
-        _check_whole(in_chunk, chunk)
-        yield from _split(chunk, in_chunk, channels, names, head)
+def _records_of(stream: BinaryIO, section: _Section) -> Bytes:
+    """The message records of a section, and what lies between them."""
+    data = np.frombuffer(_read_at(stream, section.start, section.length), dtype=np.uint8)
+    return _decompressed(data) if section.is_chunk else data
+
+
+def _unpacked_message(message: bytes) -> bytes:
+    """A message that is compressed by itself."""
+    size = zstd_size(message, unpacked_limit(len(message)))
+    require_unpackable(len(message), size)
+    return unzstd(message, size)
+
+
+def _find_sections(file: Path, end: int) -> _Survey:
+    """Walk over the records of a file up to `end`, or the first that is not whole, reading little of it."""
+    sections: list[_Section] = []
+    metadata: list[tuple[int, int]] = []
+    position, window = len(MAGIC), _WINDOW
+    with file.open("rb") as stream:
+        while position + RECORD_PREFIX <= end:
+            data = np.frombuffer(_read_at(stream, position, min(window, end - position)), dtype=np.uint8)
+            records = find_records(data)
+            found = records if len(records.opcodes) else _first_record(data)
+            if found.stop > end - position:
+                break
+            metadata += [
+                (position + start, length) for start, length in zip(*found.of(METADATA), strict=True)
+            ]
+            sections += _messages_side_by_side(file, data, found, position)
+            sections += _chunks(file, data, found, position)
+            position += found.stop
+            # Of a record that is passed over unread nothing was needed but its beginning.
+            window = min(2 * window, _WINDOW_MAX) if found is records else _WINDOW
+    sections.sort(key=lambda section: section.start)
+    return _Survey(sections, metadata, position)
+
+
+def _first_record(data: Bytes) -> Records:
+    """The record that begins in `data` and ends beyond it."""
+    length = int.from_bytes(data[1:RECORD_PREFIX].tobytes(), "little")
+    one = np.ones(1, dtype=np.int64)
+    if length > _END_NS - RECORD_PREFIX:
+        return Records(one, one, one, _END_NS)
+    return Records(one * data[0], one * RECORD_PREFIX, one * length, RECORD_PREFIX + length)
+
+
+def _messages_side_by_side(file: Path, data: Bytes, found: Records, position: int) -> Iterator[_Section]:
+    """A section from the first message record in `data` to the last; `position` is where that begins."""
+    starts, lengths = found.of(MESSAGE)
+    if len(starts) == 0:
+        return
+    if np.any(lengths < MESSAGE_HEADER.itemsize):
+        raise LogError("damaged: a message record is shorter than its header")
+    first_ns = int(_headers(data, starts)["log_time"].min())
+    start = int(starts[0]) - RECORD_PREFIX
+    length = int(starts[-1] + lengths[-1]) - start
+    yield _Section(file, position + start, length, False, min(first_ns, _END_NS), length)
+
+
+def _chunks(file: Path, data: Bytes, found: Records, position: int) -> Iterator[_Section]:
+    """The chunks among records; see :func:`_messages_side_by_side`."""
+    for start, length in zip(*(column.tolist() for column in found.of(CHUNK)), strict=True):
+        header = _chunk_header(data[start : start + length])
+        first_ns = min(int(header["start_time"]), _END_NS)
+        yield _Section(file, position + start, length, True, first_ns, int(header["size"]))
+
+
+def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
+    stream.seek(start)
+    return stream.read(length)
+
+
+def _in_log_order(parts: Iterable[_Part], messages: int) -> Iterator[dict[str, Topic]]:
+    """Blocks of topics: all that is logged before an instant, and is not in a block before."""
+    waiting: list[tuple[int, Topic]] = []
+    count = 0
+    for place, topics, limit_ns in parts:
+        waiting += [(place, topic) for topic in topics]
+        count += sum(len(topic.payloads) for topic in topics)
+        if count < messages and limit_ns < _END_NS:
+            continue
+        waiting.sort(key=itemgetter(0))
+        due: dict[str, list[Topic]] = {}
+        later: list[tuple[int, Topic]] = []
+        for place_of, topic in waiting:
+            before, after = (topic, None) if limit_ns == _END_NS else cut_topic(topic, limit_ns)
+            if before is not None and len(before.payloads):
+                due.setdefault(topic.name, []).append(before)
+            if after is not None and len(after.payloads):
+                later.append((place_of, after))
+        waiting = later
+        count = sum(len(topic.payloads) for _, topic in waiting)
+        yield from _in_blocks({name: join_topics(own) for name, own in due.items()}, messages)
+
+
+def _in_blocks(topics: dict[str, Topic], messages: int) -> Iterator[dict[str, Topic]]:
+    """The messages in blocks of that many; those of one instant stay together."""
+    while sum(len(topic.payloads) for topic in topics.values()) > messages:
+        times = np.sort(np.concatenate([topic.log_time_ns for topic in topics.values()]))
+        limit_ns = times[messages]
+        if limit_ns == times[0]:
+            later = np.searchsorted(times, limit_ns, side="right")
+            if later == len(times):
+                break
+            limit_ns = times[later]
+        block = {}
+        for name, topic in topics.items():
+            block[name], topics[name] = cut_topic(topic, int(limit_ns))
+        yield block
+    if any(len(topic.payloads) for topic in topics.values()):
+        yield topics
+
+
+def cut_topic(topic: Topic, limit_ns: int) -> tuple[Topic, Topic]:
+    """Of messages in the order of their log times, those before an instant, and the rest."""
+    place = int(np.searchsorted(topic.log_time_ns, limit_ns))
+    before, after = (
+        Topic(topic.name, topic.type_name, topic.log_time_ns[rows], topic.payloads.cut(rows))
+        for rows in (slice(0, place), slice(place, None))
+    )
+    return before, after
 
 
 def _split(
-    data: Bytes, records: Records, channels: dict[int, Connection], names: Collection[str], head: int | None
+    data: Bytes,
+    records: Records,
+    channels: Mapping[int, Connection],
+    names: Collection[str],
+    head: int | None,
 ) -> Iterator[Topic]:
-    """Gather the messages among `records` topic by topic."""
+    """Gather the messages among `records` topic by topic, each in the order of log times."""
     starts, lengths = records.of(MESSAGE)
     if len(starts) == 0:
         return
     if np.any(lengths < MESSAGE_HEADER.itemsize):
         raise LogError("damaged: a message record is shorter than its header")
-    header_bytes = np.lib.stride_tricks.sliding_window_view(data, MESSAGE_HEADER.itemsize)[starts]
-    headers = header_bytes.view(MESSAGE_HEADER)[:, 0]
+    headers = _headers(data, starts)
     payloads = Payloads(data, starts + MESSAGE_HEADER.itemsize, lengths - MESSAGE_HEADER.itemsize)
     for channel in np.unique(headers["channel"]):
         connection = channels.get(int(channel))
         if connection is None:
             raise LogError(f"damaged: messages on channel {channel}, which no record describes")
         if connection.topic in names:
-            chosen = headers["channel"] == channel
+            chosen = np.flatnonzero(headers["channel"] == channel)
             log_time_ns = headers["log_time"][chosen].astype(np.int64)
+            if np.any(log_time_ns[1:] < log_time_ns[:-1]):
+                order = np.argsort(log_time_ns, kind="stable")
+                chosen, log_time_ns = chosen[order], log_time_ns[order]
             own = payloads.take(chosen).compact(head)
             yield Topic(connection.topic, connection.msgtype, log_time_ns, own)
 
 
-def _no_messages(connection: Connection) -> Topic:
-    return Topic(connection.topic, connection.msgtype, np.empty(0, dtype=np.int64), Payloads.join([]))
+def _headers(data: Bytes, starts: Indices) -> npt.NDArray[np.void]:
+    """Headers of the messages whose records have their contents at `starts`."""
+    header_bytes = np.lib.stride_tricks.sliding_window_view(data, MESSAGE_HEADER.itemsize)[starts]
+    return header_bytes.view(MESSAGE_HEADER)[:, 0]
 
 
-def _join(parts: Sequence[Topic]) -> Topic:
+def _empty(name: str, type_name: str) -> Topic:
+    return Topic(name, type_name, np.empty(0, dtype=np.int64), Payloads.join([]))
+
+
+def join_topics(parts: Sequence[Topic]) -> Topic:
     """One topic of its parts, in the order of log times."""
-    log_time_ns = np.concatenate([part.log_time_ns for part in parts])
-    payloads = Payloads.concatenate([part.payloads for part in parts])
+    log_time_ns, payloads = parts[0].log_time_ns, parts[0].payloads
+    if len(parts) > 1:
+        log_time_ns = np.concatenate([part.log_time_ns for part in parts])
+        payloads = Payloads.concatenate([part.payloads for part in parts])
     if np.any(np.diff(log_time_ns) < 0):
         order = np.argsort(log_time_ns, kind="stable")
-        log_time_ns, payloads = log_time_ns[order], payloads.take(order)
+        log_time_ns, payloads = log_time_ns[order], payloads.take(order).compact()
     return Topic(parts[0].name, parts[0].type_name, log_time_ns, payloads)
 
 
@@ -425,10 +690,6 @@ def _chunk_header(record: Bytes) -> np.void:
     return header
 
 
-def _unpacked_size(chunk: Bytes) -> int:
-    return int(_chunk_header(chunk)["size"])
-
-
 def _parse_metadata(record: bytes) -> tuple[str, dict[str, str]]:
     stream = BytesIO(record)
     name = read_string(stream)
@@ -438,9 +699,3 @@ def _parse_metadata(record: bytes) -> tuple[str, dict[str, str]]:
         key = read_string(stream)
         entries[key] = read_string(stream)
     return name, entries
-
-
-def _bytes_of(path: Path) -> Bytes:
-    if path.stat().st_size == 0:
-        return np.empty(0, dtype=np.uint8)
-    return np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))

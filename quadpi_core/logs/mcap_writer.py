@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writing MCAP bags from arrays (https://mcap.dev/spec, profile ros2).
+"""Writing MCAP bags from arrays (https://mcap.dev/spec, profile ros2), whole or as their messages come.
 
 The place of every message is computed before anything is copied, so that there is no Python loop over
-messages. Equal input gives equal bytes.
+messages. Equal messages give equal bytes, in however many blocks they come.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,7 +25,16 @@ from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.definitions import definition_text, typestore
-from quadpi_core.logs.mcap import CHUNK, MAGIC, MESSAGE, MESSAGE_HEADER, METADATA, Topic
+from quadpi_core.logs.mcap import (
+    CHUNK,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEADER,
+    METADATA,
+    Topic,
+    cut_topic,
+    join_topics,
+)
 from quadpi_core.logs.payloads import Bytes, Indices, Payloads, copy_spans
 from quadpi_core.paths import whole_output
 
@@ -50,40 +61,192 @@ def write_mcap(path: Path, topics: Sequence[Topic], metadata: Mapping[str, str])
         LogError: if the path does not end in .mcap, and for log times that ROS stamps cannot hold.
         OutputError: if the file cannot be written.
     """
+    with mcap_writer(path, metadata) as writer:
+        writer.announce({topic.name: topic.type_name for topic in topics})
+        for topic in topics:
+            writer.add(topic)
+
+
+@contextmanager
+def mcap_writer(path: Path, metadata: Mapping[str, str]) -> Iterator[McapWriter]:
+    """A bag to write while its messages come; it appears whole or not at all.
+
+    Args:
+        path: file to write, replaced if it exists.
+        metadata: entries of the metadata record "quadpi".
+
+    Raises:
+        LogError: if the path does not end in .mcap.
+        OutputError: if the file cannot be written.
+    """
     if path.suffix != ".mcap":
         raise LogError(f"{path}: a bag is written to a file that ends in .mcap")
-    for topic in topics:
+    with whole_output(path) as temporary, temporary.open("wb") as stream:
+        writer = McapWriter(path, stream)
+        yield writer
+        writer.finish(metadata)
+
+
+@dataclass
+class _Channel:
+    """A topic of the bag: how many of its messages are written, and those that wait for their turn."""
+
+    type_name: str
+    written: int = 0
+    waiting: list[Topic] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Framed:
+    """Message records side by side, in the order of the file.
+
+    Attributes:
+        records: their bytes.
+        channel: (N,) of each.
+        log_time_ns: (N,).
+        starts: (N,) where each begins, in bytes of all message records of the bag.
+    """
+
+    records: Bytes
+    channel: npt.NDArray[np.uint16]
+    log_time_ns: Stamps
+    starts: Indices
+
+    @classmethod
+    def join(cls, parts: Sequence[_Framed]) -> _Framed:
+        """Those of all parts, which follow each other."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
+
+    def split(self) -> Iterator[_Framed]:
+        """Those that begin in the same `_CHUNK_BYTES` of the bag."""
+        cuts = [0, *(np.flatnonzero(np.diff(self.starts // _CHUNK_BYTES)) + 1).tolist(), len(self.starts)]
+        edges = [*(self.starts - self.starts[0])[cuts[:-1]].tolist(), len(self.records)]
+        for rows, span in zip(pairwise(cuts), pairwise(edges), strict=True):
+            own = slice(*rows)
+            yield _Framed(
+                self.records[slice(*span)], self.channel[own], self.log_time_ns[own], self.starts[own]
+            )
+
+
+class McapWriter:
+    """Merges the messages of topics by log time into chunks, while they come.
+
+    Messages wait until :meth:`flush` says that none will come that belongs before them. Those of one log time
+    come in the order in which their topics were announced.
+
+    Args:
+        path: for errors.
+        stream: file to write.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self._path = path
+        self._stream = stream
+        self._schemas: dict[str, bytes] = {}
+        self._described: list[bytes] = []
+        self._channels: dict[str, _Channel] = {}
+        self._chunk_index: list[bytes] = []
+        self._open: list[_Framed] = []
+        self._framed_bytes = 0
+        self._span_ns: tuple[int, int] | None = None
+        stream.write(MAGIC + _record(_HEADER, _string("ros2") + _string(f"quadpi {__version__}")))
+
+    def announce(self, topics: Mapping[str, str]) -> None:
+        """Take note of topics and their types, by name; they are in the bag even if no message comes."""
+        new = {name: type_name for name, type_name in topics.items() if name not in self._channels}
+        before = len(self._schemas)
+        for type_name in new.values():
+            if type_name not in self._schemas:
+                self._schemas[type_name] = _schema(len(self._schemas) + 1, type_name)
+        numbers = {type_name: number for number, type_name in enumerate(self._schemas, start=1)}
+        described = [
+            _channel(number, numbers[type_name], name, type_name)
+            for number, (name, type_name) in enumerate(new.items(), start=len(self._channels))
+        ]
+        self._channels |= {name: _Channel(type_name) for name, type_name in new.items()}
+        self._described += described
+        self._stream.write(b"".join([*list(self._schemas.values())[before:], *described]))
+
+    def add(self, topic: Topic) -> None:
+        """Take messages of a topic.
+
+        Raises:
+            LogError: naming topic and sample, for log times that ROS stamps cannot hold.
+        """
+        if len(topic.payloads) == 0:
+            return
+        self.announce({topic.name: topic.type_name})
+        channel = self._channels[topic.name]
         foreign = (topic.log_time_ns < 0) | (topic.log_time_ns >= _STAMP_END_NS)
         if np.any(foreign):
-            sample = int(np.argmax(foreign))
+            sample = channel.written + sum(len(part.payloads) for part in channel.waiting)
+            sample += int(np.argmax(foreign))
             reason = "the stamp is before 1970 or after 2038"
-            raise LogError(f"{path}: topic {topic.name}: sample {sample}: {reason}")
-    with whole_output(path) as temporary, temporary.open("wb") as stream:
-        _write(stream, topics, metadata)
+            raise LogError(f"{self._path}: topic {topic.name}: sample {sample}: {reason}")
+        channel.waiting.append(topic)
 
+    def flush(self, until_ns: int = _STAMP_END_NS) -> None:
+        """Write the messages logged at that time or before, as none is still to come that belongs there.
 
-def _write(stream: BinaryIO, topics: Sequence[Topic], metadata: Mapping[str, str]) -> None:
-    stream.write(MAGIC + _record(_HEADER, _string("ros2") + _string(f"quadpi {__version__}")))
-    types = list(dict.fromkeys(topic.type_name for topic in topics))
-    schemas = b"".join(_schema(number, name) for number, name in enumerate(types, start=1))
-    channels = b"".join(
-        _channel(number, types.index(topic.type_name) + 1, topic) for number, topic in enumerate(topics)
-    )
-    stream.write(schemas + channels)
-    chunks = [_write_chunk(stream, chunk) for chunk in _chunks(topics)]
-    metadata_start = stream.tell()
-    metadata_record = _record(METADATA, _string("quadpi") + _string_map(metadata))
-    stream.write(metadata_record)
-    stream.write(_record(_DATA_END, struct.pack("<I", 0)))
-    metadata_place = struct.pack("<QQ", metadata_start, len(metadata_record))
-    groups = {
-        _SCHEMA: schemas,
-        _CHANNEL: channels,
-        _CHUNK_INDEX: b"".join(chunks),
-        _METADATA_INDEX: _record(_METADATA_INDEX, metadata_place + _string("quadpi")),
-        _STATISTICS: _statistics(topics, len(types), len(chunks)),
-    }
-    stream.write(_summary(groups, start=stream.tell()) + MAGIC)
+        Without a time all that wait are written: what comes later follows them, whenever it was logged.
+        """
+        due = []
+        for number, channel in enumerate(self._channels.values()):
+            if not channel.waiting:
+                continue
+            now, later = cut_topic(join_topics(channel.waiting), until_ns + 1)
+            channel.waiting = [later] if len(later.payloads) else []
+            if len(now.payloads):
+                due.append((number, channel.written, now))
+                channel.written += len(now.payloads)
+        if not due:
+            return
+        framed = _framed(due, self._framed_bytes)
+        self._framed_bytes += len(framed.records)
+        first_ns, last_ns = int(framed.log_time_ns.min()), int(framed.log_time_ns.max())
+        if self._span_ns is not None:
+            first_ns, last_ns = min(first_ns, self._span_ns[0]), max(last_ns, self._span_ns[1])
+        self._span_ns = first_ns, last_ns
+        for part in framed.split():
+            if self._open and self._open[0].starts[0] // _CHUNK_BYTES != part.starts[0] // _CHUNK_BYTES:
+                self._close_chunk()
+            self._open.append(part)
+
+    def finish(self, metadata: Mapping[str, str]) -> None:
+        """Write what waits, the metadata record "quadpi" and the summary."""
+        self.flush()
+        self._close_chunk()
+        stream = self._stream
+        metadata_start = stream.tell()
+        metadata_record = _record(METADATA, _string("quadpi") + _string_map(metadata))
+        stream.write(metadata_record)
+        stream.write(_record(_DATA_END, struct.pack("<I", 0)))
+        metadata_place = struct.pack("<QQ", metadata_start, len(metadata_record))
+        groups = {
+            _SCHEMA: b"".join(self._schemas.values()),
+            _CHANNEL: b"".join(self._described),
+            _CHUNK_INDEX: b"".join(self._chunk_index),
+            _METADATA_INDEX: _record(_METADATA_INDEX, metadata_place + _string("quadpi")),
+            _STATISTICS: self._statistics(),
+        }
+        stream.write(_summary(groups, start=stream.tell()) + MAGIC)
+
+    def _close_chunk(self) -> None:
+        if self._open:
+            self._chunk_index.append(_write_chunk(self._stream, _Framed.join(self._open)))
+            self._open = []
+
+    def _statistics(self) -> bytes:
+        counts = [channel.written for channel in self._channels.values()]
+        totals = struct.pack(
+            "<QHIIIIQQ",
+            *(sum(counts), len(self._schemas), len(counts), 0, 1, len(self._chunk_index)),
+            *(self._span_ns or (0, 0)),
+        )
+        per_channel = b"".join(struct.pack("<HQ", channel, count) for channel, count in enumerate(counts))
+        return _record(_STATISTICS, totals + _sized(per_channel))
 
 
 def _summary(groups: Mapping[int, bytes], start: int) -> bytes:
@@ -99,23 +262,17 @@ def _summary(groups: Mapping[int, bytes], start: int) -> bytes:
     return checked + struct.pack("<I", zlib.crc32(checked))
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    """Message records of one chunk, with channel, log time and offset of each."""
+def _framed(due: Sequence[tuple[int, int, Topic]], begin: int) -> _Framed:
+    """Merge messages by log time, each as a record.
 
-    records: Bytes
-    channel: npt.NDArray[np.uint16]
-    log_time_ns: Stamps
-    offsets: Indices
-
-
-def _chunks(topics: Sequence[Topic]) -> Iterator[_Chunk]:
-    """Merge the topics by log time, frame each message as a record, and cut the records into chunks."""
-    if not any(len(topic.payloads) for topic in topics):
-        return
-    log_time_ns = np.concatenate([topic.log_time_ns for topic in topics])
+    Args:
+        due: channel, number of messages written before, and messages in the order of their log times.
+        begin: where the first record begins, see :class:`_Framed`.
+    """
+    counts = [len(topic.payloads) for _, _, topic in due]
+    log_time_ns = np.concatenate([topic.log_time_ns for _, _, topic in due])
     order = np.argsort(log_time_ns, kind="stable")
-    lengths = np.concatenate([topic.payloads.lengths for topic in topics])
+    lengths = np.concatenate([topic.payloads.lengths for _, _, topic in due])
     sizes = lengths[order] + _RECORD_HEADER.itemsize
     starts = np.empty_like(sizes)
     starts[order] = np.cumsum(sizes) - sizes
@@ -123,8 +280,10 @@ def _chunks(topics: Sequence[Topic]) -> Iterator[_Chunk]:
     headers = np.zeros(len(order), dtype=_RECORD_HEADER)
     headers["opcode"] = MESSAGE
     headers["length"] = lengths + MESSAGE_HEADER.itemsize
-    headers["channel"] = np.repeat(np.arange(len(topics)), [len(topic.payloads) for topic in topics])
-    headers["sequence"] = np.concatenate([np.arange(len(topic.payloads)) for topic in topics])
+    headers["channel"] = np.repeat([channel for channel, _, _ in due], counts)
+    headers["sequence"] = np.concatenate(
+        [np.arange(before, before + count) for (_, before, _), count in zip(due, counts, strict=True)]
+    )
     headers["log_time"] = headers["publish_time"] = log_time_ns
 
     data = np.empty(int(sizes.sum()), dtype=np.uint8)
@@ -132,39 +291,31 @@ def _chunks(topics: Sequence[Topic]) -> Iterator[_Chunk]:
     copy_spans(framed.data, framed.starts, data, starts, framed.lengths)
     payload_starts = starts + _RECORD_HEADER.itemsize
     first = 0
-    for topic in topics:
+    for _, _, topic in due:
         own = slice(first, first + len(topic.payloads))
         copy_spans(
             topic.payloads.data, topic.payloads.starts, data, payload_starts[own], topic.payloads.lengths
         )
         first = own.stop
-
-    starts = starts[order]
-    cuts = np.flatnonzero(np.diff(starts // _CHUNK_BYTES)) + 1
-    for rows in np.split(np.arange(len(order)), cuts):
-        begin, last = starts[rows[0]], rows[-1]
-        yield _Chunk(
-            data[begin : starts[last] + sizes[last]],
-            headers["channel"][order[rows]],
-            log_time_ns[order[rows]],
-            starts[rows] - begin,
-        )
+    return _Framed(data, headers["channel"][order], log_time_ns[order], begin + starts[order])
 
 
-def _write_chunk(stream: BinaryIO, chunk: _Chunk) -> bytes:
+def _write_chunk(stream: BinaryIO, chunk: _Framed) -> bytes:
     """Write a chunk and its message indexes; return its record for the chunk index."""
     compressed = lz4.compress(chunk.records, store_size=False)
-    span = struct.pack("<QQ", chunk.log_time_ns[0], chunk.log_time_ns[-1])
+    # Where a clock was set back, the first message is not the earliest.
+    span = struct.pack("<QQ", chunk.log_time_ns.min(), chunk.log_time_ns.max())
     checksum = struct.pack("<QI", len(chunk.records), zlib.crc32(chunk.records.data))
     content = struct.pack("<Q", len(compressed)) + compressed
     start = stream.tell()
     stream.write(_record(CHUNK, span + checksum + _string(_COMPRESSION) + content))
     length = stream.tell() - start
+    offsets = chunk.starts - chunk.starts[0]
     index_offsets = b""
     for channel in np.unique(chunk.channel):
         own = chunk.channel == channel
         entries = np.empty(int(own.sum()), dtype=_INDEX_ENTRY)
-        entries["log_time"], entries["offset"] = chunk.log_time_ns[own], chunk.offsets[own]
+        entries["log_time"], entries["offset"] = chunk.log_time_ns[own], offsets[own]
         index_offsets += struct.pack("<HQ", channel, stream.tell())
         stream.write(_record(_MESSAGE_INDEX, struct.pack("<H", channel) + _sized(entries.tobytes())))
     index_length = stream.tell() - start - length
@@ -179,15 +330,6 @@ def _write_chunk(stream: BinaryIO, chunk: _Chunk) -> bytes:
     )
 
 
-def _statistics(topics: Sequence[Topic], schemas: int, chunks: int) -> bytes:
-    counts = [len(topic.payloads) for topic in topics]
-    times = np.concatenate([np.empty(0, np.int64), *(topic.log_time_ns for topic in topics)])
-    span = (int(times.min()), int(times.max())) if len(times) else (0, 0)
-    totals = struct.pack("<QHIIIIQQ", sum(counts), schemas, len(topics), 0, 1, chunks, *span)
-    per_channel = b"".join(struct.pack("<HQ", channel, count) for channel, count in enumerate(counts))
-    return _record(_STATISTICS, totals + _sized(per_channel))
-
-
 def _schema(number: int, type_name: str) -> bytes:
     text = definition_text(type_name).encode()
     return _record(
@@ -195,13 +337,13 @@ def _schema(number: int, type_name: str) -> bytes:
     )
 
 
-def _channel(number: int, schema: int, topic: Topic) -> bytes:
+def _channel(number: int, schema: int, name: str, type_name: str) -> bytes:
     metadata = {
         "offered_qos_profiles": "",
-        "topic_type_hash": typestore().hash_rihs01(topic.type_name),
+        "topic_type_hash": typestore().hash_rihs01(type_name),
     }
     numbers = struct.pack("<HH", number, schema)
-    return _record(_CHANNEL, numbers + _string(topic.name) + _string("cdr") + _string_map(metadata))
+    return _record(_CHANNEL, numbers + _string(name) + _string("cdr") + _string_map(metadata))
 
 
 def _record(opcode: int, content: bytes) -> bytes:

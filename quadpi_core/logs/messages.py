@@ -3,7 +3,7 @@
 """Between ROS messages (REP-103: FLU body, ENU world) and the core's arrays (FRD, NED).
 
 Bags and nodes share these functions: a bag passes all messages of a topic, a node one message at a
-time, both as serialized bytes. Every `unpack_` raises LogError, naming the sample, for bytes that are
+time, both as serialized bytes. Every `unpack_` raises SampleError, naming the sample, for bytes that are
 no message of its type; values are not judged here (see `Recording.check`), except quaternions.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import SampleError
 from quadpi_core.flight import (
     ImuStream,
     OdometryStream,
@@ -110,7 +110,7 @@ def unpack_pose(payloads: Payloads | bytes) -> PoseStream:
     """Decode geometry_msgs/PoseStamped.
 
     Raises:
-        LogError: also for an orientation that is no unit quaternion.
+        SampleError: also for an orientation that is no unit quaternion.
     """
     (time_ns, values), places = codec(POSE).decode_stamped(payloads), codec(POSE).places
     return PoseStream(
@@ -136,7 +136,7 @@ def unpack_odometry(payloads: Payloads | bytes) -> OdometryStream:
     """Decode nav_msgs/Odometry, whose twist is in the child (body) frame.
 
     Raises:
-        LogError: also for an orientation that is no unit quaternion.
+        SampleError: also for an orientation that is no unit quaternion.
     """
     (time_ns, values), places = codec(ODOMETRY).decode_stamped(payloads), codec(ODOMETRY).places
     return OdometryStream(
@@ -284,7 +284,7 @@ def _attitude(orientation_xyzw: Array) -> Array:
     sample = attitude_values(orientation_xyzw, attitude)
     if sample >= 0:
         norm = math.hypot(*orientation_xyzw[sample])
-        raise LogError(f"sample {sample}: the orientation is no unit quaternion (norm {norm:.3g})")
+        raise SampleError(sample, f"the orientation is no unit quaternion (norm {norm:.3g})")
     return attitude
 
 

@@ -81,6 +81,14 @@ class Payloads:
         """The messages at the indices `order`, sharing the buffer."""
         return Payloads(self.data, self.starts[order], self.lengths[order])
 
+    def cut(self, rows: slice) -> Payloads:
+        """The messages in a range of a :meth:`compact` whole, sharing its buffer and compact themselves."""
+        starts, lengths = self.starts[rows], self.lengths[rows]
+        if len(starts) == 0:
+            return Payloads(self.data[:0], starts, lengths)
+        first, stop = starts[0], starts[-1] + lengths[-1]
+        return Payloads(self.data[first:stop], starts - first, lengths)
+
     def compact(self, head: int | None = None) -> Payloads:
         """A copy whose buffer holds these messages alone, or the first `head` bytes of each."""
         lengths = self.lengths if head is None else np.minimum(self.lengths, head)

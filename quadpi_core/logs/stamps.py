@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import SampleError
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.cdr import Columns
 
@@ -20,7 +20,7 @@ def header_stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:
     """Stamps (N,) from the columns of a builtin_interfaces/Time.
 
     Raises:
-        LogError: naming the sample, for a stamp that is none.
+        SampleError: naming the sample, for a stamp that is none.
     """
     nanoseconds = columns[f"{prefix}nanosec"]
     _check(nanoseconds < _NANOSECONDS, nanoseconds, "ns beyond its second")
@@ -32,7 +32,7 @@ def microsecond_stamps(microseconds: npt.NDArray[np.uint64]) -> Stamps:
     """Stamps (N,) of a clock that counts microseconds.
 
     Raises:
-        LogError: naming the sample, for a stamp that nanoseconds cannot hold.
+        SampleError: naming the sample, for a stamp that nanoseconds cannot hold.
     """
     _check(microseconds <= _LAST_US, microseconds, "µs")
     return microseconds.astype(np.int64) * _MICROSECOND
@@ -41,4 +41,4 @@ def microsecond_stamps(microseconds: npt.NDArray[np.uint64]) -> Stamps:
 def _check(usable: npt.NDArray[np.bool_], value: npt.NDArray[np.unsignedinteger], unit: str) -> None:
     if not usable.all():
         sample = int(np.argmin(usable))
-        raise LogError(f"sample {sample}: the stamp has {value[sample]} {unit}")
+        raise SampleError(sample, f"the stamp has {value[sample]} {unit}")

@@ -9,7 +9,7 @@ from collections import Counter
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import SampleError
 from quadpi_core.flight import PoseStream, Stamps
 from quadpi_core.frames import (
     Array,
@@ -55,14 +55,14 @@ class BodyReader:
             name: of that column.
 
         Raises:
-            LogError: if two bodies of a message have the name.
+            SampleError: if two bodies of a message have the name.
         """
         names = bodies.columns[name]
         rows = np.flatnonzero(names == self._body)
         sample = bodies.message[rows]
         if len(rows) > 1 and np.any(np.diff(sample) == 0):
             index = int(sample[np.argmin(np.diff(sample))])
-            raise LogError(f"sample {index}: two bodies are named {self._settings.body}")
+            raise SampleError(index, f"two bodies are named {self._settings.body}")
         if absent := len(time_ns) - len(rows):
             self._note(names)
             self.dropped[f"{self._settings.body} is not in it (others: {self.seen})"] += absent

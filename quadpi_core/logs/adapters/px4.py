@@ -14,7 +14,7 @@ from collections import Counter
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream
 from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.logs.cdr import Columns
@@ -38,7 +38,7 @@ class OdometryReader:
         """The states that N messages hold.
 
         Raises:
-            LogError: naming the sample whose frames are not known, or whose velocity is in another world
+            SampleError: naming the sample whose frames are not known, or whose velocity is in another world
                 frame than its pose.
         """
         measured_us = np.where(
@@ -62,9 +62,10 @@ class OdometryReader:
         wrong = kept & ~(in_world & (in_body | (velocity_frame == pose_frame)))
         if wrong.any():
             sample = int(np.argmax(wrong))
-            raise LogError(
-                f"sample {sample}: pose_frame {pose_frame[sample]}, velocity_frame {velocity_frame[sample]}: "
-                "they must name the same world, or the latter the body"
+            raise SampleError(
+                sample,
+                f"pose_frame {pose_frame[sample]}, velocity_frame {velocity_frame[sample]}: "
+                "they must name the same world, or the latter the body",
             )
         attitude = attitude[kept] / norm[kept, np.newaxis]
         turned = rotate_world_to_body(attitude, velocity[kept])

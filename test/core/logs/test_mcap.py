@@ -11,8 +11,8 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import RotorSpeedStream, WindStream
 from quadpi_core.logs import messages
 from quadpi_core.logs.definitions import typestore
-from quadpi_core.logs.mcap import MAGIC, Bag, Topic
-from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.logs.mcap import MAGIC, Bag, Topic, cut_topic, join_topics
+from quadpi_core.logs.mcap_writer import mcap_writer, write_mcap
 from quadpi_core.logs.payloads import Payloads
 
 N = 3000
@@ -39,6 +39,22 @@ def assert_holds(path, topics):
         assert found[topic.name].type_name == topic.type_name
         np.testing.assert_array_equal(found[topic.name].log_time_ns, topic.log_time_ns)
         assert list(found[topic.name].payloads) == list(topic.payloads)
+
+
+def assert_blocks_are_the_whole(path, topics, messages):
+    names = [topic.name for topic in topics]
+    with Bag(path) as bag:
+        blocks = list(bag.blocks(names, messages=messages))
+    last_ns = -1
+    for block in blocks:
+        assert sum(len(topic.payloads) for topic in block.values()) <= messages
+        times = np.concatenate([topic.log_time_ns for topic in block.values()])
+        assert times.min() > last_ns
+        last_ns = times.max()
+    for topic in topics:
+        joined = join_topics([block[topic.name] for block in blocks])
+        np.testing.assert_array_equal(joined.log_time_ns, topic.log_time_ns)
+        assert list(joined.payloads) == list(topic.payloads)
 
 
 def test_round_trip(tmp_path, topics):
@@ -92,6 +108,7 @@ def test_reads_what_other_writers_write(tmp_path, topics, plugin, mode):
             for time_ns, payload in zip(topic.log_time_ns.tolist(), topic.payloads, strict=True):
                 writer.write(connection, time_ns, payload)
     assert_holds(path, topics)
+    assert_blocks_are_the_whole(path, topics, 700)
     if mode != CompressionMode.MESSAGE:
         (file,) = [file for file in path.iterdir() if file.suffix in {".mcap", ".db3"}]
         assert_holds(file, topics)
@@ -114,10 +131,67 @@ def test_reads_messages_outside_chunks_without_a_summary(tmp_path, topics):
     body += record(0x0F, bytes(4)) + record(0x02, bytes(20)) + MAGIC
     path = tmp_path / "flat.mcap"
     path.write_bytes(body)
+    ordered = Topic("/rotor_speeds", messages.ROTOR_SPEEDS, np.array([10, 20, 30]), few)
+    assert_holds(path, [ordered])
+    assert_blocks_are_the_whole(path, [ordered], 1)
+
+
+@pytest.mark.parametrize("messages", [1, 7, 1000, 10**6])
+def test_blocks_are_the_whole(tmp_path, topics, messages):
+    path = tmp_path / "bag.mcap"
+    short = [Topic(t.name, t.type_name, t.log_time_ns[:400], t.payloads.cut(slice(0, 400))) for t in topics]
+    write_mcap(path, short if messages < 100 else topics, {})
+    assert_blocks_are_the_whole(path, short if messages < 100 else topics, messages)
+
+
+def test_what_is_logged_at_one_instant_is_in_one_block(tmp_path, topics):
+    path = tmp_path / "bag.mcap"
+    times = np.repeat(np.array([10, 10**9, 2 * 10**9]), 1000)
+    write_mcap(path, [Topic(topic.name, topic.type_name, times, topic.payloads) for topic in topics], {})
     with Bag(path) as bag:
-        topic = bag.read(["/rotor_speeds"])["/rotor_speeds"]
-    assert topic.log_time_ns.tolist() == [10, 20, 30]
-    assert list(topic.payloads) == list(few)
+        blocks = list(bag.blocks([topic.name for topic in topics], messages=30))
+    assert [len(block["/wind"].payloads) for block in blocks] == [1000] * 3
+
+
+def test_chunks_that_overlap_in_time_come_in_the_order_of_log_times(tmp_path, topics):
+    """As where a recorder was slow with one topic, or its clock was set back."""
+    path = tmp_path / "bag.mcap"
+    early, late = cut_topic(topics[0], N * 1_000_000)
+    with mcap_writer(path, {}) as writer:
+        for topic in (topics[1], late, early):
+            writer.add(topic)
+            writer.flush()
+    assert_holds(path, topics)
+    assert_blocks_are_the_whole(path, topics, 500)
+
+
+def test_a_chunk_that_begins_before_it_says_is_refused(tmp_path, topics):
+    path = tmp_path / "bag.mcap"
+    write_mcap(path, topics, {})
+    with Bag(path) as bag:
+        section = next(iter(bag._surveys.values())).sections[0]
+    data = bytearray(path.read_bytes())
+    data[section.start : section.start + 8] = struct.pack("<Q", 10**9)
+    path.write_bytes(data)
+    with Bag(path) as bag, pytest.raises(LogError, match=r"bag.mcap: damaged: the chunk at byte \d+ holds"):
+        bag.read(["/wind"])
+
+
+@pytest.mark.parametrize("count", [1, 37, 1024])
+def test_a_bag_written_in_blocks_has_the_bytes_of_one_written_whole(tmp_path, topics, count):
+    whole, blocks = tmp_path / "whole.mcap", tmp_path / "blocks.mcap"
+    topics = [Topic(t.name, t.type_name, t.log_time_ns[:999], t.payloads.cut(slice(0, 999))) for t in topics]
+    write_mcap(whole, topics, {"vehicle": "v"})
+    with mcap_writer(blocks, {"vehicle": "v"}) as writer:
+        writer.announce({topic.name: topic.type_name for topic in topics})
+        rest = topics
+        for limit_ns in range(0, N * 7_000_000, count * 7_000_000):
+            due, rest = zip(*(cut_topic(topic, limit_ns) for topic in rest), strict=True)
+            for topic in due:
+                writer.add(topic)
+            # What waits is not written before its turn.
+            writer.flush(limit_ns - 10_000_000)
+    assert blocks.read_bytes() == whole.read_bytes()
 
 
 def test_head_reads_only_the_first_bytes(tmp_path, topics):
