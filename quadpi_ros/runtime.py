@@ -18,17 +18,19 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.monitor.events import KEPT
+from quadpi_core.logs import qos
 from quadpi_ros.lifecycle import ManagedNode, start
 
-# Sensors publish best effort, which a reliable subscription would not match: silently nothing would arrive.
-# The depth is what a busy machine may keep the process from taking: two seconds of an IMU.
-SENSOR_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-OUTPUT_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
-# Whoever subscribes late gets the events that the log keeps.
-LOG_QOS = QoSProfile(
-    depth=KEPT, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
+
+def _profile(offered: qos.Qos) -> QoSProfile:
+    return QoSProfile(
+        depth=offered.depth,
+        reliability=ReliabilityPolicy.RELIABLE if offered.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if offered.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+SENSOR_QOS, OUTPUT_QOS, LOG_QOS = (_profile(offered) for offered in (qos.SENSOR, qos.OUTPUT, qos.LOG))
 
 # EventsExecutor does not wake on a signal; this is how long a shutdown may go unnoticed.
 _SHUTDOWN_POLL_S = 0.2

@@ -36,6 +36,7 @@ from quadpi_core.logs.mcap import (
     join_topics,
 )
 from quadpi_core.logs.payloads import Bytes, Indices, Payloads, copy_spans
+from quadpi_core.logs.qos import qos_of
 from quadpi_core.paths import whole_output
 
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE_INDEX = 0x01, 0x02, 0x03, 0x04, 0x07
@@ -339,7 +340,7 @@ def _schema(number: int, type_name: str) -> bytes:
 
 def _channel(number: int, schema: int, name: str, type_name: str) -> bytes:
     metadata = {
-        "offered_qos_profiles": "",
+        "offered_qos_profiles": qos_of(name.removeprefix("/")).in_bag(),
         "topic_type_hash": typestore().hash_rihs01(type_name),
     }
     numbers = struct.pack("<HH", number, schema)

@@ -5,7 +5,8 @@ import struct
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import RotorSpeedStream, WindStream
@@ -192,6 +193,34 @@ def test_a_bag_written_in_blocks_has_the_bytes_of_one_written_whole(tmp_path, to
             # What waits is not written before its turn.
             writer.flush(limit_ns - 10_000_000)
     assert blocks.read_bytes() == whole.read_bytes()
+
+
+def test_rosbags_reads_the_quality_of_service_that_the_nodes_offer(tmp_path):
+    path = tmp_path / "bag.mcap"
+    nothing = {
+        name: Topic(name, kind, np.empty(0, np.int64), Payloads.join([]))
+        for name, kind in (
+            ("/imu", messages.IMU),
+            ("/prediction", messages.PREDICTION),
+            ("/alarm_log", messages.EVENT),
+        )
+    }
+    write_mcap(path, list(nothing.values()), {})
+    with Reader(path) as reader:
+        (imu,), (prediction,), (log,) = (one.ext.offered_qos_profiles for one in reader.connections)
+    assert (imu.reliability, imu.durability) == (QosReliability.BEST_EFFORT, QosDurability.VOLATILE)
+    assert (prediction.reliability, prediction.durability) == (
+        QosReliability.RELIABLE,
+        QosDurability.VOLATILE,
+    )
+    assert (log.reliability, log.durability) == (QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL)
+    assert (imu.depth, prediction.depth, log.depth) == (1000, 200, 64)
+    for profile in (imu, prediction, log):
+        assert profile.history == QosHistory.KEEP_LAST
+        assert profile.liveliness == QosLiveliness.AUTOMATIC
+        assert {profile.deadline, profile.lifespan, profile.liveliness_lease_duration} == {
+            QosTime(9223372036, 854775807)
+        }
 
 
 def test_head_reads_only_the_first_bytes(tmp_path, topics):
