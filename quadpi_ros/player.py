@@ -209,8 +209,7 @@ def _announcement(name: str) -> tuple[type, str]:
 
 def main() -> int:
     """Play the bag that the command line names."""
-    options = parse_arguments(remove_ros_args(sys.argv)[1:])
-    return run(lambda: _play(options))
+    return run(lambda: _play(parse_arguments(remove_ros_args(sys.argv)[1:])))
 
 
 def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:

@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,24 +18,87 @@ import quadpi_core
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("quadpi_core", "quadpi_ros")
-SHARED = ("bags", "config", "msg")
-BUILD_FILES = ("pyproject.toml", "package.xml", "README.md", "LICENSE")
+SHARED = ("bags", "config", "launch", "msg", "srv")
+PROGRAMS = "programs"
+BUILD_FILES = ("pyproject.toml", "package.xml", "README.md", "LICENSE", "resource")
+
+
+def files(folder: Path) -> set[str]:
+    """Everything below a folder by its path there, without what Python leaves behind."""
+    return {
+        str(path.relative_to(folder))
+        for path in folder.rglob("*")
+        if path.is_file() and path.parent.name != "__pycache__"
+    }
 
 
 @pytest.mark.slow
 def test_wheel_holds_every_module_and_every_shared_file(tmp_path: Path) -> None:
     source = tmp_path / "source"
-    for folder in PACKAGES + SHARED:
-        shutil.copytree(ROOT / folder, source / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in BUILD_FILES:
-        shutil.copy(ROOT / name, source)
-    pip_wheel = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
-    subprocess.run([*pip_wheel, "--wheel-dir", str(tmp_path), str(source)], check=True)
+    source.mkdir()
+    for name in (*PACKAGES, *SHARED, PROGRAMS, *BUILD_FILES):
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        copy(ROOT / name, source / name)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
+    build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(source))
+    subprocess.run([*pip, *build], check=True)
     (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as archive:
-        installed = {name.split(".data/data/share/quadpi/")[-1] for name in archive.namelist()}
-    expected = (path for folder in PACKAGES + SHARED for path in (ROOT / folder).rglob("*.*"))
-    assert {str(path.relative_to(ROOT)) for path in expected if "__pycache__" not in path.parts} <= installed
+    prefix = tmp_path / "prefix"
+    install = ("install", "--no-deps", "--prefix", str(prefix), "--root", "/", str(wheel))
+    subprocess.run([*pip, *install], check=True)
+    (packages,) = prefix.glob("lib/python*/site-packages")
+    for package in PACKAGES:
+        assert files(ROOT / package) == files(packages / package)
+    assert_complete(prefix)
+    assert (prefix / "bin" / "quadpi").is_file()
+
+
+@pytest.fixture
+def prefix(monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where CMake has installed quadpi: that of a sourced workspace, or the environment of these tests."""
+    ament = pytest.importorskip("ament_index_python.packages", reason="ROS 2 is not installed")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix, prepend=os.pathsep)
+    return Path(ament.get_package_prefix("quadpi"))
+
+
+def test_environment_is_a_whole_ros_package(prefix: Path) -> None:
+    assert_complete(prefix)
+
+
+def assert_complete(prefix: Path) -> None:
+    """`ros2 launch`, `ros2 run` and `ros2 pkg` find in a prefix all that the checkout holds."""
+    share = prefix / "share" / "quadpi"
+    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "quadpi").is_file()
+    assert (share / "package.xml").read_bytes() == (ROOT / "package.xml").read_bytes()
+    for folder in SHARED:
+        assert files(ROOT / folder) <= files(share / folder), folder
+    # As `ros2 launch` looks for them: without following links to folders.
+    walked = {name for _, _, names in os.walk(share) for name in names}
+    assert {path.name for path in (ROOT / "launch").glob("*.launch.py")} <= walked
+    programs = prefix / "lib" / "quadpi"
+    assert files(ROOT / PROGRAMS) == files(programs)
+    assert all(os.access(programs / name, os.X_OK) for name in files(programs))
+
+
+def test_every_node_is_a_program() -> None:
+    modules = {path.stem for path in (ROOT / "quadpi_ros").glob("*.py") if "\ndef main()" in path.read_text()}
+    assert files(ROOT / PROGRAMS) == modules
+
+
+@pytest.mark.parametrize("program", sorted(files(ROOT / PROGRAMS)))
+def test_a_program_runs_with_no_environment_active(program: str, prefix: Path) -> None:
+    if not (prefix / "bin" / "python3").exists():
+        pytest.skip(f"{prefix}: a workspace, whose programs need its environment")
+    result = subprocess.run(
+        [prefix / "lib" / "quadpi" / program, "--ros-args", "--log-level", "loud"],
+        env={"PATH": os.defpath},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2, result.stderr
+    assert "loud" in result.stderr
+    assert "Traceback" not in result.stderr
 
 
 def test_versions_agree() -> None:
@@ -43,17 +106,3 @@ def test_versions_agree() -> None:
     declared = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     assert declared is not None
     assert declared[1] == quadpi_core.__version__
-
-
-@pytest.mark.parametrize(
-    ("listing", "path"),
-    [
-        (r"foreach\(NODE (.+)\)", "quadpi_ros/{}.py"),
-        (r"install\(DIRECTORY (.+) DESTINATION", "{}"),
-    ],
-)
-def test_cmake_installs_what_exists(listing: str, path: str) -> None:
-    names = re.search(listing, (ROOT / "CMakeLists.txt").read_text())
-    assert names is not None
-    for name in names[1].split():
-        assert (ROOT / path.format(name)).exists(), name

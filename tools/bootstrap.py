@@ -110,23 +110,23 @@ def install_baselines(log: Path) -> None:
     pip_install(log, "--no-build-isolation", "--editable", ".[bench]")
 
 
-def build_messages(log: Path) -> None:
-    """Generate, compile and install the Python package `quadpi` with quadpi.msg."""
+def install_ros_package(log: Path) -> None:
+    """Install the ROS package as `colcon build --symlink-install` does: messages built, the rest linked."""
     point_wheels_at_this_python()
+    for folder in ("lib", "share"):
+        shutil.rmtree(VENV / folder / "quadpi", ignore_errors=True)
     build = VENV / "build"
-    shutil.rmtree(build, ignore_errors=True)
     run(
         log,
         "cmake",
         *("-S", ROOT, "-B", build, "-G", "Ninja"),
-        "-DQUADPI_MESSAGES_ONLY=ON",
+        "-DAMENT_CMAKE_SYMLINK_INSTALL=ON",
+        "-DQUADPI_PYTHON_BY_PIP=ON",
         "-DBUILD_TESTING=OFF",
         f"-DCMAKE_INSTALL_PREFIX={VENV}",
         f"-DPython3_EXECUTABLE={VENV_PYTHON}",
     )
-    run(log, "cmake", "--build", build)
-    run(log, "cmake", "--install", build)
-    shutil.rmtree(build)
+    run(log, "cmake", "--build", build, "--target", "install")
 
 
 def point_wheels_at_this_python() -> None:
@@ -183,14 +183,18 @@ STEPS = (
     ),
     Step(
         "messages",
-        "quadpi messages and services",
+        "quadpi as a ROS package, its messages compiled",
         (
             ROOT / "CMakeLists.txt",
             ROOT / "package.xml",
-            *sorted(ROOT.glob("msg/*.msg")),
-            *sorted(ROOT.glob("srv/*.srv")),
+            *sorted(
+                path
+                for folder in ("bags", "config", "launch", "msg", "programs", "srv")
+                for path in (ROOT / folder).rglob("*")
+                if path.is_file() and path.parent.name != "__pycache__"
+            ),
         ),
-        build_messages,
+        install_ros_package,
     ),
 )
 TRAIN_STEPS = (Step("train", "PyTorch, to train ensembles", (ROOT / "pyproject.toml",), install_training),)
