@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import json
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,13 +60,52 @@ def whole_output(path: Path) -> Iterator[Path]:
         temporary, replaced = scratch / path.name, scratch / "replaced"
         try:
             yield temporary
-            if temporary.is_dir() and path.is_dir() and not path.is_symlink():
-                path.rename(replaced)
-            temporary.replace(path)
+            if temporary.is_dir():
+                _replace_folder(temporary, path, replaced)
+            else:
+                temporary.replace(path)
         finally:
             if replaced.exists() and not path.exists():
                 replaced.rename(path)
             shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _replace_folder(made: Path, path: Path, replaced: Path) -> None:
+    """Put a folder in the place of `path`, where one may stand, and others may put theirs at the same time.
+
+    Where the system can exchange two folders in one step (Linux, most file systems), there is always one at
+    `path`; elsewhere the other is moved to `replaced` first, and a reader has to look again.
+    """
+    for _ in range(_REPLACEMENTS_MAX):
+        if path.is_dir() and not path.is_symlink():
+            if _exchange(made, path):
+                return
+            with suppress(FileNotFoundError):  # another writer was faster
+                path.rename(replaced)
+        try:
+            made.rename(path)
+        except OSError as error:
+            if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
+                raise
+            shutil.rmtree(replaced, ignore_errors=True)
+        else:
+            return
+    raise OutputError(f"{path}: others keep replacing it")
+
+
+# More writers than this never meet at one folder.
+_REPLACEMENTS_MAX = 100
+# renameat2(2) with paths from the working directory on.
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; False where the system cannot."""
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if renameat2 is None:
+        return False
+    failed: int = renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
+    return failed == 0
 
 
 @contextmanager
@@ -139,7 +180,11 @@ def _standing(folder: Path) -> Path:
 
 
 def _refuse_device(path: Path) -> None:
-    if path.exists() and not (path.is_file() or path.is_dir()):
+    try:
+        kind = path.stat().st_mode
+    except FileNotFoundError:
+        return
+    if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
         raise OutputError(f"{path}: is neither a file nor a folder: not replaced")
 
 

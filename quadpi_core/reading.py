@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small files that others wrote: of bounded size, and JSON whose numbers are finite."""
+"""Files that others wrote: how large they may be, and JSON whose numbers are finite."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ import math
 from pathlib import Path
 from typing import Any, NoReturn
 
+# What a small log may unpack to; quadpi_core.logs.unpacking holds logs against it.
+LIMIT_VARIABLE = "QUADPI_UNPACKED_MIB"
+# Far more than a small log needs; arrays made of it still fit into the memory of a small computer.
+LIMIT_DEFAULT_MIB = 256
 # Configuration and models are written by hand or by `identify`: a few kB, and a few MB.
 CONFIG_BYTES_MAX = 256 * 1024
 JSON_BYTES_MAX = 64 * 1024 * 1024

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
@@ -126,7 +125,7 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
     for axis in model.axes:
         chosen = [row for row in model.selection[axis] if row["coefficient"] is not None]
         terms = ", ".join(row["term"] for row in chosen)
-        console.print(f"[bold]{axis}[/bold]  R² {chosen[-1]['r2']:.3f}  {escape(terms)}")
+        console.print(Text.assemble((axis, "bold"), f"  R² {chosen[-1]['r2']:.3f}  {terms}"))
 
     console.print(model.calibration())
     console.print(held_out_table(model))

@@ -7,6 +7,7 @@ Each command imports what it needs when it runs, so that `--help` answers at onc
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated
 
@@ -19,6 +20,7 @@ from quadpi_core.cli.logs import import_, info
 from quadpi_core.cli.models import evaluate, identify
 from quadpi_core.cli.simulation import discrepancy, simulate, validate
 from quadpi_core.errors import QuadpiError
+from quadpi_core.reading import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 
 __all__ = ["app", "main"]
 
@@ -43,11 +45,22 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
-    version: Annotated[
+    version: Annotated[  # noqa: ARG001  # its callback prints it
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
+    unpacked_mib: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Largest size in MiB that a log may unpack to, if that is over 100 times its own; "
+            f"default: ${LIMIT_VARIABLE}, or {LIMIT_DEFAULT_MIB}.",
+        ),
+    ] = None,
 ) -> None:
     """How far can an aerodynamic model of a quadrotor be trusted?"""
+    if unpacked_mib is not None:
+        # Also for the processes that a command starts.
+        os.environ[LIMIT_VARIABLE] = str(unpacked_mib)
 
 
 def main() -> None:
@@ -57,4 +70,7 @@ def main() -> None:
         app()
     except QuadpiError as error:
         print(f"quadpi: {error}", file=sys.stderr)
+        sys.exit(2)
+    except MemoryError:
+        print("quadpi: it takes more memory than there is; nothing is half written", file=sys.stderr)
         sys.exit(2)

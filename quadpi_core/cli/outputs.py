@@ -36,7 +36,7 @@ def write_result(json_file: Path | None, data: dict[str, Any]) -> None:
 
 
 def open_console() -> Console:
-    """The terminal; rich is imported only here."""
+    """The terminal, which prints names as they are, [red] and :smile: too; rich is imported only here."""
     from rich.console import Console
 
-    return Console()
+    return Console(markup=False, emoji=False)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, QuadpiError, one_line
 from quadpi_core.flight import Recording
 from quadpi_core.logs.conversion import drop_rotor_spikes
 from quadpi_core.vehicle import Vehicle
@@ -73,8 +73,14 @@ def decode_recording(
         raise LogError(f"{path}: a {log_format.description} takes no mapping file")
     try:
         return log_format.read(path, vehicle, None if mapping is None else Path(mapping))
+    except QuadpiError:
+        raise
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise LogError(f"{path}: cannot be read: it takes more memory than there is") from error
+    except Exception as error:  # the last resort: what a reader makes of damaged bytes has no bound
+        raise LogError(f"{path}: cannot be read: {type(error).__name__}: {one_line(error)}") from error
 
 
 def identify_format(path: Path) -> LogFormat:

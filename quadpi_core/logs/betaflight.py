@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import struct
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,13 @@ _ERPM = ("eRPM[0]", "eRPM[1]", "eRPM[2]", "eRPM[3]")
 _ITERATION = "loopIteration"
 _ERPM_PER_COUNT = 100.0
 _HIGH_RESOLUTION = 10.0
+# Of flights in one file, the largest; the flash of a flight controller holds fewer.
+_FLIGHTS_MAX = 100
+# Firmwares log up to 70 fields; their header lines are shorter than 2 kB.
+_FIELDS_MAX = 256
+_HEADER_LINE_MAX = 8192
+# Behind a damaged frame it is read again from its second byte on: so many times the whole flight.
+_REWINDS_MAX = 4
 
 
 def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
@@ -65,31 +73,72 @@ def _longest(source: str, path: Path) -> tuple[dict[str, Any], dict[str, Array]]
         raise LogError(
             f"{source}: byte 0: not a Blackbox log (it must begin with `{BLACKBOX_MAGIC.decode()}`)"
         )
-    orangebox = require("orangebox", "logs")
+    require("orangebox", "logs")
     # It reports every damaged byte; what matters of that becomes a note.
     logging.getLogger("orangebox").setLevel(logging.CRITICAL)
     best: tuple[dict[str, Any], dict[str, Array]] | None = None
-    flights = 1
-    number = 0
-    while number < flights:
-        number += 1
+    flights = _flights(path.read_bytes())
+    largest = set(sorted(flights, key=len, reverse=True)[:_FLIGHTS_MAX])
+    for number, flight in enumerate(flights, 1):
+        if flight not in largest:
+            continue
         try:
-            # Each flight has a parser of its own: headers of one would stay in the next.
-            parser = orangebox.Parser.load(source, number, allow_invalid_header=True)
+            parser = _parser(flight)
         except OSError:
             raise
         except Exception as error:  # orangebox raises many kinds for a file that is damaged
             note(source, f"flight {number}: its headers are damaged: {one_line(error)}")
             continue
-        flights = parser.reader.log_count
         found = parser.headers, _columns(source, number, parser)
         if best is None or len(found[1].get("time", ())) > len(best[1].get("time", ())):
             best = found
     if best is None or not len(best[1].get("time", ())):
         raise LogError(f"{source}: no frame of a flight can be read")
-    if flights > 1:
-        note(source, f"holds {flights} flights; read is the longest")
+    if len(flights) > 1:
+        note(source, f"holds {len(flights)} flights; read is the longest")
     return best
+
+
+def _flights(data: bytes) -> list[bytes]:
+    """The flights of one file: each begins with the same header line."""
+    first_line = data[: data.find(b"\n") + 1] or data
+    return [first_line + rest for rest in data.split(first_line)[1:]]
+
+
+def _parser(flight: bytes) -> Any:
+    """A parser for one flight.
+
+    Each has its own, and a file of its own: orangebox searches a whole file for every flight in it, and
+    headers of one would stay in the next.
+
+    Raises:
+        ValueError: for headers that no firmware writes, over which orangebox takes time without bound.
+    """
+    orangebox = require("orangebox", "logs")
+    plain: Any = require("orangebox.reader", "logs").Reader
+
+    class Reader(plain):  # type: ignore[misc]
+        """Gives up on frames that it would read over and over again."""
+
+        rewound = 0
+
+        def seek(self, n: int) -> None:
+            self.rewound += max(self.tell() - n, 0)
+            if self.rewound > _REWINDS_MAX * len(self):
+                raise ValueError("nearly all of it is damaged")
+            super().seek(n)
+
+    position = 0
+    while flight.startswith(b"H", position):
+        end = flight.find(b"\n", position) + 1 or len(flight)
+        line = flight[position:end]
+        if len(line) > _HEADER_LINE_MAX or (line.startswith(b"H Field") and line.count(b",") > _FIELDS_MAX):
+            raise ValueError(f"byte {position}: a line of {len(line)} bytes with {line.count(b',')} commas")
+        position = end
+    with tempfile.NamedTemporaryFile(prefix="quadpi.", suffix=".bbl") as file:
+        file.write(flight)
+        file.flush()
+        return orangebox.Parser(Reader(file.name, 1, allow_invalid_header=True))
 
 
 def _columns(source: str, number: int, parser: Any) -> dict[str, Array]:

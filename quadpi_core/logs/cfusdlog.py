@@ -205,8 +205,13 @@ def _record_offsets(
 def _decode_records(data: bytes, offsets: list[int], layout: np.dtype[Any], tick_ns: int) -> Event:
     """Gather the records of one type as rows of bytes and view them as columns."""
     content = np.frombuffer(data, dtype=np.uint8)
-    rows = np.array(offsets, dtype=np.int64)[:, np.newaxis] + np.arange(layout.itemsize)
-    records: npt.NDArray[np.void] = content[rows].view(layout)[:, 0]
+    places = np.array(offsets, dtype=np.int64)
+    rows = (
+        np.lib.stride_tricks.sliding_window_view(content, layout.itemsize)[places]
+        if offsets
+        else np.empty((0, layout.itemsize), np.uint8)
+    )
+    records: npt.NDArray[np.void] = rows.view(layout)[:, 0]
     values = {
         name: records[name].astype(np.float64) for name in layout.names or () if name not in (_ID, _STAMP)
     }

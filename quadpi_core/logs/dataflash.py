@@ -53,6 +53,8 @@ _LETTERS: MappingProxyType[str, tuple[str, float]] = MappingProxyType(
         "a": ("V64", 1.0),
     }
 )
+# Names that would stand for something else in the layout of a record.
+_NO_COLUMNS = ("", "head")
 _TIME_UNITS = MappingProxyType({"TimeUS": 1_000, "TimeMS": 1_000_000})
 
 
@@ -193,6 +195,7 @@ def _define(data: bytes, position: int, formats: dict[int, _Format]) -> None:
         not is_whole
         or len(columns.split(",")) != len(letters)
         or len(set(columns.split(","))) != len(letters)
+        or not set(columns.split(",")).isdisjoint(_NO_COLUMNS)
     ):
         return
     known = _format(name, letters, columns)
@@ -217,6 +220,6 @@ def _gathered(data: bytes, formats: dict[int, _Format]) -> dict[str, Messages]:
     gathered = {}
     for known in formats.values():
         if known.offsets:
-            rows = np.array(known.offsets)[:, np.newaxis] + np.arange(known.layout.itemsize)
-            gathered[known.name] = Messages(content[rows].view(known.layout)[:, 0], known.factors)
+            rows = np.lib.stride_tricks.sliding_window_view(content, known.layout.itemsize)[known.offsets]
+            gathered[known.name] = Messages(rows.view(known.layout)[:, 0], known.factors)
     return gathered

@@ -11,12 +11,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import scipy.io
 
-from quadpi_core.errors import LogError, one_line
+from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.conversion import stamps_ns, unit_attitude
+from quadpi_core.logs.matlab import read_matlab
 from quadpi_core.vehicle import Vehicle
 
 _COLUMN_COUNT = 41
@@ -61,16 +61,20 @@ def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
 
 def _load_matrix(path: Path) -> Array:
     try:
-        variables = scipy.io.loadmat(path)
-    except OSError:
-        raise
-    except Exception as error:  # scipy raises many kinds for a file that is damaged or of another version
-        raise LogError(f"{path}: not a readable MATLAB 5 file: {one_line(error)}") from error
+        variables = read_matlab(path.read_bytes())
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
     matrices = [
-        value
-        for name, value in variables.items()
-        if not name.startswith("__") and value.ndim == 2 and value.shape[1] == _COLUMN_COUNT
+        variable.values
+        for variable in variables
+        if variable.values is not None
+        and variable.values.ndim == 2
+        and variable.values.shape[1] == _COLUMN_COUNT
     ]
     if len(matrices) != 1 or matrices[0].dtype.kind != "f":
-        raise LogError(f"{path}: expected one NeuroBEM matrix of N samples by {_COLUMN_COUNT} columns")
+        held = ", ".join(f"{variable.name} ({variable.kind})" for variable in variables) or "nothing"
+        raise LogError(
+            f"{path}: expected one NeuroBEM matrix of N samples by {_COLUMN_COUNT} columns; "
+            f"the file holds {held}"
+        )
     return np.ascontiguousarray(matrices[0], dtype=np.float64)

@@ -40,8 +40,10 @@ from quadpi_core.frames import (
 )
 from quadpi_core.logs.conversion import STANDARD_GRAVITY, stamps_ns, unit_attitude
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, UNITS, Mapping
+from quadpi_core.logs.unpacking import require_unpackable
 from quadpi_core.vehicle import Vehicle
 
+_NUMBER_BYTES = 8
 _GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 _log = logging.getLogger(__name__)
@@ -214,11 +216,29 @@ class _TableReader:
         return keep
 
 
+def _read_parquet(path: Path) -> pa.Table:
+    """A Parquet table, unless it unpacks to too much: one value can stand for any number of rows."""
+    with pyarrow.parquet.ParquetFile(path) as file:
+        metadata = file.metadata
+        groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+        rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
+        size = max(
+            rows * metadata.num_columns * _NUMBER_BYTES, sum(group.total_byte_size for group in groups)
+        )
+        try:
+            require_unpackable(path.stat().st_size, size)
+        except LogError as error:
+            raise LogError(f"{path}: {error}") from error
+        return file.read()
+
+
 def _load_table(path: Path) -> pa.Table:
-    read = pyarrow.parquet.read_table if path.suffix.lower() == ".parquet" else pyarrow.csv.read_csv
+    read = _read_parquet if path.suffix.lower() == ".parquet" else pyarrow.csv.read_csv
     try:
         table = read(path)
-    except pa.ArrowException as error:
+        # Names that are not UTF-8 show only here.
+        _ = table.column_names
+    except (pa.ArrowException, UnicodeDecodeError) as error:
         raise LogError(f"{path}: not a readable {path.suffix[1:]} table: {one_line(error)}") from error
     if table.num_columns == 1:
         raise LogError(f"{path}: the table has one column; a CSV file has commas between its columns")

@@ -15,10 +15,8 @@ from backports import zstd
 from lz4 import frame as lz4
 
 from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.reading import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 
-LIMIT_VARIABLE = "QUADPI_UNPACKED_MIB"
-# Far more than a small log needs; arrays made of it still fit into the memory of a small computer.
-LIMIT_DEFAULT_MIB = 256
 # A larger file may unpack to this many times its size: values that repeat pack 50 times smaller.
 LIMIT_RATIO = 100
 
@@ -83,13 +81,17 @@ def unlz4(data: bytes, size: int) -> bytes:
     return _of_size(lz4.LZ4FrameDecompressor().decompress(data, max_length=most + 1), size)
 
 
-def unzlib(data: bytes, most: int) -> bytes:
+def unzlib(data: bytes | memoryview, most: int) -> bytes:
     """The content of a zlib stream, at most `most` bytes of it.
 
     Raises:
-        zlib.error: if the bytes are damaged.
+        zlib.error: if the bytes are damaged or cut off.
     """
-    return zlib.decompressobj().decompress(data, most)
+    unpacker = zlib.decompressobj()
+    content = unpacker.decompress(data, most)
+    if not unpacker.eof and len(content) < most:
+        raise zlib.error("the compressed data are cut off")
+    return content
 
 
 def zstd_size(data: bytes | memoryview, most: int) -> int:

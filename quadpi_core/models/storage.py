@@ -8,9 +8,11 @@ change of either shows. Both are data: reading them executes nothing.
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import platform
+import time
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -82,11 +84,7 @@ def load_model(folder: Path) -> AerodynamicModel:
         ModelError: naming the file that is missing, altered, not understood or no part of a model.
     """
     path = folder / MODEL_FILE
-    # First, for what stands in a folder that is no model at all is nothing to take out.
-    text = _read(path).decode(errors="replace")
-    if foreign := _foreign(folder):
-        raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
-    array_bytes = _read(folder / ARRAYS_FILE)
+    text, array_bytes = _read_files(folder)
     try:
         content = parse_json(text)
         if content["format"] != FORMAT:
@@ -159,10 +157,48 @@ def require_replaceable(folder: Path) -> None:
 
 def _foreign(folder: Path) -> str | None:
     """Name of something in a folder that is not part of a model."""
-    if not folder.is_dir():
+    try:
+        names = sorted({path.name for path in folder.iterdir()} - {MODEL_FILE, ARRAYS_FILE})
+    except OSError:
         return None
-    names = sorted({path.name for path in folder.iterdir()} - {MODEL_FILE, ARRAYS_FILE})
     return names[0] if names else None
+
+
+def _read_files(folder: Path) -> tuple[str, bytes]:
+    """Both files of one model, also where a writer replaces the folder meanwhile."""
+    for _ in range(_READS_MAX):
+        before = _number(folder)
+        try:
+            # First, for what stands in a folder that is no model at all is nothing to take out.
+            text = _read(folder / MODEL_FILE).decode(errors="replace")
+            if foreign := _foreign(folder):
+                raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
+            array_bytes = _read(folder / ARRAYS_FILE)
+        except ModelError:
+            if _number(folder) == before and before is not None:
+                raise
+            missing = before is None
+        else:
+            if _number(folder) == before:
+                return text, array_bytes
+            missing = False
+        if missing and not any(folder.parent.glob(f".{glob.escape(folder.name)}.*")):
+            _read(folder / MODEL_FILE)
+        time.sleep(_READ_AGAIN_S)
+    raise ModelError(f"{folder}: replaced while it was read, {_READS_MAX} times")
+
+
+# A writer replaces a folder in far less; several may do so one after the other.
+_READS_MAX, _READ_AGAIN_S = 50, 0.01
+
+
+def _number(folder: Path) -> tuple[int, int] | None:
+    """What tells a folder from another of the same name; None if there is none."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def _read(path: Path) -> bytes:

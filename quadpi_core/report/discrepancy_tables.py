@@ -15,7 +15,8 @@ from quadpi_core.discrepancy.study import Study
 from quadpi_core.discrepancy.where import Range
 from quadpi_core.flight import AXES
 from quadpi_core.report import discrepancy_text as text
-from quadpi_core.report.style import number, percent, unit
+from quadpi_core.report.style import number, percent
+from quadpi_core.report.tables import axis_with_unit
 from quadpi_core.simulation.effects import EFFECTS
 
 _MOST_RANGES = 8
@@ -97,5 +98,5 @@ def _gap(study: Study) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for k, (axis, share) in enumerate(zip(AXES, text.removable(study.discovery), strict=True)):
         numbers = [number(float(values[k])) for values in (gap.before, gap.after, gap.floor)]
-        table.add_row(f"{axis} [dim]{unit(axis)}[/dim]", *numbers, "–" if share is None else percent(share))
+        table.add_row(axis_with_unit(axis), *numbers, "–" if share is None else percent(share))
     return table

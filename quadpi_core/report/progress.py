@@ -52,7 +52,7 @@ def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int]
         total: of them.
     """
     columns = (
-        TextColumn(what),
+        TextColumn(what, markup=False),
         BarColumn(),
         TextColumn("{task.completed} of {task.total}"),
         TimeRemainingColumn(),
@@ -70,9 +70,9 @@ def identifying(console: Console) -> Iterator[Callable[[Step], None]]:
         console: to draw on; where it is no terminal nothing is drawn.
     """
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=None),
-        TextColumn("{task.fields[state]}"),
+        TextColumn("{task.fields[state]}", markup=False),
         TimeRemainingColumn(),
     )
     with _bar(console, *columns) as bar:

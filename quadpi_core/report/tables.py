@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
 
 
+def axis_with_unit(axis: str) -> Text:
+    """Name of an axis of the wrench, its unit dim."""
+    return Text.assemble(axis, (f" {unit(axis)}", "dim"))
+
+
 def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
     """Coverage and width per axis, a table per group; coverage below the nominal level is marked.
 
@@ -55,7 +60,7 @@ def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table
         short = covers_too_little(metrics, confidence)
         coverage = ("▼ " if short else "") + percent(metrics["picp"])
         table.add_row(
-            f"{axis} [dim]{unit(axis)}[/dim]",
+            axis_with_unit(axis),
             Text(coverage, style="bold red" if short else ""),
             percent_range(metrics["picp_ci"]),
             number(metrics["mpiw"]),

@@ -14,7 +14,8 @@ from quadpi_core.logs import messages, read_recording
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import MAGIC
-from quadpi_core.logs.unpacking import LIMIT_VARIABLE, unlz4, unpacked_limit, unzstd, zstd_size
+from quadpi_core.logs.unpacking import unlz4, unpacked_limit, unzstd, zstd_size
+from quadpi_core.reading import LIMIT_VARIABLE
 
 from .damage import refusing
 
@@ -117,7 +118,7 @@ def test_no_more_is_unpacked_than_was_announced(pack, unpack):
         with pytest.raises(LogError, match=f"announces {size} bytes"):
             unpack(packed, size)
     with pytest.raises((LogError, RuntimeError, zstd.ZstdError)):
-        unpack(packed[:-3], 6000)
+        unpack(packed[: len(packed) // 2], 6000)
 
 
 def test_frames_of_zstandard_follow_each_other():
