@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from quadpi_core.monitor.health import TopicReport
 
@@ -22,6 +25,34 @@ OK, WARN, ERROR, STALE = (
 _RATE_TOLERANCE = 0.1
 # Fewer samples say little about a rate.
 _RATE_SAMPLES_MIN = 20
+
+
+def array(node: Node, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
+    """The statuses of a node at this moment.
+
+    Their `hardware_id` is the vehicle, by the name of its file behind the node's namespace, as two vehicles
+    may be of one kind.
+
+    Args:
+        node: its parameter `vehicle` is the file.
+        statuses: to be sent; their `hardware_id` is set.
+    """
+    vehicle = Path(node.get_parameter_or("vehicle", Parameter("vehicle", value="")).value).stem
+    for one in statuses:
+        one.hardware_id = f"{node.get_namespace()}/{vehicle}".lstrip("/")
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp = node.get_clock().now().to_msg()
+    return message
+
+
+def full_name(node: Node, name: str) -> str:
+    """The name of a status of a node."""
+    return f"{node.get_fully_qualified_name().lstrip('/')}: {name}"
+
+
+def type_name(message_type: Any) -> str:
+    """The name of a message type as the graph of nodes has it, such as `sensor_msgs/msg/Imu`."""
+    return f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
 
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:

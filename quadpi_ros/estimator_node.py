@@ -23,7 +23,7 @@ from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, O
 from quadpi_core.signals.odometry import FusedSamples, fused_sample, with_gyro_faults
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.parameters import parameter
+from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import SensorNode
 from quadpi_ros.sources import AdaptedSources, Source, adapters_of
@@ -60,7 +60,11 @@ class EstimatorParameters:
         optional=True,
     )
     world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
-    body_frame: str = parameter(messages.BODY_FRAME, "child_frame_id of odometry: forward-left-up")
+    body_frame: str = parameter(
+        "",
+        "child_frame_id of odometry: forward-left-up; empty: base_link behind the namespace",
+        empty_means=namespaced_body_frame,
+    )
     autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
 
 
@@ -77,15 +81,12 @@ class StateListener(Protocol):
 class EstimatorNode(SensorNode[EstimatorParameters]):
     """The EKF of `quadpi_core.signals.ekf` between its topics.
 
-    Args:
-        shared_with: parameter classes of other nodes in this process.
-
     Attributes:
         listener: takes each estimate directly, before it is published.
     """
 
-    def __init__(self, shared_with: tuple[type, ...] = ()) -> None:
-        super().__init__("estimator", EstimatorParameters, shared_with)
+    def __init__(self) -> None:
+        super().__init__("estimator", EstimatorParameters)
         self.listener: StateListener | None = None
 
     def configure(self) -> None:

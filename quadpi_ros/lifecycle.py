@@ -11,10 +11,11 @@ from typing import Any, Generic
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from quadpi_core.errors import QuadpiError
+from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.parameters import Parameters, ParameterServer
 
 
-class ManagedNode(LifecycleNode, Generic[Parameters]):
+class ManagedNode(GuardedNode, LifecycleNode, Generic[Parameters]):
     """A lifecycle node that comes up by itself, unless its parameter `autostart` is false.
 
     Subclasses override :meth:`configure`, :meth:`activate`, :meth:`deactivate` and :meth:`cleanup`; the last
@@ -23,18 +24,17 @@ class ManagedNode(LifecycleNode, Generic[Parameters]):
     Args:
         name: of the node.
         parameters: dataclass of its parameters.
-        shared_with: those of other nodes in this process.
 
     Raises:
         ParameterError: see :class:`quadpi_ros.parameters.ParameterServer`.
     """
 
-    def __init__(self, name: str, parameters: type[Parameters], shared_with: tuple[type, ...]) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+    def __init__(self, name: str, parameters: type[Parameters]) -> None:
+        super().__init__(name)
         self.state = "unconfigured"
         self._starting = False
         self._failure: Exception | None = None
-        self._parameter_server = ParameterServer(self, parameters, shared_with, self._change)
+        self._parameter_server = ParameterServer(self, parameters, self._change)
 
     @property
     def parameters(self) -> Parameters:

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from quadpi_ros.estimator_node import EstimatorNode, EstimatorParameters
+from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.lifecycle import ManagedNode
-from quadpi_ros.monitor_node import MonitorNode, MonitorParameters
+from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.runtime import run, serve
 
 
 def create_nodes() -> list[ManagedNode[Any]]:
-    """Both nodes, connected; parameters given for all nodes of the process may belong to either."""
-    shared = (EstimatorParameters, MonitorParameters)
-    estimator = EstimatorNode(shared)
-    return [estimator, MonitorNode(estimator, shared)]
+    """Both nodes, connected."""
+    estimator = EstimatorNode()
+    return [estimator, MonitorNode(estimator)]
 
 
 def main() -> int:

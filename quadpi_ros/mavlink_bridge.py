@@ -23,7 +23,6 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from quadpi.msg import RotorSpeeds
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError, one_line
@@ -34,9 +33,10 @@ from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, Sess
 from quadpi_core.logs.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
+from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.discovery import DiscoveryError, await_subscribers
 from quadpi_ros.mavlink_link import Link, check_connection, is_replay, open_link
-from quadpi_ros.parameters import ParameterError, parameter, read_parameters
+from quadpi_ros.parameters import ParameterError, namespaced_body_frame, parameter, read_parameters
 from quadpi_ros.runtime import SENSOR_QOS, run, spin
 
 _STANDARD, _AUTO = "standard", "auto"
@@ -65,7 +65,9 @@ class BridgeParameters:
     )
     rotor_unit: str = parameter(RPM, "what the rpm of the messages is", choices=("rpm", "erpm"))
     imu_source: str = parameter(_AUTO, "IMU message to use", choices=(_AUTO, *SOURCES["imu"]))
-    system: float = parameter(0.0, "system id of the autopilot; 0: the first that is heard", limits=(0, 255))
+    system: int = parameter(
+        0, "system id of the autopilot; 0: the first that sends an autopilot's heartbeat", limits=(0, 255)
+    )
     imu_rate_hz: float = parameter(250.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 4000.0))
     rotor_rate_hz: float = parameter(250.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 4000.0))
     state_rate_hz: float = parameter(100.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 1000.0))
@@ -73,11 +75,15 @@ class BridgeParameters:
     key_file: str = parameter(
         "", "file with the passphrase of signed packets; with one, others are refused", optional=True
     )
-    body_frame: str = parameter(messages.BODY_FRAME, "frame_id of the body, forward-left-up")
+    body_frame: str = parameter(
+        "",
+        "frame_id of the body, forward-left-up; empty: base_link behind the namespace",
+        empty_means=namespaced_body_frame,
+    )
     world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of the world, east-north-up")
 
 
-class MavlinkBridge(Node):
+class MavlinkBridge(GuardedNode):
     """Publishes `imu`, `rotor_speeds`, `mocap/pose` and `mocap/odometry` as far as the autopilot sends them.
 
     Args:
@@ -90,15 +96,13 @@ class MavlinkBridge(Node):
     """
 
     def __init__(self, **node: Any) -> None:
-        super().__init__("mavlink_bridge", automatically_declare_parameters_from_overrides=True, **node)
-        self._parameters = read_parameters(self, BridgeParameters)
-        check_connection(self._parameters.connection)
-        vehicle = Vehicle.load(self._parameters.vehicle)
-        self._session = MavlinkSession(
-            vehicle, _order(self._parameters, vehicle), _settings(self._parameters)
-        )
+        super().__init__("mavlink_bridge", **node)
+        self._given = read_parameters(self, BridgeParameters)
+        check_connection(self._given.connection)
+        vehicle = Vehicle.load(self._given.vehicle)
+        self._session = MavlinkSession(vehicle, _order(self._given, vehicle), _settings(self._given))
         # Of a log that cannot be read nothing better comes by waiting.
-        self._link: Link | None = open_link(self._parameters.connection) if self._is_replay else None
+        self._link: Link | None = open_link(self._given.connection) if self._is_replay else None
         self._imu_publisher = self.create_publisher(Imu, "imu", SENSOR_QOS)
         self._publish: dict[str, Callable[[Any], None]] = {
             "imu": self._imu_publisher.publish,
@@ -120,7 +124,7 @@ class MavlinkBridge(Node):
 
     @property
     def _is_replay(self) -> bool:
-        return is_replay(self._parameters.connection)
+        return is_replay(self._given.connection)
 
     def destroy_node(self) -> None:
         """Also end the thread."""
@@ -130,7 +134,7 @@ class MavlinkBridge(Node):
 
     def _packed(self, topic: str, time_ns: int, values: Any) -> bytes:
         stream: Any = stream_of(topic, np.array([time_ns], dtype=np.int64), values[np.newaxis])
-        world, body = self._parameters.world_frame, self._parameters.body_frame
+        world, body = self._given.world_frame, self._given.body_frame
         if topic == "imu":
             return messages.pack_imu(stream, body)[0]
         if topic == "rotor_speeds":
@@ -145,7 +149,7 @@ class MavlinkBridge(Node):
         while not self._stop.is_set():
             heard = False
             try:
-                link = self._link or open_link(self._parameters.connection)
+                link = self._link or open_link(self._given.connection)
                 self._link = None
                 self._connections += 1
                 self._problem = None
@@ -157,7 +161,7 @@ class MavlinkBridge(Node):
                 finally:
                     link.close()
             except EOFError:
-                self.get_logger().info(f"{self._parameters.connection}: played to its end")
+                self.get_logger().info(f"{self._given.connection}: played to its end")
                 self._stop.wait(_FLUSH_S)
                 self._problem = "the log is played"
                 rclpy.try_shutdown(context=self.context)
@@ -213,7 +217,7 @@ class MavlinkBridge(Node):
         }
         level, text = self._judged(report, rates)
         values: dict[str, Any] = {
-            "connection": self._parameters.connection,
+            "connection": self._given.connection,
             "connections": self._connections,
             "system": report.system,
             **rates,
@@ -222,11 +226,9 @@ class MavlinkBridge(Node):
             **_clock_values(report),
             **{f"refused: {reason}": count for reason, count in report.refused.items()},
         }
-        array = DiagnosticArray()
-        array.header.stamp = self.get_clock().now().to_msg()
-        name = f"{self.get_fully_qualified_name().lstrip('/')}: link"
-        array.status = [diagnostics.status(name, level, text, values)]
-        self._diagnostics.publish(array)
+        statuses = [diagnostics.status(diagnostics.full_name(self, "link"), level, text, values)]
+        statuses += self.exceptions.statuses()
+        self._diagnostics.publish(diagnostics.array(self, statuses))
 
     def _judged(self, report: SessionReport, rates: dict[str, float]) -> tuple[bytes, str]:
         if self._problem is not None:
@@ -265,7 +267,7 @@ def _order(parameters: BridgeParameters, vehicle: Vehicle) -> RotorOrder:
 
 def _settings(parameters: BridgeParameters) -> SessionSettings:
     return SessionSettings(
-        system=int(parameters.system),
+        system=parameters.system,
         rates_hz={
             "imu": parameters.imu_rate_hz,
             "rotor_speeds": parameters.rotor_rate_hz,

@@ -31,8 +31,9 @@ from quadpi_core.paths import resolved_below
 from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
+from quadpi_ros.callbacks import guarded
 from quadpi_ros.estimator_node import IMU, EstimatorNode
-from quadpi_ros.parameters import parameter
+from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.results import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import SensorNode
@@ -95,7 +96,11 @@ class MonitorParameters:
     pairing_timeout_s: float = parameter(
         TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
     )
-    body_frame: str = parameter(messages.BODY_FRAME, "frame_id of what is published: forward-left-up")
+    body_frame: str = parameter(
+        "",
+        "frame_id of what is published: forward-left-up; empty: base_link behind the namespace",
+        empty_means=namespaced_body_frame,
+    )
     autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
 
 
@@ -108,11 +113,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     Args:
         estimator: in the same process.
-        shared_with: parameter classes of other nodes in this process.
     """
 
-    def __init__(self, estimator: EstimatorNode | None = None, shared_with: tuple[type, ...] = ()) -> None:
-        super().__init__("monitor", MonitorParameters, shared_with)
+    def __init__(self, estimator: EstimatorNode | None = None) -> None:
+        super().__init__("monitor", MonitorParameters)
         self._estimator = estimator
         self._load_model: SlowService | None = None
         self._dropped = 0
@@ -187,6 +191,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             values["latency_from_stamp"] = f"unknown: {other}"
         return values
 
+    @guarded
     def take_imu(self, imu: ImuStream) -> None:
         """Take one IMU sample."""
         time_ns = int(imu.time_ns[0])
@@ -194,6 +199,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._pairing.add_imu(time_ns, imu.specific_force[0])
         self._advance()
 
+    @guarded
     def take_estimate(self, sample: FusedSamples) -> None:
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])

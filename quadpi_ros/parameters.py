@@ -4,19 +4,39 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from quadpi_core.errors import QuadpiError
+from quadpi_core.logs.messages import BODY_FRAME
+from quadpi_ros import qos_overrides
 
 # Declared by rclpy itself.
 _RCLPY_PARAMETERS = {"use_sim_time", "start_type_description_service"}
-_ROS_NAMES = {str: "string", float: "double", bool: "bool", tuple: "string or an array of strings"}
+_ROS_NAMES = {
+    str: "string",
+    float: "double",
+    int: "integer",
+    bool: "bool",
+    tuple: "string or an array of strings",
+}
+# Nodes whose parameters one file may hold for all of them, under `/**`.
+_NODES = {
+    "estimator_node": "EstimatorParameters",
+    "monitor_node": "MonitorParameters",
+    "mavlink_bridge": "BridgeParameters",
+}
 
 Parameters = TypeVar("Parameters")
 
@@ -32,6 +52,7 @@ class _Declaration:
     choices: tuple[str, ...]
     in_flight: bool
     optional: bool
+    empty_means: Callable[[Node], str] | None
 
 
 def parameter(
@@ -42,6 +63,7 @@ def parameter(
     choices: tuple[str, ...] = (),
     in_flight: bool = False,
     optional: bool = False,
+    empty_means: Callable[[Node], str] | None = None,
 ) -> Any:
     """A field of a parameter dataclass.
 
@@ -49,25 +71,30 @@ def parameter(
         default: also fixes the type; the empty string or tuple makes the parameter required, unless it is
             optional. A tuple takes one string, or an array of them.
         description: shown by `ros2 param describe`.
-        limits: smallest and largest value of a double.
+        limits: smallest and largest value of a number.
         choices: the strings allowed.
         in_flight: whether it can be set while the node runs; else it is read-only.
         optional: whether it may be empty.
+        empty_means: the value that an empty string stands for, on a node.
     """
-    declaration = _Declaration(description, limits, choices, in_flight, optional)
+    declaration = _Declaration(description, limits, choices, in_flight, optional, empty_means)
     return field(default=default, metadata={"declaration": declaration})
+
+
+def namespaced_body_frame(node: Node) -> str:
+    """The body's default frame: `base_link` behind the namespace of a node, as each vehicle has its own."""
+    return f"{node.get_namespace()}/{BODY_FRAME}".lstrip("/")
 
 
 class ParameterServer(Generic[Parameters]):
     """Declares every field of a dataclass on a node, and keeps the values.
 
-    An integer given for a double is taken as one, at the start and in flight.
+    An integer given for a double is taken as one, at the start and in flight. Parameters of the other nodes
+    of quadpi are passed over: one file, under `/**`, may hold those of all.
 
     Args:
         node: created with `automatically_declare_parameters_from_overrides`.
         parameters: dataclass made of :func:`parameter` fields.
-        shared_with: parameter dataclasses of other nodes in this process, whose names an override for all
-            nodes may hold.
         changed: called after a change in flight.
 
     Raises:
@@ -78,24 +105,29 @@ class ParameterServer(Generic[Parameters]):
         self,
         node: Node,
         parameters: type[Parameters],
-        shared_with: tuple[type, ...] = (),
         changed: Callable[[], None] = lambda: None,
     ) -> None:
         self._fields: dict[str, Field[Any]] = {item.name: item for item in fields(parameters)}  # type: ignore[arg-type]
         self._where = f"node {node.get_name()}"
         self._changed = changed
-        others = {item.name for other in shared_with for item in fields(other)}
         # rclpy declares that it gives values; it gives parameters.
         overrides: Mapping[str, Any] = node.get_parameters_by_prefix("")
         given = {name: override.value for name, override in overrides.items()}
-        for name in given.keys() - self._fields.keys() - others - _RCLPY_PARAMETERS:
-            raise ParameterError(
-                f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"
-            )
+        self._pass_over(node, given.keys() - self._fields.keys() - _RCLPY_PARAMETERS)
         self.values = parameters(**{name: self._declare(node, name, given) for name in self._fields})
         node.add_pre_set_parameters_callback(self._coerce)
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._take)
+
+    def _pass_over(self, node: Node, names: set[str]) -> None:
+        """Refuse parameters that no node has, and take off this one those that only others have."""
+        names = {name for name in names if not name.startswith(qos_overrides.PREFIX)}
+        for name in sorted(names - _names_of_all_nodes() if names else ()):
+            raise ParameterError(
+                f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"
+            )
+        for name in names:
+            node.undeclare_parameter(name)
 
     def _declare(self, node: Node, name: str, given: dict[str, Any]) -> Any:
         declaration: _Declaration = self._fields[name].metadata["declaration"]
@@ -103,10 +135,12 @@ class ParameterServer(Generic[Parameters]):
         if name in given:
             value = self._checked(name, given[name])
             node.undeclare_parameter(name)
+        if value == "" and declaration.empty_means is not None:
+            value = declaration.empty_means(node)
         if value in ("", ()) and not declaration.optional:
             raise ParameterError(f"{self._where}: parameter `{name}` is required: {declaration.description}")
         ros_value = list(value) if isinstance(value, tuple) else value
-        node.declare_parameter(name, ros_value, _descriptor(declaration), ignore_override=True)
+        node.declare_parameter(name, ros_value, _descriptor(declaration, type(value)), ignore_override=True)
         return value
 
     def _checked(self, name: str, value: Any) -> Any:
@@ -139,6 +173,8 @@ class ParameterServer(Generic[Parameters]):
     def _judge(self, given: list[Parameter]) -> SetParametersResult:
         try:
             for item in given:
+                if item.name.startswith(qos_overrides.PREFIX):
+                    raise ParameterError(f"{self._where}: `{item.name}` is read only when the node starts")
                 if item.name in self._fields:
                     self._checked(item.name, item.value)
         except ParameterError as error:
@@ -152,19 +188,28 @@ class ParameterServer(Generic[Parameters]):
             self._changed()
 
 
-def read_parameters(
-    node: Node, parameters: type[Parameters], *, shared_with: tuple[type, ...] = ()
-) -> Parameters:
+def read_parameters(node: Node, parameters: type[Parameters]) -> Parameters:
     """Declare every field on a node that keeps to the values it starts with, and return them.
 
     See :class:`ParameterServer`.
     """
-    return ParameterServer(node, parameters, shared_with).values
+    return ParameterServer(node, parameters).values
+
+
+def _names_of_all_nodes() -> set[str]:
+    """The parameters of every node; imported here, as each node runs without the modules of the others."""
+    return {
+        item.name
+        for module, parameters in _NODES.items()
+        for item in fields(getattr(importlib.import_module(f"quadpi_ros.{module}"), parameters))
+    }
 
 
 def _coerced(where: str, kind: type, value: Any) -> Any:
     if kind is float and type(value) is int:
         return float(value)
+    if kind is int and type(value) is float and value.is_integer():
+        return int(value)
     if kind is tuple and isinstance(value, str):
         return (value,) if value else ()
     if kind is tuple and isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
@@ -174,11 +219,14 @@ def _coerced(where: str, kind: type, value: Any) -> Any:
     return value
 
 
-def _descriptor(declaration: _Declaration) -> ParameterDescriptor:
+def _descriptor(declaration: _Declaration, kind: type) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=declaration.description, read_only=not declaration.in_flight)
     if declaration.choices:
         descriptor.additional_constraints = f"one of {', '.join(declaration.choices)}"
-    if declaration.limits is not None:
+    if declaration.limits is not None and kind is int:
+        low, high = declaration.limits
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    elif declaration.limits is not None:
         low, high = declaration.limits
         descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor

@@ -19,6 +19,7 @@ from rclpy.task import Future
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.logs import qos
+from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.lifecycle import ManagedNode, start
 
 
@@ -66,7 +67,12 @@ def serve(nodes: Sequence[ManagedNode[Any]]) -> None:
 
 
 def spin(nodes: Sequence[Node]) -> None:
-    """Serve the nodes on one EventsExecutor until the context shuts down, as on Ctrl-C."""
+    """Serve the nodes on one EventsExecutor until the context shuts down, as on Ctrl-C.
+
+    What their callbacks raise, guarded nodes keep to themselves; an exception of rclpy's own, as where it
+    takes a request apart, is logged and counted by all of them, and ends none.
+    """
+    guarded = [node for node in nodes if isinstance(node, GuardedNode)]
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
@@ -75,7 +81,15 @@ def spin(nodes: Sequence[Node]) -> None:
     gc.freeze()
     never = Future()
     while rclpy.ok():
-        executor.spin_until_future_complete(never, timeout_sec=_SHUTDOWN_POLL_S)
+        try:
+            executor.spin_until_future_complete(never, timeout_sec=_SHUTDOWN_POLL_S)
+        except ExternalShutdownException:
+            raise
+        except Exception as error:
+            if not guarded:
+                raise
+            for node in guarded:
+                node.exceptions.take("executor", error)
 
 
 def run(work: Callable[[], None]) -> int:

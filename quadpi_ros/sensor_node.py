@@ -66,8 +66,8 @@ class SensorNode(ManagedNode[Parameters]):
     exist while the node is active, publishers while it is configured.
     """
 
-    def __init__(self, name: str, parameters: type[Parameters], shared_with: tuple[type, ...] = ()) -> None:
-        super().__init__(name, parameters, shared_with)
+    def __init__(self, name: str, parameters: type[Parameters]) -> None:
+        super().__init__(name, parameters)
         self._next_warning_s: dict[str, float] = {}
         self._inputs: dict[str, _Input] = {}
         self._outputs: dict[str, _Output] = {}
@@ -107,7 +107,6 @@ class SensorNode(ManagedNode[Parameters]):
 
         events = SubscriptionEventCallbacks(
             incompatible_qos=lambda event: self._note_policy(self._inputs[topic], event),
-            incompatible_type=lambda _: self._note(self._inputs[topic], "another message type"),
             message_lost=lambda event: self._note_lost(self._inputs[topic], event.total_count),
         )
         subscription = self.create_subscription(
@@ -125,10 +124,7 @@ class SensorNode(ManagedNode[Parameters]):
         that it could answer while it is not.
         """
         output = self._outputs[topic] = _Output()
-        events = PublisherEventCallbacks(
-            incompatible_qos=lambda event: self._note_policy(output, event),
-            incompatible_type=lambda _: self._note(output, "another message type"),
-        )
+        events = PublisherEventCallbacks(incompatible_qos=lambda event: self._note_policy(output, event))
         output.publisher = self.create_publisher(message_type, topic, qos, event_callbacks=events)
         publish: Callable[[Any], None] = output.publisher.publish
         return publish
@@ -163,7 +159,11 @@ class SensorNode(ManagedNode[Parameters]):
     def problem(self) -> str | None:
         """What keeps the node from working although it is active; None if nothing does."""
         silent = self.silent_topics()
-        return f"nothing arrives on {', '.join(silent)}" if silent else None
+        if not silent:
+            return None
+        endpoints = [self._inputs[name].subscription for name in silent]
+        reasons = [reason for endpoint in endpoints if (reason := self._other_types(endpoint))]
+        return ": ".join((f"nothing arrives on {', '.join(silent)}", *reasons))
 
     def count_refused(self) -> None:
         """Bring the health of the topics up to date with what became of samples since they came."""
@@ -181,19 +181,18 @@ class SensorNode(ManagedNode[Parameters]):
             problem = self.problem()
             self.count_refused()
         self._follow(problem)
-        array = DiagnosticArray()
-        array.header.stamp = self.get_clock().now().to_msg()
         level = diagnostics.ERROR if problem else diagnostics.OK
-        array.status.append(self.status("state", level, problem or self.state, {"state": self.state}))
-        array.status += [self._input_status(name, topic, period_s) for name, topic in self._inputs.items()]
-        array.status += [
+        statuses = [self.status("state", level, problem or self.state, {"state": self.state})]
+        statuses += self.exceptions.statuses()
+        statuses += [self._input_status(name, topic, period_s) for name, topic in self._inputs.items()]
+        statuses += [
             self.status(name, diagnostics.ERROR, mismatch, {})
             for name, output in self._outputs.items()
             if (mismatch := self._standing_mismatch(output))
         ]
         if self.state == "active":
-            array.status += self.statuses()
-        self._diagnostics.publish(array)
+            statuses += self.statuses()
+        self._diagnostics.publish(diagnostics.array(self, statuses))
 
     def _follow(self, problem: str | None) -> None:
         same = problem == self._problem.text
@@ -203,10 +202,7 @@ class SensorNode(ManagedNode[Parameters]):
 
     def status(self, name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
         """A status under the node's name."""
-        return diagnostics.status(self._full_name(name), level, message, values)
-
-    def _full_name(self, name: str) -> str:
-        return f"{self.get_fully_qualified_name().lstrip('/')}: {name}"
+        return diagnostics.status(diagnostics.full_name(self, name), level, message, values)
 
     def _input_status(self, name: str, topic: _Input, period_s: float) -> DiagnosticStatus:
         report = topic.health.report(period_s)
@@ -214,11 +210,11 @@ class SensorNode(ManagedNode[Parameters]):
         if report.newest_ns is not None:
             age_s = 1e-9 * (self.get_clock().now().nanoseconds - report.newest_ns)
         return diagnostics.topic_status(
-            self._full_name(name),
+            diagnostics.full_name(self, name),
             report,
             required=topic.required,
             rate_hz=topic.health.rate_hz,
-            mismatch=topic.mismatch,
+            mismatch=topic.mismatch or (None if report.samples else self._other_types(topic.subscription)),
             values={
                 "stamp_age_s": age_s,
                 "lost_in_transport": topic.lost,
@@ -226,18 +222,30 @@ class SensorNode(ManagedNode[Parameters]):
             },
         )
 
-    def _note_policy(self, endpoint: _Input | _Output, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
-        self._note(endpoint, f"an incompatible quality of service, policy {policy}")
+    def _other_types(self, endpoint: Subscription | Publisher) -> str | None:
+        """Which nodes use a topic with another message type; the middleware passes them over."""
+        topic, expected = endpoint.topic_name, diagnostics.type_name(endpoint.msg_type)
+        if isinstance(endpoint, Subscription):
+            others, what = self.get_publishers_info_by_topic(topic), "publishes"
+        else:
+            others, what = self.get_subscriptions_info_by_topic(topic), "expects"
+        found = {
+            f"{one.node_namespace.rstrip('/')}/{one.node_name} {what} {one.topic_type}"
+            for one in others
+            if one.topic_type != expected
+        }
+        return f"topic {topic}: {', '.join(sorted(found))}, not {expected}" if found else None
 
-    def _note(self, endpoint: _Input | _Output, what: str) -> None:
+    def _note_policy(self, endpoint: _Input | _Output, event: Any) -> None:
         if isinstance(endpoint, _Input):
             name, role = endpoint.subscription.topic_name, "a publisher offers"
         else:
             name = endpoint.publisher.topic_name if endpoint.publisher else ""
             role = "a subscriber asks for"
-        endpoint.mismatch = f"topic {name}: {role} {what}"
-        self.warn(f"topic {name}", f"{role} {what}")
+        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        what = f"{role} an incompatible quality of service, policy {policy}"
+        endpoint.mismatch = f"topic {name}: {what}"
+        self.warn(f"topic {name}", what)
 
     @staticmethod
     def _note_lost(topic: _Input, total: int) -> None:
@@ -245,9 +253,9 @@ class SensorNode(ManagedNode[Parameters]):
 
     def _standing_mismatch(self, output: _Output) -> str | None:
         """Why a subscriber that is still there cannot hear this output; forgets a mismatch that is gone."""
-        if output.mismatch is None or output.publisher is None:
+        if output.publisher is None:
             return None
-        standing = self.count_subscribers(output.publisher.topic_name)
-        if standing == output.publisher.get_subscription_count():
+        if self.count_subscribers(output.publisher.topic_name) == output.publisher.get_subscription_count():
             output.mismatch = None
-        return output.mismatch
+            return None
+        return self._other_types(output.publisher) or output.mismatch

@@ -8,8 +8,9 @@ import threading
 from collections.abc import Callable
 from typing import Any, cast
 
-from rclpy.node import Node
 from rclpy.task import Future
+
+from quadpi_ros.callbacks import GuardedNode
 
 
 class SlowService:
@@ -22,18 +23,20 @@ class SlowService:
         node: that offers the service; on an executor.
         service_type: of the service.
         name: of the service.
-        work: called in the thread with the request; it must not raise, and gives a function that fills the
-            response. That one is called on the executor, between two samples.
+        work: called in the thread with the request; gives a function that fills the response. That one is
+            called on the executor, between two samples. After an exception in either, the response is empty.
     """
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
         service_type: type,
         name: str,
         work: Callable[[Any], Callable[[Any], None]],
     ) -> None:
-        self._node, self._work = node, work
+        self._node = node
+        self._where = f"service {name}"
+        self._work = node.guard(self._where, work, lambda _: lambda _: None)
         self._one_at_a_time = threading.Lock()
         self._service = cast(Any, node.create_service(service_type, name, self._take))
         self._send = self._service.send_response
@@ -59,7 +62,7 @@ class SlowService:
 
     def _keep(self, fill: Callable[[Any], None], response: Any, promise: Future) -> None:
         if self._service is not None:
-            fill(response)
+            self._node.guard(self._where, fill)(response)
             promise.set_result(response)
 
     def _send_when_kept(self, promise: Future, header: Any) -> None:

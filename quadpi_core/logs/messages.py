@@ -181,13 +181,23 @@ def pack_odometry(
 
 
 def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> TwistStream:
-    """Decode geometry_msgs/TwistStamped: in body axes where its frame is `body_frame`, else in the world."""
+    """Decode geometry_msgs/TwistStamped: in body axes where its frame is `body_frame`, else in the world.
+
+    A namespace in front of a frame does not count: a bag may come from a vehicle in another one.
+    """
     columns = codec(TWIST).decode(payloads)
     linear = columns["twist.linear"]
     frames = columns["header.frame_id"]
-    in_body = np.array([frame.decode(errors="replace") == body_frame for frame in frames], dtype=bool)
+    body = _without_namespace(body_frame)
+    in_body = np.array(
+        [_without_namespace(frame.decode(errors="replace")) == body for frame in frames], dtype=bool
+    )
     velocity = np.where(in_body[:, np.newaxis], body_flu_to_frd(linear), world_enu_to_ned(linear))
     return TwistStream(header_stamps(columns), velocity, in_body)
+
+
+def _without_namespace(frame: str) -> str:
+    return frame.rpartition("/")[2]
 
 
 def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: str = WORLD_FRAME) -> Payloads:

@@ -18,6 +18,7 @@ pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import GetState
+from nav_msgs.msg import Odometry
 from quadpi.msg import WrenchPrediction
 from quadpi.srv import LoadModel
 from rcl_interfaces.srv import GetParameters
@@ -159,6 +160,24 @@ def test_a_subscriber_that_cannot_hear_is_named(rig: Rig) -> None:
     rig.forget()
     rig.until(lambda: rig.latest("monitor: state") is not None)
     assert rig.latest("monitor: prediction") is None
+
+
+def test_who_uses_a_topic_with_another_message_type_is_named(rig: Rig) -> None:
+    silent = rig.node.create_publisher(Odometry, "wind", 1)
+    deaf = rig.node.create_subscription(Odometry, "alarm_log", print, 1)
+    status = rig.await_status("monitor: wind", DiagnosticStatus.ERROR, "topic /wind: ")
+    assert "/rig publishes nav_msgs/msg/Odometry, not geometry_msgs/msg/Vector3Stamped" in status.message
+    expects = "/rig expects nav_msgs/msg/Odometry, not quadpi/msg/AlarmEvent"
+    rig.await_status("monitor: alarm_log", DiagnosticStatus.ERROR, expects)
+    rig.node.destroy_publisher(silent)
+    rig.node.destroy_subscription(deaf)
+    rig.await_status("monitor: wind", DiagnosticStatus.OK, "nothing arrives")
+
+
+def test_every_status_names_the_vehicle(rig: Rig) -> None:
+    rig.fly(1.5)
+    rig.await_status("monitor: alarm", DiagnosticStatus.OK, "")
+    assert {status.hardware_id for status in rig.told} == {"neurobem"}
 
 
 def test_diagnostics_tell_rates_latency_and_states(rig: Rig) -> None:

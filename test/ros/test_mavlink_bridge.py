@@ -308,7 +308,7 @@ def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Pa
 def test_parameter_file_and_node_agree() -> None:
     file = yaml.safe_load((ROOT / "config" / "nodes" / "mavlink.yaml").read_text())
     defaults = {item.name: item.default for item in fields(BridgeParameters)}
-    assert file["mavlink_bridge"]["ros__parameters"] == {
+    assert file["/**/mavlink_bridge"]["ros__parameters"] == {
         name: value for name, value in defaults.items() if name not in {"connection", "vehicle"}
     }
 

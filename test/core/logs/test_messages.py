@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import AXES, ImuStream, OdometryStream, PoseStream, RotorSpeedStream, WindStream
+from quadpi_core.flight import (
+    AXES,
+    ImuStream,
+    OdometryStream,
+    PoseStream,
+    RotorSpeedStream,
+    TwistStream,
+    WindStream,
+)
 from quadpi_core.frames import rotation_matrix, world_ned_to_enu
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import messages, result_messages
@@ -80,6 +88,22 @@ def test_level_vehicle_that_faces_north_is_yawed_left_of_east():
     half = np.sqrt(0.5)
     found = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
     np.testing.assert_allclose(found, [0.0, 0.0, half, half], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("frame", "body_frame", "in_body"),
+    [
+        ("base_link", "base_link", True),
+        ("base_link", "uav1/base_link", True),
+        ("uav1/base_link", "base_link", True),
+        ("map", "uav1/base_link", False),
+        ("uav1", "uav1/base_link", False),
+    ],
+)
+def test_a_velocity_is_in_body_axes_whatever_the_namespace(frame, body_frame, in_body):
+    stream = TwistStream(np.array([1]), np.array([[1.0, 2.0, 3.0]]), np.array([True]))
+    payloads = messages.pack_twist(stream, body_frame=frame)
+    assert messages.unpack_twist(payloads, body_frame).in_body == [in_body]
 
 
 def test_odometry_keeps_twist_in_the_body_and_rotates_covariances(rng):

@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files as users write them: for all nodes at once, in namespaces, with rclpy's own parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
+import rclpy
+from rclpy.parameter import Parameter
+from rclpy.qos import HistoryPolicy, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+
+from quadpi_core.errors import QuadpiError
+from quadpi_ros import estimator_node, mavlink_bridge, monitor_node, parameters
+from quadpi_ros.callbacks import GuardedNode
+from quadpi_ros.estimator_node import EstimatorNode
+from quadpi_ros.mavlink_bridge import BridgeParameters
+from quadpi_ros.monitor_node import MonitorNode
+from quadpi_ros.parameters import ParameterError, parameter, read_parameters
+from quadpi_ros.qos_overrides import QosOverrideError
+from quadpi_ros.runtime import SENSOR_QOS
+
+ROOT = Path(__file__).parents[2]
+ASLEEP = ("-p", "autostart:=false", "-p", "vehicle:=neurobem")
+
+
+@contextmanager
+def ros(domain: int, *arguments: str) -> Iterator[None]:
+    """A process that was started with these arguments."""
+    rclpy.init(args=["--ros-args", *arguments], domain_id=domain)
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
+def made(kind: Callable[[], Any]) -> Any:
+    """The values of a node's parameters, and the names that its services list."""
+    node = kind()
+    names = node.list_parameters([], 0).names
+    values = node.parameters
+    node.destroy_node()
+    return values, set(names)
+
+
+def example(page: str, marker: str) -> str:
+    """A YAML block of the documentation."""
+    blocks = re.findall(r"^```yaml\n(.*?)^```", (ROOT / "docs" / page).read_text(), re.MULTILINE | re.DOTALL)
+    (found,) = [block for block in blocks if marker in block]
+    return found
+
+
+def test_one_file_serves_every_process(ros_domain: int, tmp_path: Path) -> None:
+    """The example of the documentation, with `separate:=true`."""
+    file = tmp_path / "field-nodes.yaml"
+    file.write_text(example("adapters.md", "field-nodes.yaml"))
+    with ros(ros_domain, "--params-file", str(file), *ASLEEP, "-p", "model:=some-model"):
+        estimator, of_estimator = made(EstimatorNode)
+        monitor, of_monitor = made(MonitorNode)
+    assert estimator.mocap_topic == "mocap4r2"
+    assert monitor.rotor_topic == "mavros_status"
+    assert estimator.adapters == monitor.adapters == "field.yaml"
+    # Nobody can set what a node does not have.
+    assert "rotor_topic" not in of_estimator
+    assert "mocap_topic" not in of_monitor
+
+
+@pytest.mark.parametrize("kind", [EstimatorNode, MonitorNode])
+def test_a_typing_error_in_a_file_for_every_process_is_refused(
+    ros_domain: int, tmp_path: Path, kind: Callable[[], Any]
+) -> None:
+    file = tmp_path / "field-nodes.yaml"
+    file.write_text(example("adapters.md", "field-nodes.yaml").replace("rotor_topic", "rotor_topics"))
+    with (
+        ros(ros_domain, "--params-file", str(file), *ASLEEP, "-p", "model:=some-model"),
+        pytest.raises(ParameterError, match="unknown parameter `rotor_topics`"),
+    ):
+        kind()
+
+
+def test_the_parameters_of_every_node_are_known_to_all() -> None:
+    found = {
+        name: one
+        for module in (estimator_node, monitor_node, mavlink_bridge)
+        for name, one in vars(module).items()
+        if is_dataclass(one) and name.endswith("Parameters")
+    }
+    assert found.keys() == set(parameters._NODES.values())
+    names = {item.name for one in found.values() for item in fields(one)}  # type: ignore[arg-type]
+    assert parameters._names_of_all_nodes() == names
+
+
+FILES = [
+    ("estimator", "monitor.yaml", "imu_rate_hz", 400.0),
+    ("monitor", "monitor.yaml", "release_s", 0.75),
+    ("mavlink_bridge", "mavlink.yaml", "state_rate_hz", 50.0),
+]
+
+
+@pytest.mark.parametrize(("node", "file", "name", "value"), FILES)
+@pytest.mark.parametrize("namespace", ["", "uav1", "field/uav2"])
+def test_a_parameter_file_reaches_a_node_in_any_namespace(
+    ros_domain: int, tmp_path: Path, node: str, file: str, name: str, value: float, namespace: str
+) -> None:
+    content = yaml.safe_load((ROOT / "config" / "nodes" / file).read_text())
+    content[f"/**/{node}"]["ros__parameters"][name] = value
+    path = tmp_path / file
+    path.write_text(yaml.safe_dump(content))
+    given = (
+        ("-p", "connection:=udp:127.0.0.1:5999") if node == "mavlink_bridge" else ("-p", "model:=some-model")
+    )
+    start = ("--params-file", str(path), *ASLEEP, *given, "-r", f"__ns:=/{namespace}")
+    with ros(ros_domain, *start):
+        if node == "mavlink_bridge":
+            bridge = GuardedNode(node)
+            values = read_parameters(bridge, BridgeParameters)
+            bridge.destroy_node()
+        else:
+            values, _ = made({"estimator": EstimatorNode, "monitor": MonitorNode}[node])
+    assert getattr(values, name) == value
+    # Each vehicle has a body of its own; the world is one.
+    assert values.body_frame == (f"{namespace}/base_link" if namespace else "base_link")
+    if node != "monitor":
+        assert values.world_frame == "map"
+
+
+def test_a_body_frame_that_is_given_is_taken_as_it_is(ros_domain: int) -> None:
+    with ros(ros_domain, *ASLEEP, "-p", "body_frame:=imu_link", "-r", "__ns:=/uav1"):
+        values, _ = made(EstimatorNode)
+    assert values.body_frame == "imu_link"
+
+
+@pytest.mark.parametrize(
+    ("given", "system"), [("7", 7), ("7.0", 7), ("0.0", 0), ("7.5", None), ("256", None), ("-1", None)]
+)
+def test_the_system_is_an_integer(ros_domain: int, given: str, system: int | None) -> None:
+    arguments = ("-p", "connection:=c", "-p", f"system:={given}", "-p", "vehicle:=neurobem")
+    with ros(ros_domain, *arguments):
+        node = GuardedNode("mavlink_bridge")
+        if system is None:
+            with pytest.raises(ParameterError, match="parameter `system` must"):
+                read_parameters(node, BridgeParameters)
+            return
+        assert read_parameters(node, BridgeParameters).system == system
+        assert node.get_parameter("system").type_ == Parameter.Type.INTEGER
+        (limits,) = node.describe_parameter("system").integer_range
+        assert (limits.from_value, limits.to_value) == (0, 255)
+
+
+OVERRIDES = """
+/**:
+  ros__parameters:
+    use_sim_time: true
+    start_type_description_service: false
+    qos_overrides:
+      /uav1/imu_raw:
+        subscription: {reliability: reliable, depth: 7}
+      /diagnostics:
+        publisher: {history: keep_all}
+      /another/node:
+        publisher: {durability: transient_local}
+"""
+
+
+def test_standard_parameters_do_what_rclpy_says(ros_domain: int, tmp_path: Path) -> None:
+    file = tmp_path / "standard.yaml"
+    file.write_text(OVERRIDES)
+    start = ("--params-file", str(file), *ASLEEP, "-r", "__ns:=/uav1", "-r", "imu:=imu_raw")
+    with ros(ros_domain, *start):
+        node = EstimatorNode()
+        assert node.get_clock().ros_time_is_active
+        assert not any(one.srv_name.endswith("get_type_description") for one in node.services)
+        subscription = node.create_subscription(Imu, "imu", print, SENSOR_QOS)
+        assert subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        assert subscription.qos_profile.depth == 7
+        (publisher,) = [one for one in node.publishers if one.topic_name == "/diagnostics"]
+        assert publisher.qos_profile.history == HistoryPolicy.KEEP_ALL
+        # A profile that nodes share stays what it is.
+        assert SENSOR_QOS.reliability == ReliabilityPolicy.BEST_EFFORT
+        (result,) = node.set_parameters(
+            [Parameter("qos_overrides./uav1/imu_raw.subscription.depth", value=9)]
+        )
+        assert not result.successful
+        assert "only when the node starts" in result.reason
+        node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("qos_overrides./imu.subscription.reliabilty", "reliable", "is none of"),
+        ("qos_overrides./imu.subscriber.reliability", "reliable", "is none of"),
+        ("qos_overrides.imu.subscription.reliability", "reliable", "is none of"),
+        ("qos_overrides./imu.subscription.reliability", "very", "must be one of system_default, reliable"),
+        ("qos_overrides./imu.subscription.depth", "deep", "must be a positive integer, found 'deep'"),
+        ("qos_overrides./imu.subscription.depth", "0", "must be a positive integer, found 0"),
+    ],
+)
+def test_wrong_overrides_are_refused(ros_domain: int, name: str, value: str, message: str) -> None:
+    with ros(ros_domain, *ASLEEP, "-p", f"{name}:={value}"), pytest.raises(QosOverrideError, match=message):
+        EstimatorNode()
+
+
+def test_errors_of_parameters_are_one_line() -> None:
+    assert issubclass(QosOverrideError, QuadpiError)
+
+
+def test_what_an_empty_string_means_is_asked_of_the_node(ros_domain: int) -> None:
+    from dataclasses import dataclass
+
+    @dataclass(frozen=True)
+    class Named:
+        name: str = parameter("", "of the node", empty_means=lambda node: node.get_name())
+
+    with ros(ros_domain):
+        node = GuardedNode("itself")
+        assert read_parameters(node, Named).name == "itself"
+        assert node.get_parameter("name").value == "itself"
