@@ -17,10 +17,10 @@ import importlib
 import os
 import re
 import shutil
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Collection
+from contextlib import ExitStack
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar
@@ -111,9 +111,11 @@ def _parent() -> Path:
 
 @functools.cache
 def _for_this_process() -> Path:
-    folder = tempfile.mkdtemp(prefix="quadpi-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
+    from quadpi_core.scratch import MADE, scratch_folder
+
+    stack = ExitStack()
+    atexit.register(stack.close)
+    return stack.enter_context(scratch_folder()) / MADE
 
 
 def _forget_old(parent: Path) -> None:

@@ -10,13 +10,13 @@ import json
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from quadpi_core.errors import OutputError
+from quadpi_core.scratch import MADE, REPLACED, scratch_folder
 
 
 def config_directory() -> Path:
@@ -56,18 +56,17 @@ def whole_output(path: Path) -> Iterator[Path]:
     with _naming(path):
         _refuse_device(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        temporary, replaced = scratch / path.name, scratch / "replaced"
-        try:
-            yield temporary
-            if temporary.is_dir():
-                _replace_folder(temporary, path, replaced)
-            else:
-                temporary.replace(path)
-        finally:
-            if replaced.exists() and not path.exists():
-                replaced.rename(path)
-            shutil.rmtree(scratch, ignore_errors=True)
+        with scratch_folder(path.parent) as scratch:
+            temporary, replaced = scratch / MADE / path.name, scratch / REPLACED
+            try:
+                yield temporary
+                if temporary.is_dir():
+                    _replace_folder(temporary, path, replaced)
+                else:
+                    temporary.replace(path)
+            finally:
+                if replaced.exists() and not path.exists():
+                    replaced.rename(path)
 
 
 def _replace_folder(made: Path, path: Path, replaced: Path) -> None:
@@ -119,13 +118,11 @@ def whole_outputs(folder: Path) -> Iterator[Path]:
         OutputError: if they cannot be written there.
     """
     require_folder(folder)
-    with _naming(folder):
-        staging = tempfile.TemporaryDirectory(
-            prefix=f".{folder.name}.", dir=_standing(folder), ignore_cleanup_errors=True
-        )
-    with staging as name:
-        yield Path(name)
-        made = [file for file in sorted(Path(name).iterdir()) if file.is_file()]
+    with ExitStack() as stack:
+        with _naming(folder):
+            staging = stack.enter_context(scratch_folder(_standing(folder))) / MADE
+        yield staging
+        made = [file for file in sorted(staging.iterdir()) if file.is_file()]
         for file in made:
             require_file(folder / file.name)
         with _naming(folder):
@@ -171,7 +168,8 @@ def require_folder(path: Path) -> None:
 
 def _require_place(folder: Path) -> None:
     """Write something into a folder, or where it would be made: permissions alone do not tell."""
-    Path(tempfile.mkdtemp(prefix=".quadpi.", dir=_standing(folder))).rmdir()
+    with scratch_folder(_standing(folder)):
+        pass
 
 
 def _standing(folder: Path) -> Path:

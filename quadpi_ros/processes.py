@@ -9,7 +9,6 @@ import secrets
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from pathlib import Path
 from types import FrameType
 
 from quadpi_core.errors import QuadpiError
+from quadpi_core.scratch import MADE, scratch_folder
 
 _STOP_TIMEOUT_S = 5.0
 # Above, the ports of a domain meet the ephemeral ports of Linux.
@@ -86,16 +86,17 @@ def isolated_domain() -> Iterator[Path]:
     SIGTERM unwinds the stack within, as Ctrl-C does, so that the blocks of the children end.
     """
     before = dict(os.environ)
-    with tempfile.TemporaryDirectory(prefix="quadpi.") as folder, _unwinding_on_sigterm():
+    with scratch_folder() as scratch, _unwinding_on_sigterm():
+        folder = scratch / MADE
         os.environ |= {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_DOMAIN_ID": str(1 + secrets.randbelow(_DOMAIN_MAX)),
-            "ROS_LOG_DIR": folder,
+            "ROS_LOG_DIR": str(folder),
             # A second thread of a linear-algebra library costs more than it brings for one sample.
             "OMP_NUM_THREADS": "1",
         }
         try:
-            yield Path(folder)
+            yield folder
         finally:
             os.environ.clear()
             os.environ.update(before)

@@ -8,7 +8,6 @@ Models learn from flights in 0, 5 and 10 m/s, interpolate to 8 m/s and extrapola
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -17,6 +16,7 @@ from quadpi_core.comparison import Comparison
 from quadpi_core.identification import CUTOFF_HZ, MethodName, Settings
 from quadpi_core.models.pool import load_pools
 from quadpi_core.prepared import prepare_flights
+from quadpi_core.scratch import scratch_folder
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
@@ -93,7 +93,7 @@ def wind_tunnel(
     pools = load_pools(CANDIDATES)
     groups = {name: _in_wind(plans, winds) for name, winds in GROUPS.items()}
     used = [plan for plan in plans if any(plan.name in members for members in groups.values())]
-    with tempfile.TemporaryDirectory() if folder is None else nullcontext(folder) as place:
+    with scratch_folder() if folder is None else nullcontext(folder) as place:
         flown = simulate(
             used,
             Path(place) / "bags",

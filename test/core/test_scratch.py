@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a run that is killed leaves is gone after the next one, and nothing of one that lives."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import quadpi_core
+from quadpi_core import scratch
+from quadpi_core.paths import whole_output, whole_outputs
+from quadpi_core.scratch import scratch_folder
+
+OPENED = """
+import sys, time
+from pathlib import Path
+from quadpi_core import paths, scratch
+target = Path(sys.argv[1])
+"""
+# Each says "there" once its temporary folder is there, and waits.
+RUNS = {
+    "file": "with paths.whole_output(target / 'data.json') as path: path.write_text('half'); wait()",
+    "folder": "with paths.whole_output(target / 'model') as path: path.mkdir(); wait()",
+    "files": "with paths.whole_outputs(target) as path: (path / 'a').touch(); wait()",
+    "system": "with scratch.scratch_folder() as path: wait()",
+    "kernels": "from quadpi_core import compiled; compiled._for_this_process(); wait()",
+    "domain": "from quadpi_ros.processes import isolated_domain\nwith isolated_domain() as path: wait()",
+}
+
+
+@pytest.fixture(autouse=True)
+def _fresh(monkeypatch):
+    """As a process that has not cleared anything yet."""
+    monkeypatch.setattr(scratch, "_cleared", set())
+
+
+@pytest.fixture
+def system(tmp_path, monkeypatch):
+    """The folder for temporary files of the system."""
+    folder = tmp_path / "system"
+    folder.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    return folder
+
+
+@pytest.fixture
+def run(tmp_path, system):
+    """run(name) → a process that is at work, with its output in tmp_path/out."""
+    started = []
+    (tmp_path / "out").mkdir()
+
+    def start(name):
+        if name == "domain":
+            pytest.importorskip("rclpy")
+        code = f"{OPENED}def wait():\n    print('there', flush=True)\n    time.sleep(600)\n{RUNS[name]}"
+        environment = {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1]), "TMPDIR": str(system)}
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path / "out")],
+            env=os.environ | environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout.readline() == "there\n"
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def leftovers(*folders):
+    return [path for folder in folders for path in folder.glob(".quadpi.*")]
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_the_next_run_clears_what_a_killed_one_left_and_not_before_it_is_killed(name, run, tmp_path, system):
+    out, process = tmp_path / "out", run(name)
+    (kept,) = leftovers(out, system)
+
+    def next_run():
+        scratch._cleared.clear()
+        with whole_output(out / "other") as path, scratch_folder():
+            path.write_text("other")
+
+    next_run()
+    assert leftovers(out, system) == [kept]
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert leftovers(out, system) == [kept]
+    next_run()
+    assert leftovers(out, system) == []
+    assert [path.name for path in out.iterdir()] == ["other"]
+
+
+def test_an_output_that_was_moved_away_is_put_back(tmp_path):
+    """As a run leaves it that is killed after the old model went, and before the new one came."""
+    left = tmp_path / ".quadpi.abcd_123"
+    for name in ("made/model", "replaced"):
+        (left / name).mkdir(parents=True)
+        (left / name / "which").write_text(name)
+    with whole_outputs(tmp_path) as path:
+        (path / "a").touch()
+    assert (tmp_path / "model" / "which").read_text() == "replaced"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "model"]
+
+
+def test_an_output_that_is_there_is_not_replaced_by_an_older_one(tmp_path):
+    left = tmp_path / ".quadpi.abcd_123"
+    for name in ("made", "replaced"):
+        (left / name).mkdir(parents=True)
+    (left / "made" / "model").mkdir()
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "new").touch()
+    with scratch_folder(tmp_path):
+        pass
+    assert [path.name for path in tmp_path.rglob("*")] == ["model", "new"]
+
+
+def test_what_only_looks_alike_stays(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "mine").touch()
+    (tmp_path / ".quadpi.abcd_123").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / ".quadpi.abcd_124").write_text("a file")
+    for name in (".quadpi.settings", ".quadpi.d"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine").touch()
+    before = sorted(tmp_path.rglob("*"))
+    with scratch_folder(tmp_path) as folder:
+        assert folder.is_dir()
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_file_system_without_locks_is_left_alone(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError("no locks available")
+
+    monkeypatch.setattr(scratch.fcntl, "flock", refuse)
+    (tmp_path / ".quadpi.abcd_123").mkdir()
+    with scratch_folder(tmp_path) as folder:
+        assert folder.is_dir()
+    assert not folder.exists()
+    assert (tmp_path / ".quadpi.abcd_123").is_dir()
+
+
+def test_a_folder_that_is_cleared_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    make, made = scratch.tempfile.mkdtemp, []
+
+    def cleared(**options):
+        made.append(Path(make(**options)))
+        if len(made) == 1:
+            made[0].rmdir()
+        return str(made[-1])
+
+    monkeypatch.setattr(scratch.tempfile, "mkdtemp", cleared)
+    with scratch_folder(tmp_path) as folder:
+        assert folder == made[1]
+    assert list(tmp_path.iterdir()) == []
