@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import quadpi_core
+from quadpi_core import paths
 from quadpi_core.paths import bags_directory, whole_output
 
 # A command that says on its output when it has come somewhere. A step of the work is one of training, or a
@@ -124,11 +125,17 @@ def test_a_folder_that_was_about_to_be_replaced_is_there_again(tmp_path, monkeyp
     folder.mkdir()
     (folder / "old").write_text("old")
 
-    def interrupt(*_):
-        assert not folder.exists()
-        raise KeyboardInterrupt
+    rename = Path.rename
 
-    monkeypatch.setattr(Path, "replace", interrupt)
+    def interrupt(path, target):
+        if path.parent.name == "made":
+            assert not folder.exists()
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    # As where the system cannot exchange two folders in one step.
+    monkeypatch.setattr(paths, "_exchange", lambda *_: False)
+    monkeypatch.setattr(Path, "rename", interrupt)
     with pytest.raises(KeyboardInterrupt), whole_output(folder) as temporary:
         temporary.mkdir()
     assert contents(tmp_path) == {folder: None, folder / "old": b"old"}
