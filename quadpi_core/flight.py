@@ -19,15 +19,13 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.frames import Array
+from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
 # A sensor that pauses for longer is not sampling: nothing is interpolated, integrated or filtered across.
 MAX_GAP_NS = 100_000_000
 # A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
 MAX_JUMP_BACK_NS = 1_000_000_000
-# Beyond these an IMU sample comes from a broken sensor or is in a wrong unit.
-RATE_MAX_RAD_S = 70.0
-SPECIFIC_FORCE_MAX_M_S2 = 320.0
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -143,6 +141,7 @@ class Recording:
         source: path of the file, for messages.
         battery_v: (time_ns, volts) where the log has it; only `quadpi info` looks at it.
         arrivals: by topic, how many IMU samples had arrived before each sample (N,), where the log tells.
+        quality: what is to be said of the data.
     """
 
     name: str
@@ -157,6 +156,7 @@ class Recording:
     simulated: WrenchStream | None = None
     battery_v: tuple[Stamps, Array] | None = None
     arrivals: Mapping[str, Stamps] = field(default_factory=dict)
+    quality: DataQuality = NOTHING_TO_SAY
 
     def arrivals_of(self, stream: Stream) -> Stamps:
         """How many IMU samples were there before each sample (N,): as the log tells, else by the stamps.
@@ -197,6 +197,7 @@ class Flight:
         specific_force: (N, 3) m/s².
         rotor_speeds: (N, 4) rad/s.
         wind: (N, 3) m/s, world; zero where it was not measured.
+        quality: what is to be said of the data that it came from.
     """
 
     name: str
@@ -212,6 +213,7 @@ class Flight:
     specific_force: Array
     rotor_speeds: Array
     wind: Array
+    quality: DataQuality = NOTHING_TO_SAY
 
     def __len__(self) -> int:
         return len(self.time)

@@ -96,4 +96,5 @@ def judge(
         adaptive=adaptive,
         at_confidence=at,
     )
+    evaluation["data_quality"] = {flight.name: flight.quality.to_json() for flight in flights}
     return results, evaluation

@@ -18,6 +18,7 @@ from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.monitor.live import LiveSamples, live_samples
 from quadpi_core.parallel import map_files
+from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
 from quadpi_core.signals.fusion import fuse_airborne
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
@@ -36,6 +37,7 @@ class PreparedFlight:
         height: (N,) m above the origin of the world.
         live: what a monitor would have had of the flight, which the alarm is calibrated and assessed on. None
             where the states are given and no sensor was read: then these are what it would have had.
+        quality: what is to be said of the data.
     """
 
     name: str
@@ -45,6 +47,7 @@ class PreparedFlight:
     wrench: Array
     height: Array
     live: LiveSamples | None = None
+    quality: DataQuality = NOTHING_TO_SAY
 
     @classmethod
     def of(
@@ -59,6 +62,7 @@ class PreparedFlight:
             wrench=measured_wrench(flight, vehicle),
             height=-flight.position[:, 2],
             live=live,
+            quality=flight.quality,
         )
 
     @property

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from quadpi_core.cli.options import FileWorkers, JsonFile, OptionalVehicle, Scheduler, VehicleName
-from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+from quadpi_core.cli.outputs import check_outputs, open_console, print_quality, write_result
 
 
 def import_(
@@ -32,13 +32,14 @@ def import_(
     ] = False,
     workers: FileWorkers = None,
     scheduler: Scheduler = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Convert flight logs to MCAP bags with the standard topics."""
     from quadpi_core.logs.importing import import_logs
     from quadpi_core.report.progress import counting
     from quadpi_core.vehicle import Vehicle
 
-    check_outputs(logs, folders=[output])
+    check_outputs(logs, json_file, folders=[output])
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
     with counting(console, "Logs", len(logs)) as progress:
@@ -64,6 +65,8 @@ def import_(
             )
         for sentence in flight.missing:
             console.print(f"  {sentence}", soft_wrap=True)
+    print_quality(console, zip(logs, (flight.quality for flight in flights), strict=True))
+    write_result(json_file, {"bags": [flight.to_json() for flight in flights]})
 
 
 def info(

@@ -22,7 +22,7 @@ from quadpi_core.cli.options import (
     Scheduler,
     VehicleName,
 )
-from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+from quadpi_core.cli.outputs import check_outputs, open_console, print_quality, write_result
 from quadpi_core.errors import QuadpiError
 
 
@@ -83,6 +83,7 @@ def identify(
         flights = prepare_flights(
             bags, the_vehicle, cutoff, workers=workers, scheduler=scheduler, progress=read
         )
+    print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
     with identifying(console) as progress:
         model = identify_model(
             flights,
@@ -180,6 +181,8 @@ def evaluate(
                 scheduler=scheduler,
                 progress=status.update,
             )
+    judged = next(iter(comparison.flights.values()))
+    print_quality(console, ((flight.name, flight.quality) for flight in judged))
     models = comparison.models
     if len(models) == 1:
         (model,) = models.values()

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,8 @@ from quadpi_core.paths import require_file, require_folder, write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from quadpi_core.quality import DataQuality
 
 
 def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence[Path | None] = ()) -> None:
@@ -33,6 +35,15 @@ def write_result(json_file: Path | None, data: dict[str, Any]) -> None:
     """Write what a command found, where `--json` names a file."""
     if json_file is not None:
         write_json(json_file, data)
+
+
+def print_quality(console: Console, flights: Iterable[tuple[Path | str, DataQuality]]) -> None:
+    """Say of each flight, named or given by its file, what is to be said of its data."""
+    from rich.text import Text
+
+    for flight, quality in flights:
+        for sentence in quality.sentences():
+            console.print(Text(f"{flight}: {sentence}", style="yellow"), soft_wrap=True)
 
 
 def open_console() -> Console:

@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from quadpi_core.cli.outputs import print_quality
 from quadpi_core.discrepancy.addition import write_addition
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.study import read_flights, study
@@ -58,6 +59,7 @@ def run(
     simulation = load_simulation(text, vehicle, bags, allow_code=allow_code)
     with counting(console, "Reading flights", len(bags)) as progress:
         flights = read_flights(bags, simulation, workers=workers, scheduler=scheduler, progress=progress)
+    print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
     with console.status("Searching"):
         found = study(simulation, flights, names=names, seed=seed)
     with whole_outputs(output) as staging, console.status("Writing"):

@@ -54,7 +54,10 @@ class Study:
             "vehicle": self.simulation.vehicle.name,
             "seed": self.seed,
             "flights": {
-                flight.name: {"duration_s": float(flight.time[-1] - flight.time[0])}
+                flight.name: {
+                    "duration_s": float(flight.time[-1] - flight.time[0]),
+                    "data_quality": flight.quality.to_json(),
+                }
                 for flight in self.flights
             },
             **self.discovery.as_dict(),

@@ -8,13 +8,13 @@ Readers are imported when one is needed: each brings libraries that the others d
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quadpi_core.errors import LogError, QuadpiError, one_line
 from quadpi_core.flight import Recording
-from quadpi_core.logs.conversion import drop_rotor_spikes
+from quadpi_core.logs.screening import screened
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -43,7 +43,9 @@ class LogFormat:
 
 
 def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None) -> Recording:
-    """Read any supported log or bag in SI, FRD and NED, drop rotor-speed spikes, and check every stream.
+    """Read any supported log or bag in SI, FRD and NED, leave out samples beyond limits, check every stream.
+
+    What was left out is in the recording's `quality`.
 
     Args:
         path: a file, or a rosbag2 folder.
@@ -56,9 +58,7 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
         LogError: naming the file, and topic and sample where there is one.
     """
     recording = decode_recording(path, vehicle, mapping)
-    if vehicle is not None and recording.rotor_speeds is not None:
-        speeds = drop_rotor_spikes(recording.source, recording.rotor_speeds, vehicle)
-        recording = replace(recording, rotor_speeds=speeds)
+    recording = screened(recording, vehicle)
     recording.check()
     return recording
 
@@ -66,7 +66,7 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
 def decode_recording(
     path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None
 ) -> Recording:
-    """Like :func:`read_recording`, but unchecked, with its spikes: what `quadpi info` diagnoses."""
+    """Like :func:`read_recording`, but unchecked, and whole: what `quadpi info` diagnoses."""
     path = Path(path)
     log_format = identify_format(path)
     if mapping is not None and not log_format.takes_mapping:

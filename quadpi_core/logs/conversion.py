@@ -1,24 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steps that log readers share: stamps from a clock, attitudes of unit length, rotor-speed spikes dropped."""
+"""Steps that log readers share: stamps from a clock, attitudes of unit length."""
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import RotorSpeedStream, Stamps
+from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.vehicle import Vehicle
 
 STANDARD_GRAVITY = 9.80665
 NORM_TOLERANCE = 0.05
-SPIKE_SHARE = 0.01
-
-_log = logging.getLogger(__name__)
 
 
 def stamps_ns(source: str, time: Array, seconds_per_unit: float = 1.0) -> Stamps:
@@ -53,32 +46,3 @@ def unit_attitude(source: str, topic: str, attitude: Array) -> Array:
         )
     unit: Array = attitude / norm[:, np.newaxis]
     return unit
-
-
-def rotor_spikes(stream: RotorSpeedStream, vehicle: Vehicle) -> npt.NDArray[np.bool_]:
-    """Samples (N,) in which a rotor is faster than the vehicle allows; infinite is no spike but no speed."""
-    fast = (stream.speeds > vehicle.rotor_speed_spike_rad_s) & np.isfinite(stream.speeds)
-    spikes: npt.NDArray[np.bool_] = np.any(fast, axis=1)
-    return spikes
-
-
-def drop_rotor_spikes(source: str, stream: RotorSpeedStream, vehicle: Vehicle) -> RotorSpeedStream:
-    """The stream without the samples in which a rotor is faster than the vehicle allows, logging how many.
-
-    Electrical speeds over telemetry spike to millions of revolutions now and then. More of them than
-    SPIKE_SHARE are no spikes and stay: :func:`quadpi_core.logs.plausibility.check_plausible` refuses them.
-    Nor are infinite speeds, which no sensor sends: :meth:`Stream.check` refuses them.
-    """
-    spike = rotor_spikes(stream, vehicle)
-    if not np.any(spike) or spike.mean() > SPIKE_SHARE:
-        return stream
-    _log.warning(
-        "%s: topic %s: dropped %d of %d samples above the vehicle's %.0f rad/s, the first is sample %d",
-        source,
-        stream.topic,
-        spike.sum(),
-        len(stream),
-        vehicle.rotor_speed_max_rad_s,
-        np.argmax(spike),
-    )
-    return RotorSpeedStream(stream.time_ns[~spike], stream.speeds[~spike])

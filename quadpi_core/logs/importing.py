@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from quadpi_core.config import is_config_path
 from quadpi_core.errors import LogError
@@ -17,6 +18,7 @@ from quadpi_core.logs.missing import missing
 from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
+from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
 from quadpi_core.signals.alignment import Alignment, align_pose
 from quadpi_core.vehicle import Vehicle
 
@@ -30,6 +32,18 @@ class Imported:
     topics: tuple[str, ...]
     alignment: Alignment | None
     missing: tuple[str, ...] = ()
+    quality: DataQuality = NOTHING_TO_SAY
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        return {
+            "bag": str(self.bag),
+            "imu_samples": self.imu_samples,
+            "topics": list(self.topics),
+            "alignment": None if self.alignment is None else asdict(self.alignment),
+            "missing": list(self.missing),
+            "data_quality": self.quality.to_json(),
+        }
 
 
 def import_logs(
@@ -104,4 +118,5 @@ def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
     bag = staged(task.staging, f"{recording.name}.mcap")
     write_bag(bag, recording)
     topics = tuple(stream.topic for stream in recording.streams())
-    return Imported(bag, len(recording.imu), topics, alignment, tuple(missing(recording))), sha256
+    lacking = tuple(missing(recording))
+    return Imported(bag, len(recording.imu), topics, alignment, lacking, recording.quality), sha256

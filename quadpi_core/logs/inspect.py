@@ -14,16 +14,15 @@ import numpy.typing as npt
 from quadpi_core.flight import Recording, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.bags import bag_topics
-from quadpi_core.logs.conversion import SPIKE_SHARE, rotor_spikes
 from quadpi_core.logs.missing import missing
 from quadpi_core.logs.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
     finite_rows,
     implausibilities,
-    share,
     thrust_coefficient,
 )
+from quadpi_core.logs.screening import left_out
 from quadpi_core.vehicle import Vehicle
 
 GAP_INTERVALS = 5.0
@@ -85,6 +84,7 @@ def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> I
     findings = (
         *(finding for topic in topics for finding in _timing_findings(topic)),
         *implausibilities(recording, vehicle),
+        *(f"{samples}; `import` and `identify` do" for samples in left_out(recording, vehicle)),
         *(finding for stream in recording.streams() for finding in _frozen_findings(stream)),
         *_rotor_findings(recording, vehicle),
         *_battery_findings(recording),
@@ -189,8 +189,6 @@ def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[s
     rotors = recording.rotor_speeds
     if rotors is None:
         return
-    if vehicle is not None:
-        yield from _spike_findings(rotors, vehicle)
     yield from _half_reading_findings(rotors)
     coefficient = thrust_coefficient(recording, vehicle) if vehicle is not None else None
     (low, high), (least, most) = THRUST_COEFFICIENT_USUAL, THRUST_COEFFICIENT_POSSIBLE
@@ -198,16 +196,6 @@ def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[s
         yield (
             f"topic rotor_speeds: thrust over Σω² gives C_T = {coefficient:.2g}, usual are {low} to {high}: "
             f"speeds {'too low' if coefficient > high else 'too high'} by a constant factor, or wrong mass?"
-        )
-
-
-def _spike_findings(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
-    spike = rotor_spikes(rotors, vehicle)
-    if 0.0 < share(spike) <= SPIKE_SHARE:
-        yield (
-            f"topic rotor_speeds: {spike.sum()} spikes above the vehicle's "
-            f"{vehicle.rotor_speed_max_rad_s:.0f} rad/s, up to {np.nanmax(rotors.speeds[spike]):.3g}, "
-            f"the first at sample {int(np.argmax(spike))}; they are dropped on import"
         )
 
 

@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording
 from quadpi_core.frames import Array, rotate_body_to_world
-from quadpi_core.logs.conversion import SPIKE_SHARE, STANDARD_GRAVITY, rotor_spikes
+from quadpi_core.logs.conversion import STANDARD_GRAVITY
+from quadpi_core.logs.screening import beyond_limits
 from quadpi_core.vehicle import Vehicle
 
-LARGEST_RATE_RAD_S = 60.0
-OUTLIER_SHARE = 0.01
 # Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.
 THRUST_COEFFICIENT_USUAL = (0.006, 0.05)
 THRUST_COEFFICIENT_POSSIBLE = (0.001, 0.3)
@@ -50,10 +49,10 @@ def check_plausible(recording: Recording, vehicle: Vehicle) -> None:
 def implausibilities(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
     """What cannot be right, in plain words, the topic first; without a vehicle its limits are not tested."""
     yield from _specific_force(recording.imu)
+    yield from _units(recording, vehicle)
     yield from _rates(recording)
     yield from _up(recording)
     if vehicle is not None and recording.rotor_speeds is not None:
-        yield from _rotor_speeds(recording.rotor_speeds, vehicle)
         yield from _thrust(recording, vehicle)
 
 
@@ -108,15 +107,6 @@ def _specific_force(imu: ImuStream) -> Iterator[str]:
 
 
 def _rates(recording: Recording) -> Iterator[str]:
-    rates = recording.imu.angular_velocity
-    with np.errstate(invalid="ignore"):
-        beyond = np.any(np.abs(rates) > LARGEST_RATE_RAD_S, axis=1)
-    if share(beyond) > OUTLIER_SHARE:
-        yield (
-            f"topic imu: sample {int(np.argmax(beyond))}: {share(beyond):.0%} of the rates exceed "
-            f"{LARGEST_RATE_RAD_S:.0f} rad/s: looks like deg/s"
-        )
-        return
     for stream in _attitude_streams(recording):
         gyro, attitude, turning = _rotation_rates(recording.imu, stream)
         if gyro > _TURNING_RAD_S and gyro > _LARGEST_RATIO * attitude:
@@ -192,17 +182,15 @@ def _up(recording: Recording) -> Iterator[str]:
             )
 
 
-def _rotor_speeds(rotors: RotorSpeedStream, vehicle: Vehicle) -> Iterator[str]:
-    fast = rotor_spikes(rotors, vehicle)
-    with np.errstate(invalid="ignore"):
-        negative = np.any(rotors.speeds < 0.0, axis=1)
-    if share(fast) > SPIKE_SHARE:
-        yield (
-            f"topic rotor_speeds: sample {int(np.argmax(fast))}: {share(fast):.0%} of the samples exceed the "
-            f"vehicle's {vehicle.rotor_speed_max_rad_s:.0f} rad/s: looks like rpm or erpm"
-        )
-    if np.any(negative):
-        yield f"topic rotor_speeds: sample {int(np.argmax(negative))}: a rotor speed is negative"
+def _units(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+    """Topics with more samples beyond their limits than could be left out as outliers."""
+    for stream in recording.streams():
+        for found in beyond_limits(stream, vehicle):
+            if found.unit is not None and found.share > found.most:
+                yield (
+                    f"topic {stream.topic}: sample {found.first}: {found.share:.0%} of the samples are "
+                    f"{found.limit}: looks like {found.unit}"
+                )
 
 
 def _thrust(recording: Recording, vehicle: Vehicle) -> Iterator[str]:

@@ -20,14 +20,18 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import MAX_GAP_NS, RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
+from quadpi_core.flight import MAX_GAP_NS
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import ATTITUDE, RATES, ROTOR_SPEEDS, SPECIFIC_FORCE, VELOCITY, WIND
+from quadpi_core.signals.limits import (
+    RATE_MAX_RAD_S,
+    SPECIFIC_FORCE_MAX_M_S2,
+    unit_attitude,
+    usable_airspeed,
+    usable_rotor_speeds,
+    within,
+)
 from quadpi_core.vehicle import ROTORS, Vehicle
-
-# Beyond these a sample is a broken sensor or a wrong unit, not flight.
-AIRSPEED_MAX_M_S = 100.0
-QUATERNION_NORM_TOLERANCE = 0.1
 
 NOT_FINITE, NOT_PLAUSIBLE = 1 << 0, 1 << 1
 STAMP_REPEATED, STAMP_BACKWARD, GAP = 1 << 2, 1 << 3, 1 << 4
@@ -123,23 +127,15 @@ def _all_missing(values: Any) -> bool:
 
 
 @njit(cache=True)
-def _within(values: Any, limit: float) -> bool:
-    """Whether every magnitude is at most `limit`."""
-    return bool(np.all(np.abs(values) <= limit))
-
-
-@njit(cache=True)
 def _plausible(sample: Any, rotor_speed_max: float) -> bool:
     """Whether a finite sample (20,) can be that of a flight."""
-    attitude = sample[ATTITUDE]
-    return bool(
-        abs(np.sqrt(np.sum(attitude * attitude)) - 1.0) <= QUATERNION_NORM_TOLERANCE
-        and _within(sample[VELOCITY], AIRSPEED_MAX_M_S)
-        and _within(sample[WIND], AIRSPEED_MAX_M_S)
-        and _within(sample[RATES], RATE_MAX_RAD_S)
-        and _within(sample[SPECIFIC_FORCE], SPECIFIC_FORCE_MAX_M_S2)
-        and _within(sample[ROTOR_SPEEDS], rotor_speed_max)
-        and sample[ROTOR_SPEEDS].min() >= 0.0
+    return (
+        unit_attitude(sample[ATTITUDE])
+        and usable_airspeed(sample[VELOCITY])
+        and usable_airspeed(sample[WIND])
+        and within(sample[RATES], RATE_MAX_RAD_S)
+        and within(sample[SPECIFIC_FORCE], SPECIFIC_FORCE_MAX_M_S2)
+        and usable_rotor_speeds(sample[ROTOR_SPEEDS], rotor_speed_max)
     )
 
 

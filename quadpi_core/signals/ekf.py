@@ -21,7 +21,7 @@ from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import ekf_buffer as buffer
 from quadpi_core.signals import ekf_kernels as kernels
-from quadpi_core.signals import ekf_memory, ekf_run
+from quadpi_core.signals import ekf_memory, ekf_run, limits
 from quadpi_core.signals.ekf_corrections import BODY_VELOCITY, JOURNAL, POSE, VALUES, WORLD_VELOCITY
 from quadpi_core.signals.ekf_initial import (
     COLLECT_NS,
@@ -437,7 +437,7 @@ class Ekf:
         return outcome
 
     def _collect_imu(self, time_ns: int, sample: Array) -> Outcome:
-        if not kernels.usable_imu(sample):
+        if not limits.usable_imu(sample):
             return Outcome.UNUSABLE
         last_ns = self._imu[-1][0] if self._imu else time_ns - 1
         if not -MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
@@ -451,7 +451,7 @@ class Ekf:
 
     def _collect_measurement(self, time_ns: int, kind: int) -> Outcome:
         value = self._value
-        usable = kernels.usable_pose(value) if kind == POSE else kernels.usable_velocity(value)
+        usable = limits.usable_pose(value) if kind == POSE else limits.usable_velocity(value)
         if not usable:
             return Outcome.UNUSABLE
         marks = self._memory.sources[0 if kind == POSE else 1]

@@ -37,12 +37,10 @@ from quadpi_core.signals.ekf_kernels import (
     between,
     copy,
     propagate,
-    usable_imu,
-    usable_pose,
-    usable_velocity,
 )
 from quadpi_core.signals.ekf_memory import BUFFER_S, NEVER, Clock, Memory, Source, noise_of
 from quadpi_core.signals.ekf_status import status_of
+from quadpi_core.signals.limits import usable_imu, usable_pose, usable_velocity
 
 HOLD_NS = 10_000_000
 _BUFFER_NS = round(BUFFER_S * 1e9)

@@ -16,7 +16,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 
@@ -56,11 +55,6 @@ Vector: TypeAlias = tuple[float, float, float]
 
 # A motion capture whose stamps are farther off than this cannot be fused from the buffer.
 DELAY_MAX_S = 0.35
-_MIN_QUATERNION_NORM = 0.5
-_MAX_QUATERNION_NORM = 1e6
-# Farther and faster than any motion capture sees.
-_POSITION_MAX_M = 10_000.0
-_SPEED_MAX_M_S = 300.0
 
 
 class Outcome(IntEnum):
@@ -115,33 +109,6 @@ class Noise(NamedTuple):
     rates: float
     force: float
     gravity: float
-
-
-@njit(cache=True)
-def usable_imu(sample: Array) -> bool:
-    """Whether rates rad/s and specific force m/s² (6,) can be those of a flight; NaN cannot."""
-    for index in range(3):
-        if not (abs(sample[index]) <= RATE_MAX_RAD_S and abs(sample[3 + index]) <= SPECIFIC_FORCE_MAX_M_S2):
-            return False
-    return True
-
-
-@njit(cache=True)
-def usable_pose(value: Array) -> bool:
-    """Whether a position m can be measured and its attitude (7,) is a rotation, but for scale."""
-    for index in range(3):
-        if not abs(value[index]) <= _POSITION_MAX_M:
-            return False
-    norm2 = value[3] ** 2 + value[4] ** 2 + value[5] ** 2 + value[6] ** 2
-    return bool(_MIN_QUATERNION_NORM**2 <= norm2 <= _MAX_QUATERNION_NORM**2)
-
-
-@njit(cache=True)
-def usable_velocity(value: Array) -> bool:
-    """Whether a velocity m/s, the first three numbers, can be that of a flight."""
-    largest = max(abs(value[0]), abs(value[1]), abs(value[2]))
-    # The largest of some numbers and NaN may be either.
-    return bool(largest <= _SPEED_MAX_M_S and not np.isnan(value[0] + value[1] + value[2]))
 
 
 @njit(cache=True)

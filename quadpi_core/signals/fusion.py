@@ -100,6 +100,7 @@ def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
         start_ns=int(grid[0]),
         time=1e-9 * (grid - grid[0]),
         position=on_grid(estimate.time_ns, estimate.position),
+        quality=recording.quality,
         **filtered._asdict(),
     )
 

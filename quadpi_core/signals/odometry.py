@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import (
-    RATE_MAX_RAD_S,
-    SPECIFIC_FORCE_MAX_M_S2,
     ImuStream,
     OdometryStream,
     Stamps,
@@ -20,6 +18,7 @@ from quadpi_core.flight import (
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
 from quadpi_core.signals.ekf_kernels import Row, covariance_of
+from quadpi_core.signals.limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 
 if TYPE_CHECKING:
     from quadpi_core.signals.ekf import State

@@ -29,6 +29,7 @@ METRICS = {
 }
 EVALUATION = {
     *("quadpi_version", "model", "vehicle", "method", "adaptive", "confidence", "training_range"),
+    "data_quality",
     *("nmpiw_denominator", "cwc", "calibration_levels", "regime_edges", "groups", "flights"),
 }
 RECORDING = {"kind", "name", "vehicle", "source", "topics", "envelope", "findings"}

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.flight import SPECIFIC_FORCE_MAX_M_S2, WindStream
+from quadpi_core.flight import WindStream
 from quadpi_core.logs import messages
 from quadpi_core.logs.definitions import codec
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, MISCOVERAGE
 from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
+from quadpi_core.signals.limits import SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.simulation.faults import Sent
 from quadpi_core.vehicle import ROTORS
 from test.faults.onboard import deviation

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -213,13 +214,16 @@ def test_empty_column_is_refused(tmp_path: Path, vehicle: Vehicle):
         read(tmp_path, mapping, columns, vehicle)
 
 
-def test_spikes_are_dropped_and_logged(tmp_path: Path, vehicle: Vehicle, caplog):
+def test_spikes_are_left_out(tmp_path: Path, vehicle: Vehicle):
     mapping, columns = rotor_table([])
     columns["m2"][30] = 1e5
     recording = read(tmp_path, mapping, columns, vehicle)
     assert recording.rotor_speeds.speeds.max() == 1500.0
     assert 300_000_000 not in recording.rotor_speeds.time_ns
-    assert "dropped 1 of 100 samples above the vehicle's 3000 rad/s, the first is sample 30" in caplog.text
+    assert list(recording.quality.sentences()) == [
+        "topic rotor_speeds: left out 1 of 100 samples above the vehicle's 3000 rad/s; the first is "
+        "sample 30, at 0.300 s"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -319,14 +323,24 @@ def test_every_mapping_of_the_project_loads(name: str):
 
 @pytest.fixture(scope="module", params=[*SPIKES, "random1_20251017_run2"])
 def nanodrone(request, shared_data: Path, vehicle: Vehicle) -> Recording:
-    """The worked example of docs/add-a-data-set.md."""
-    return read_recording(shared_data / "nanodrone" / f"{request.param}.parquet", vehicle, "nanodrone")
+    """The worked example of docs/add-a-data-set.md; its IMU and state share their rows."""
+    recording = read_recording(shared_data / "nanodrone" / f"{request.param}.parquet", vehicle, "nanodrone")
+    imu, odometry = recording.imu, recording.odometry
+
+    def of(stream, other):
+        both = np.isin(stream.time_ns, other.time_ns)
+        return replace(
+            stream, **{column.name: getattr(stream, column.name)[both] for column in fields(stream)}
+        )
+
+    return replace(recording, imu=of(imu, odometry), odometry=of(odometry, imu))
 
 
 @pytest.mark.parametrize(("name", "spikes"), SPIKES.items())
-def test_nanodrone_spikes_are_dropped(shared_data: Path, vehicle: Vehicle, caplog, name: str, spikes: int):
+def test_nanodrone_spikes_are_left_out(shared_data: Path, vehicle: Vehicle, name: str, spikes: int):
     recording = read_recording(shared_data / "nanodrone" / f"{name}.parquet", vehicle, "nanodrone")
-    assert f"dropped {spikes} of" in caplog.text
+    beyond = [left_out for left_out in recording.quality.left_out if left_out.limit.startswith("above")]
+    assert [(left_out.topic, left_out.samples) for left_out in beyond] == [("rotor_speeds", spikes)]
     assert recording.rotor_speeds.speeds.max() < vehicle.rotor_speed_max_rad_s
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.flight import SPECIFIC_FORCE_MAX_M_S2, ImuStream
+from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.signals import rotations
 from quadpi_core.signals.ekf import State
 from quadpi_core.signals.ekf_kernels import ATTITUDE, ERROR_STATES, GYRO_BIAS, POSITION, VELOCITY, Row
+from quadpi_core.signals.limits import SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.signals.odometry import fused_sample, with_gyro_faults
 
 GYRO_NOISE = 0.02

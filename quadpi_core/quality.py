@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is to be said of the data of a flight: samples that were left out. It goes along with the flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Samples of one topic that cannot be those of a flight.
+
+    Attributes:
+        topic: that they came on.
+        limit: that they are beyond, in words.
+        samples: how many were left out.
+        of: how many the topic had.
+        first: index of the first of them.
+        first_s: its stamp, in seconds since the first IMU sample.
+    """
+
+    topic: str
+    limit: str
+    samples: int
+    of: int
+    first: int
+    first_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"topic {self.topic}: left out {self.samples} of {self.of} samples {self.limit}; the first is "
+            f"sample {self.first}, at {self.first_s:.3f} s"
+        )
+
+
+@dataclass(frozen=True)
+class DataQuality:
+    """What is to be said of the data of one flight."""
+
+    left_out: tuple[LeftOut, ...] = ()
+
+    def sentences(self) -> Iterator[str]:
+        """In plain words, the topic first."""
+        yield from map(str, self.left_out)
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        return {"left_out": [asdict(samples) for samples in self.left_out]}
+
+
+NOTHING_TO_SAY = DataQuality()
