@@ -44,7 +44,16 @@ def test_wheel_holds_every_module_and_every_shared_file(tmp_path: Path) -> None:
     subprocess.run([*pip, *build], check=True)
     (wheel,) = tmp_path.glob("*.whl")
     prefix = tmp_path / "prefix"
-    install = ("install", "--no-deps", "--prefix", str(prefix), "--root", "/", str(wheel))
+    install = (
+        "install",
+        "--ignore-installed",
+        "--no-deps",
+        "--prefix",
+        str(prefix),
+        "--root",
+        "/",
+        str(wheel),
+    )
     subprocess.run([*pip, *install], check=True)
     (packages,) = prefix.glob("lib/python*/site-packages")
     for package in PACKAGES:
