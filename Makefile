@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test lint format bench tables alarm discovery discovery-real golden environment clean
+.PHONY: help demo test lint format bench tables alarm discovery discovery-real golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -54,6 +54,9 @@ alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 
 
 golden: environment ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
 	@$(BIN)/python tools/golden_trace.py $(GOLDEN_ARGS)
+
+fuzz: environment ## damaged input for every reader, a million cases (FUZZ_ARGS="--minutes 2 --formats mcap px4")
+	@$(BIN)/python -m benchmarks.fuzzing $(FUZZ_ARGS)
 
 environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)
 	@sh tools/bootstrap.sh

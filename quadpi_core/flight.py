@@ -26,6 +26,13 @@ Stamps: TypeAlias = npt.NDArray[np.int64]
 MAX_GAP_NS = 100_000_000
 # A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
 MAX_JUMP_BACK_NS = 1_000_000_000
+# Seconds in messages have 32 bits.
+STAMP_MAX_NS = 2**31 * 1_000_000_000 - 1
+_DAY_NS = 86_400 * 1_000_000_000
+# A longer one has a damaged stamp in it.
+FLIGHT_MAX_NS = 2 * _DAY_NS
+# Of any quantity in SI units; sums of squares of such numbers keep their digits.
+VALUE_MAX = 1e6
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -52,21 +59,40 @@ class Stream:
         """Refuse what no later step can use.
 
         Raises:
-            LogError: naming source, topic and sample, for an empty stream, stamps that repeat or run
-                backward, and values that are not finite.
+            LogError: naming source, topic and sample, for an empty stream, stamps that repeat, run backward,
+                span more than FLIGHT_MAX_NS or are none that a message can hold, and values that are not
+                finite or beyond VALUE_MAX.
         """
         where = f"{source}: topic {self.topic}"
         self.require_samples(source)
+        outside = (self.time_ns < 0) | (self.time_ns > STAMP_MAX_NS)
+        if np.any(outside):
+            index = int(np.argmax(outside))
+            raise LogError(
+                f"{where}: sample {index}: the stamp is before 1970 or after 2038 ({self.time_ns[index]} ns)"
+            )
         steps = np.diff(self.time_ns)
         if np.any(steps <= 0):
             index = int(np.argmax(steps <= 0)) + 1
             kind = "repeats" if steps[index - 1] == 0 else "runs backward"
             raise LogError(f"{where}: sample {index}: the stamp {kind} ({self.time_ns[index]} ns)")
+        if self.time_ns[-1] - self.time_ns[0] > FLIGHT_MAX_NS:
+            index = int(np.argmax(steps)) + 1
+            raise LogError(
+                f"{where}: sample {index}: comes {steps[index - 1] / _DAY_NS:.1f} days after the one before; "
+                f"no flight lasts {FLIGHT_MAX_NS // _DAY_NS} days"
+            )
         for column in fields(self):
             values = getattr(self, column.name).reshape(len(self), -1)
             if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
                 index = int(np.argmax(~np.isfinite(values).all(axis=1)))
                 raise LogError(f"{where}: sample {index}: {column.name} is not finite")
+            if values.dtype.kind == "f" and np.any(np.abs(values) > VALUE_MAX):
+                index, place = divmod(int(np.argmax(np.abs(values))), values.shape[1])
+                raise LogError(
+                    f"{where}: sample {index}: {column.name} holds {values[index, place]:.3g}; nothing in a "
+                    f"flight is beyond {VALUE_MAX:g}"
+                )
 
 
 @dataclass(frozen=True)

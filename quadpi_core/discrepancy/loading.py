@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,8 +17,9 @@ from quadpi_core.discrepancy.simulations import CallableSimulation, Simulation, 
 from quadpi_core.discrepancy.simulations.base import read_tolerances
 from quadpi_core.discrepancy.simulations.model import ModelSimulation
 from quadpi_core.discrepancy.simulations.recorded import RecordedSimulation
-from quadpi_core.errors import DiscrepancyError
+from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory
+from quadpi_core.reading import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.simulation.effects import read_effects
 from quadpi_core.simulation.section import Section
 from quadpi_core.simulation.vehicle import own_effects
@@ -30,7 +30,12 @@ _ADDITION_KEYS = ("simulation", "vehicle", "effects", "adjusted", "version")
 
 
 def load_simulation(
-    text: str, vehicle: str | Path | None = None, bags: Sequence[Path] = (), *, allow_code: bool = False
+    text: str,
+    vehicle: str | Path | None = None,
+    bags: Sequence[Path] = (),
+    *,
+    allow_code: bool = False,
+    within: tuple[Path, ...] = (),
 ) -> Simulation:
     """A simulation by what names it.
 
@@ -42,6 +47,7 @@ def load_simulation(
         bags: that a recorded wrench is read from.
         allow_code: whether an `addition.json` may name a function. Its module is then imported, so whoever
             wrote the file chooses what runs here. A function that `text` names itself needs no leave.
+        within: files of additions that name this simulation.
 
     Raises:
         DiscrepancyError: for what names no simulation, a function that cannot be imported, a vehicle that is
@@ -52,7 +58,7 @@ def load_simulation(
     if text == RECORDED:
         return RecordedSimulation.load(_required(text, vehicle), bags)
     if path.suffix == ".json":
-        return _addition(path, vehicle, bags, allow_code)
+        return _addition(path, vehicle, bags, allow_code, within)
     if path.is_dir():
         return ModelSimulation.load(path, vehicle)
     if _names_code(text):
@@ -101,12 +107,12 @@ def _callable(text: str, vehicle: str) -> CallableSimulation:
 
 
 def _addition(
-    path: Path, vehicle: str | Path | None, bags: Sequence[Path], allow_code: bool
+    path: Path, vehicle: str | Path | None, bags: Sequence[Path], allow_code: bool, within: tuple[Path, ...]
 ) -> AugmentedSimulation:
     try:
-        data: Any = json.loads(path.read_text())
+        data: Any = parse_json(read_bounded(path, JSON_BYTES_MAX))
     except (OSError, ValueError) as error:
-        raise DiscrepancyError(f"{path}: not a readable JSON file: {error}") from error
+        raise DiscrepancyError(f"{path}: not a readable JSON file: {one_line(error)}") from error
     section = Section(data, str(path), _ADDITION_KEYS)
     named = section.text("simulation")
     if _names_code(named) and not allow_code:
@@ -114,11 +120,22 @@ def _addition(
             f"{path}: names code to run, the function {named}: "
             "--allow-code runs it, if you trust who wrote this file"
         )
-    base = load_simulation(named, vehicle or section.text("vehicle"), bags, allow_code=allow_code)
+    if path.resolve() in within:
+        raise DiscrepancyError(f"{path}: is an addition to itself")
+    try:
+        base = load_simulation(
+            named,
+            vehicle or section.text("vehicle"),
+            bags,
+            allow_code=allow_code,
+            within=(*within, path.resolve()),
+        )
+    except QuadpiError as error:
+        raise DiscrepancyError(f"{path}: {error}") from error
     if isinstance(base, CallableSimulation) and base.code:
         base = replace(base, code=f"{base.code}, named by {path}")
     adjusted = section.get("adjusted", {})
-    multiples = Section(adjusted, f"{path}: adjusted", tuple(adjusted))
+    multiples = Section(adjusted, f"{path}: adjusted", adjusted if isinstance(adjusted, dict) else ())
     return AugmentedSimulation(
         base,
         read_effects(section.get("effects", {}), str(path)),

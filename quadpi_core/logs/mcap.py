@@ -432,7 +432,11 @@ def _survey_mcap(file: Path) -> _Survey:
     if survey.stop != size - len(MAGIC):
         raise LogError(f"damaged: the record at byte {survey.stop} runs beyond its section")
     require_unpackable(size, sum(section.unpacked for section in survey.sections if section.is_chunk))
-    indexed = set(find_records(np.frombuffer(summary, dtype=np.uint8)).opcodes.tolist()) if start else set()
+    listed = find_records(np.frombuffer(summary, dtype=np.uint8))
+    if start and listed.stop != len(summary) + footer["crc"].itemsize - RECORD_PREFIX - _FOOTER.itemsize:
+        # rosbags would take any bytes for records, and memory for whatever lengths they say.
+        raise LogError(f"damaged: its footer names byte {start} as the beginning of its summary")
+    indexed = set(listed.opcodes.tolist())
     if not {SCHEMA, STATISTICS} <= indexed:
         # Without them rosbags unpacks every chunk, whatever its size.
         with file.open("rb") as stream:

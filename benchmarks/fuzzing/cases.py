@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""One case: made from its format, seed and number, read, and judged."""
+
+from __future__ import annotations
+
+import random
+import resource
+import traceback
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.fuzzing.formats import FORMATS, Finding, Format
+from quadpi_core.errors import QuadpiError
+
+# What a case may take; a kill by SIGPROF is a hang.
+SECONDS_MAX = 5.0
+MEMORY_MAX = 2**30
+
+
+class Outcome(NamedTuple):
+    """What came of a case.
+
+    Attributes:
+        kind: "read", "refused", or what is wrong: "traceback", "unnamed" (a refusal without the file),
+            "passed" (values or times that are none of a flight), "memory", "crash", "hang".
+        detail: of what is wrong.
+    """
+
+    kind: str
+    detail: str = ""
+
+    @property
+    def is_finding(self) -> bool:
+        """Whether it should not have come to this."""
+        return self.kind not in {"read", "refused"}
+
+
+def make(form: Format, seed: int, number: int) -> bytes:
+    """The damaged bytes of a case."""
+    return form.make(random.Random(f"{form.name}:{seed}:{number}"))
+
+
+def judge(form: Format, data: bytes, number: int, folder: Path) -> Outcome:
+    """Read damaged bytes from a file in a folder, and say what came of it."""
+    path = folder / f"case{form.suffix}"
+    path.write_bytes(data)
+    try:
+        form.read(path, number)
+    except QuadpiError as error:
+        text = str(error)
+        if isinstance(error.__cause__, MemoryError):
+            return Outcome("memory", text)
+        if "\n" in text or (form.names_file and path.name not in text):
+            return Outcome("unnamed", text)
+    except Finding as finding:
+        return Outcome("passed", str(finding))
+    except MemoryError as error:
+        return Outcome("memory", _place(error))
+    except Exception as error:  # what is looked for
+        return Outcome("traceback", _place(error))
+    else:
+        return _within_memory("read")
+    return _within_memory("refused")
+
+
+def peak_bytes() -> int:
+    """Memory that this process had at most."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _within_memory(kind: str) -> Outcome:
+    return (
+        Outcome("memory", f"{peak_bytes() / 2**20:.0f} MiB") if peak_bytes() > MEMORY_MAX else Outcome(kind)
+    )
+
+
+def _place(error: BaseException) -> str:
+    """The error and the last place in our code that it went through."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "quadpi_core" in frame.filename] or frames
+    last = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else "?"
+    return f"{type(error).__name__} {str(error)[:120]} at {last}"
+
+
+def parse_case(text: str) -> tuple[Format, int, int]:
+    """Format, seed and number of a case written as `mcap:0:1234`.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    name, seed, number = text.split(":")
+    if name not in FORMATS:
+        raise ValueError(f"{name}: not one of {', '.join(FORMATS)}")
+    return FORMATS[name], int(seed), int(number)
