@@ -218,7 +218,7 @@ def warm_up() -> None:
             for number in range(4):
                 judge(form, make(form, 0, number), number, Path(folder))
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    resource.setrlimit(resource.RLIMIT_AS, (size + 2 * MEMORY_MAX, resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_AS, (size + 6 * MEMORY_MAX, resource.RLIM_INFINITY))
 
 
 def main() -> int:

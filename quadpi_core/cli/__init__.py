@@ -71,6 +71,9 @@ def main() -> None:
     except QuadpiError as error:
         print(f"quadpi: {error}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:
+        print(f"quadpi: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(2)
     except MemoryError:
         print("quadpi: it takes more memory than there is; nothing is half written", file=sys.stderr)
         sys.exit(2)

@@ -55,6 +55,8 @@ def load_simulation(
         QuadpiError: of vehicle files, models and bags that cannot be read.
     """
     path = Path(text)
+    if any(len(part.encode(errors="replace")) > _NAME_MAX for part in path.parts) or "\0" in text:
+        raise DiscrepancyError(f"{text}: no simulation: a name that no file has")
     if text == RECORDED:
         return RecordedSimulation.load(_required(text, vehicle), bags)
     if path.suffix == ".json":
@@ -143,5 +145,7 @@ def _addition(
     )
 
 
+# Bytes in the name of a file.
+_NAME_MAX = 250
 # Tolerances: what is further off is no adjustment.
 _MOST = 10.0

@@ -389,7 +389,7 @@ def _check_file(file: Path) -> _Survey | None:
         raise LogError(f"{file}: {error}") from None
     except OSError as error:
         raise LogError(f"{file}: cannot be read: {error.strerror or error}") from error
-    except (sqlite3.Error, zstd.ZstdError) as error:
+    except (sqlite3.Error, zstd.ZstdError, UnicodeDecodeError) as error:
         raise LogError(f"{file}: cannot be read: {one_line(error)}") from error
     return None
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -93,7 +94,8 @@ def _load(source: str, path: Path) -> Any:
         raise LogError(f"{source}: byte 0: not a ULog file")
     with contextlib.redirect_stdout(io.StringIO()) as said:
         try:
-            log = ulog(source, list(_TOPICS))
+            _require_flat(ulog(_BoundedFile(path), [], parse_header_only=True).message_formats)
+            log = ulog(_BoundedFile(path), list(_TOPICS))
         except OSError:
             raise
         except Exception as error:  # pyulog raises many kinds for a file that is damaged
@@ -105,6 +107,51 @@ def _load(source: str, path: Path) -> Any:
     if lost_s > 0.0:
         note(source, f"the autopilot lost {lost_s:.2f} s of the log in {len(log.dropouts)} drop-outs")
     return log
+
+
+class _BoundedFile(io.BufferedReader):
+    """A file that ends a reader which reads it over and over, as pyulog does where lengths lead back."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._left = _PASSES_MAX * path.stat().st_size + _RESYNC_BYTES
+
+    def read(self, size: int | None = -1) -> bytes:
+        """See io.BufferedReader."""
+        data = super().read(size)
+        self._left -= len(data) + _READ_COST
+        if self._left < 0:
+            raise _Endless("its lengths lead back again and again")
+        return data
+
+
+class _Endless(Exception):  # noqa: N818 - pyulog goes on after the usual kinds
+    """Reading would not end."""
+
+
+# pyulog reads heads of messages and messages apart: each read counts as so many bytes.
+_READ_COST = 256
+# So many times a file may be read, and behind damage these bytes more in search of the next message.
+_PASSES_MAX, _RESYNC_BYTES = 16, 2**26
+# No message of PX4 has more numbers than a few hundred.
+_NUMBERS_MAX = 65_536
+
+
+def _require_flat(formats: Mapping[str, Any]) -> None:
+    """Refuse messages of arrays of messages of arrays: pyulog makes a column of each number in them."""
+    counted: dict[str, int] = {}
+
+    def count(name: str) -> int:
+        if name not in formats:
+            return 1
+        if name not in counted:
+            counted[name] = _NUMBERS_MAX + 1  # what holds itself has no end
+            counted[name] = sum(max(size, 1) * count(of) for of, size, _ in formats[name].fields)
+        return counted[name]
+
+    for name in formats:
+        if count(name) > _NUMBERS_MAX:
+            raise ValueError(f"a message {name} of more than {_NUMBERS_MAX} numbers")
 
 
 def _stamps(columns: Columns, name: str = "timestamp") -> Stamps:

@@ -10,6 +10,7 @@ the model (the bias is too) and `candidates` lists families in the paper's notat
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,10 +29,12 @@ from quadpi_core.models.regressors import (
     unique_regressors,
 )
 
+# The largest family that comes with quadpi has a few hundred; of more than samples none can be identified.
+_FAMILY_MAX = 20_000
 # Of an axis in a pool file, in the order in which a pool takes them.
 _KEYS = ("fixed", "candidates", "inputs")
 _FAMILY = re.compile(
-    r"P\^(?P<degree>[1-9]\d*)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?"
+    r"P\^(?P<degree>[1-9]\d?)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?"
 )
 
 
@@ -82,11 +85,15 @@ def expand_family(text: str) -> list[Regressor]:
         factors = [parse_monomial(f) for f in (match["factors"] or "1").split(",")]
     except ModelError as error:
         raise ModelError(f"candidates {text!r}: {error}") from error
+    degree = int(match["degree"])
+    count = len(factors) * (math.comb(len(variables) + degree, degree) - 1)
+    if count > _FAMILY_MAX:
+        raise ModelError(f"candidates {text!r}: {count} regressors; a family may have {_FAMILY_MAX}")
     return [
         Regressor(((1.0, monomial_product(factor, *chosen)),))
         for factor in factors
-        for degree in range(1, int(match["degree"]) + 1)
-        for chosen in combinations_with_replacement(variables, degree)
+        for order in range(1, degree + 1)
+        for chosen in combinations_with_replacement(variables, order)
     ]
 
 

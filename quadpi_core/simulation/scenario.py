@@ -53,11 +53,13 @@ def _load(name_or_path: str | Path, including: tuple[Path, ...]) -> Scenario:
     section = Section(data, str(path), _SCENARIO_KEYS)
     description = section.text("description")
     effects = read_effects(section.get("effects", None), str(path))
-    included = [
-        _with_effects(plan, effects)
-        for other in _listed(section, "include")
-        for plan in _load(_beside(path, other), (*including, path.resolve())).flights
-    ]
+    included = []
+    for other in _listed(section, "include"):
+        try:
+            plans = _load(_beside(path, other), (*including, path.resolve())).flights
+        except SimulationError as error:
+            raise SimulationError(f"{path}: `include`: {error}") from error
+        included += [_with_effects(plan, effects) for plan in plans]
     flights = (*included, *_own_flights(path, section, effects))
     if not flights:
         raise SimulationError(f"{path}: holds no flights: `flights` and `include` are empty")

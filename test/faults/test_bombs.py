@@ -3,7 +3,11 @@
 """Small files that unpack to gigabytes are refused in one line, before memory is taken for them."""
 
 import struct
+import zlib
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 from backports import zstd
 from lz4 import frame as lz4
@@ -82,6 +86,67 @@ def test_bag_in_a_folder(monkeypatch, tmp_path, mode):
         pytest.raises(LogError, match=r"unpacks to \d+ MiB or more, beyond the limit of 32"),
     ):
         read_bag(folder)
+
+
+def test_matlab_file(tmp_path):
+    path = tmp_path / "bomb.mat"
+    packer = zlib.compressobj(1)
+    packed = b"".join([*(packer.compress(bytes(2**23)) for _ in range(BOMB_BYTES // 2**23)), packer.flush()])
+    head = b"MATLAB 5.0".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    path.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    assert len(packed) < 2**22
+    with pytest.raises(LogError, match=r"257 MiB or more, beyond the limit of 256 MiB"):
+        read_recording(path, None)
+
+
+def test_parquet_table_of_one_value(tmp_path):
+    """Forty million rows of one value take a few kB, and a gigabyte as numbers."""
+    path = tmp_path / "bomb.parquet"
+    table = pa.table({"a": np.zeros(2**20), "b": np.zeros(2**20), "c": np.zeros(2**20)})
+    with pyarrow.parquet.ParquetWriter(path, table.schema) as writer:
+        for _ in range(40):
+            writer.write_table(table, row_group_size=2**20)
+    assert path.stat().st_size < 2**20
+    with refusing(path), pytest.raises(LogError, match=r"960 MiB or more, beyond the limit of 256 MiB"):
+        read_recording(path, None, "nanodrone")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"H " + b"a" * 1_200_000,
+        b"H Product:Blackbox\n" * 6_000,
+        b"H Field I name:" + b"a," * 600_000 + b"\n",
+    ],
+    ids=["line without an end", "many flights", "many fields"],
+)
+def test_headers_of_a_blackbox(tmp_path, content):
+    pytest.importorskip("orangebox", reason="orangebox is not installed")
+    path = tmp_path / "bomb.bbl"
+    path.write_bytes(b"H Product:Blackbox flight data recorder by Nicholas Sherlock\n" + content)
+    with refusing(path), pytest.raises(LogError, match="no frame of a flight can be read"):
+        read_recording(path, None)
+
+
+def test_messages_of_messages_in_a_ulog(tmp_path):
+    pytest.importorskip("pyulog", reason="pyulog is not installed")
+    path = tmp_path / "bomb.ulg"
+    data = b"ULog\x01\x12\x35\x01" + bytes(8)
+    for text in (b"esc_status:uint64_t timestamp;a[60000] a;", b"a:b[60000] b;", b"b:float[60000] c;"):
+        data += struct.pack("<HB", len(text), ord("F")) + text
+    data += struct.pack("<HB", 13, ord("A")) + bytes(3) + b"esc_status"
+    path.write_bytes(data)
+    with refusing(path), pytest.raises(LogError, match="more than 65536 numbers"):
+        read_recording(path, None)
+
+
+def test_a_file_that_leads_a_reader_back(tmp_path):
+    """pyulog goes back by the length of a message that is cut off, for ever."""
+    pytest.importorskip("pyulog", reason="pyulog is not installed")
+    path = tmp_path / "loop.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\x00\xee" * 20)
+    with refusing(path), pytest.raises(LogError):
+        read_recording(path, None)
 
 
 def test_the_limit_can_be_raised(monkeypatch, tmp_path):

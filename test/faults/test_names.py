@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Names that a terminal, a markup or a file system would make something else of."""
+
+import shutil
+
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.paths import bags_directory
+
+NAMES = ("[red]x", "[bold", ":smile:", "a b\tc", "ünï", "$(x)", "%s{}")
+
+
+@pytest.fixture(scope="module")
+def bag():
+    return bags_directory() / "interpolation.mcap"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_info_prints_a_name_as_it_is(quadpi, bag, tmp_path, name):
+    path = tmp_path / f"{name}.mcap"
+    shutil.copy(bag, path)
+    shown = quadpi("info", path)
+    assert shown.status == 0
+    assert name.replace("\t", " ").split()[0] in shown.output
+    path.write_bytes(b"none")
+    refused = quadpi("info", path)
+    assert refused.status == 2
+    assert refused.errors.count("\n") == 1
+    assert name.replace("\t", "\\t") in refused.errors
+
+
+def test_import_prints_a_name_as_it_is(quadpi, bag, tmp_path):
+    path = tmp_path / "[red]x.mcap"
+    shutil.copy(bag, path)
+    done = quadpi("import", path, "--vehicle", "bebop2", "-o", tmp_path / "[blue]bags")
+    assert done.status == 0, done
+    assert "[blue]bags/[red]x.mcap" in done.output.replace("\n", "")
+
+
+@pytest.mark.parametrize("command", [("info",), ("import", "--vehicle", "bebop2", "-o", "out")])
+def test_a_name_longer_than_a_file_system_takes(quadpi, tmp_path, command):
+    refused = quadpi(command[0], tmp_path / ("x" * 300), *command[1:])
+    assert refused.status == 2
+    assert refused.errors.count("\n") == 1
+    assert "File name too long" in refused.errors
+
+
+def test_a_message_is_one_line_that_a_terminal_shows():
+    text = str(LogError("topic /\x1b[31mimu\x07: \n" + "x" * 10_000 + "; end"))
+    assert "\x1b" not in text
+    assert r"topic /\x1b[31mimu\x07: " in text
+    assert text.endswith("; end")
+    assert len(text) < 2000
