@@ -1,0 +1,538 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Blackbox logs: header lines, then frames of which each field is what a predictor lacks, in few bytes.
+
+A log has frames of the main loop (I: by themselves; P: on top of those before), others that are only stepped
+over (S, G, H) and events (E). There are no lengths and no checksums: a frame is whole if the byte after it
+begins another one and its time goes on from the one before. Behind a frame that is not, the search goes on
+from its second byte, and P frames count again from the next I frame on.
+
+Source: Betaflight's documentation, "Blackbox Internals", and for the encoding of variable triples and the
+predictor of the motor's lowest output, which came later, the values that logs hold.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.compiled import njit
+from quadpi_core.errors import LogError
+from quadpi_core.frames import Array
+from quadpi_core.logs.unpacking import require_unpackable
+
+# Firmwares log up to 200 fields; their header lines are shorter than 2 kB.
+_FIELDS_MAX = 256
+_HEADER_LINE_MAX = 8192
+# Behind a damaged frame it is read again from its second byte on: so many fields for each byte of the flight,
+# before all that is left counts as damaged. Bytes of chance take about four.
+_REREAD_MAX = 16
+# Longer than any pause of a logger that goes on by itself, in µs.
+_LEAP_MAX_US = 10_000_000
+
+_KINDS = b"IPSGH"
+_I, _P = 0, 1
+_SIGNED_VB, _UNSIGNED_VB, _NEG_14BIT, _TAG8_8SVB, _TAG2_3S32, _TAG8_4S16, _NULL, _TAG2_3SVARIABLE = (
+    *(0, 1, 3, 6, 7, 8),
+    *(9, 10),
+)
+_ENCODINGS = {
+    _SIGNED_VB,
+    _UNSIGNED_VB,
+    _NEG_14BIT,
+    _TAG8_8SVB,
+    _TAG2_3S32,
+    _TAG8_4S16,
+    _NULL,
+    _TAG2_3SVARIABLE,
+}
+_ZERO, _PREVIOUS, _LINE, _AVERAGE, _MINTHROTTLE, _MOTOR_0, _INCREMENT, _1500, _VBATREF, _MINMOTOR = (
+    *(0, 1, 2, 3, 4, 5),
+    *(6, 8, 9, 11),
+)
+_PREDICTORS = {
+    _ZERO,
+    _PREVIOUS,
+    _LINE,
+    _AVERAGE,
+    _MINTHROTTLE,
+    _MOTOR_0,
+    _INCREMENT,
+    _1500,
+    _VBATREF,
+    _MINMOTOR,
+}
+# Where a frame cannot go on: the file ends within it, or its bytes are none.
+_CUT, _BROKEN = -1, -2
+_UINT32 = 0xFFFFFFFF
+_EVENT, _LOG_END = ord("E"), 255
+_END_OF_LOG = np.frombuffer(b"End of log", dtype=np.uint8)
+_NUMBER = re.compile(r"(-?[0-9]{1,10})|0x([0-9A-Fa-f]{1,8})")
+_TIME, _ITERATION = "time", "loopIteration"
+
+_Bytes = npt.NDArray[np.uint8]
+_Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class BlackboxLog:
+    """One flight.
+
+    Attributes:
+        headers: those that are whole numbers, by name.
+        columns: (N,) of the main frames, in the units of the log; `time` in µs goes on where its 32 bits end.
+        ended: whether the logger ended it.
+        damaged_at: place in the flight of the first byte that is part of no frame; None without one.
+        damaged_bytes: how many there are.
+    """
+
+    headers: Mapping[str, int]
+    columns: Mapping[str, Array]
+    ended: bool
+    damaged_at: int | None
+    damaged_bytes: int
+
+
+def decode_blackbox(flight: bytes, wanted: Sequence[str]) -> BlackboxLog:
+    """The wanted columns of one flight, those of them that it has.
+
+    Args:
+        flight: from its first header line on.
+        wanted: names of fields of the main frames; `time` is always read.
+
+    Raises:
+        LogError: for headers that do not describe its frames, or more frames than may be unpacked.
+    """
+    texts, start = _header(flight)
+    headers = {name: number for name, text in texts.items() if (number := _whole(text)) is not None}
+    names = texts.get("Field I name", "").split(",")
+    for name in (_TIME, _ITERATION):
+        if names.count(name) != 1:
+            raise LogError(f"its headers name the field {name} {names.count(name)} times, not once")
+    encoding = np.full((len(_KINDS), _FIELDS_MAX), _NULL, dtype=np.int64)
+    predictor, count = np.zeros_like(encoding), np.zeros(len(_KINDS), dtype=np.int64)
+    for place, kind in enumerate(_KINDS.decode()):
+        fields = len(names) if place in {_I, _P} else len(texts.get(f"Field {kind} encoding", "").split(","))
+        if place not in {_I, _P} and f"Field {kind} encoding" not in texts:
+            continue
+        count[place] = fields
+        encoding[place, :fields] = _described(texts, f"Field {kind} encoding", fields, _ENCODINGS)
+        # What the other frames hold is not asked for, only how long they are.
+        if place in {_I, _P}:
+            predictor[place, :fields] = _described(texts, f"Field {kind} predictor", fields, _PREDICTORS)
+    signed = np.zeros(_FIELDS_MAX, dtype=np.int64)
+    if "Field I signed" in texts:
+        signed[: len(names)] = _described(texts, "Field I signed", len(names), {0, 1})
+    if headers.get("Data version") != 2 and np.any(encoding == _TAG8_4S16):
+        raise LogError(f"its header says data version {texts.get('Data version', 'unknown')}; read is 2")
+    rules = _Rules(
+        encoding,
+        predictor,
+        count,
+        signed,
+        np.array([names.index(_TIME), names.index(_ITERATION), _place(names, "motor[0]")], dtype=np.int64),
+        np.array([*_intervals(texts), *_references(texts)], dtype=np.int64),
+    )
+    read = [_TIME, *(name for name in dict.fromkeys(wanted) if name in names and name != _TIME)]
+    chosen = np.array([names.index(name) for name in read], dtype=np.int64)
+    data = np.frombuffer(flight, dtype=np.uint8)
+    rows = _decode(data, start, rules, chosen, np.empty((0, len(read))))[0]
+    table: Array = np.empty((rows, len(read)))
+    require_unpackable(len(flight), table.nbytes)
+    _, ended, damaged_at, damaged = _decode(data, start, rules, chosen, table)
+    columns = dict(zip(read, np.ascontiguousarray(table.T), strict=True))
+    columns[_TIME] = np.unwrap(columns[_TIME], period=2.0**32)
+    return BlackboxLog(headers, columns, bool(ended), damaged_at if damaged else None, damaged)
+
+
+class _Rules(NamedTuple):
+    """How frames are made.
+
+    Attributes:
+        encoding, predictor: (5, F) of each field, by kind of frame as `_KINDS`.
+        sizes: (5,) how many fields; 0 for a kind that the log has not.
+        signed: (F,) whether a field of main frames is.
+        places: of the fields time, loopIteration and motor[0].
+        numbers: :func:`_intervals` and :func:`_references`.
+    """
+
+    encoding: _Integers
+    predictor: _Integers
+    sizes: _Integers
+    signed: _Integers
+    places: _Integers
+    numbers: _Integers
+
+
+def _header(flight: bytes) -> tuple[dict[str, str], int]:
+    """The header lines by name, and where the frames begin."""
+    texts: dict[str, str] = {}
+    position = 0
+    while flight.startswith(b"H ", position):
+        end = flight.find(b"\n", position, position + _HEADER_LINE_MAX)
+        line = flight[position:end]
+        # A frame of the kind H may begin alike.
+        if end < 0 or b":" not in line or not line.isascii():
+            break
+        name, _, text = line[2:].decode().partition(":")
+        texts[name] = text.strip()
+        position = end + 1
+    return texts, position
+
+
+def _whole(text: str) -> int | None:
+    match = _NUMBER.fullmatch(text)
+    if match is None:
+        return None
+    return int(match[1]) if match[1] else int(match[2], 16)
+
+
+def _described(texts: Mapping[str, str], name: str, fields: int, known: set[int]) -> list[int]:
+    """The numbers of a header line, one for each field."""
+    numbers = [_whole(text) for text in texts.get(name, "").split(",")]
+    if len(numbers) != fields or fields > _FIELDS_MAX:
+        raise LogError(f"its header `{name}` has {len(numbers)} entries for {fields} fields")
+    for number in numbers:
+        if number not in known:
+            raise LogError(f"its header `{name}` has an entry that is not known: {number}")
+    return [number for number in numbers if number is not None]
+
+
+def _place(names: Sequence[str], name: str) -> int:
+    return names.index(name) if name in names else 0
+
+
+def _intervals(texts: Mapping[str, str]) -> tuple[int, int, int]:
+    """Which iterations of the main loop are logged: one of N in an I frame, M of K in a P frame."""
+    first, _, second = texts.get("P interval", "1/1").partition("/")
+    # Early firmwares write a share, later ones the interval.
+    share = (first, second) if second else ("1", first)
+    found = [_whole(text) for text in (texts.get("I interval", "32"), *share)]
+    every, numerator, denominator = (1 if number is None or number < 1 else number for number in found)
+    return every, numerator, denominator
+
+
+def _references(texts: Mapping[str, str]) -> tuple[int, int, int]:
+    """Numbers that predictors refer to: minthrottle, vbatref, the lowest output of a motor."""
+    minimum, battery, output = (
+        _whole(texts.get(name, "").partition(",")[0]) or 0
+        for name in ("minthrottle", "vbatref", "motorOutput")
+    )
+    return minimum, battery, output
+
+
+@njit(cache=True)
+def _byte(data: _Bytes, position: int) -> int:
+    return np.int64(data[position])  # type: ignore[return-value]
+
+
+@njit(cache=True)
+def _unsigned(data: _Bytes, position: int) -> tuple[int, int]:
+    """A number of up to 32 bits, seven of them in each byte, the lowest first; and where it ends."""
+    value = 0
+    for shift in range(0, 35, 7):
+        if position >= len(data):
+            return 0, _CUT
+        byte = _byte(data, position)
+        position += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, position
+    return 0, _BROKEN
+
+
+@njit(cache=True)
+def _signed(data: _Bytes, position: int) -> tuple[int, int]:
+    """The same for numbers of which the lowest bit is the sign."""
+    value, position = _unsigned(data, position)
+    return (value >> 1) ^ -(value & 1), position
+
+
+@njit(cache=True)
+def _extended(value: int, bits: int) -> int:
+    """A number of so many bits, in two's complement."""
+    value &= (1 << bits) - 1
+    return value - (1 << bits) if value >> (bits - 1) else value
+
+
+@njit(cache=True)
+def _little(data: _Bytes, position: int, size: int) -> int:
+    value = 0
+    for k in range(size):
+        value |= _byte(data, position + k) << (8 * k)
+    return value
+
+
+@njit(cache=True)
+def _triple(data: _Bytes, position: int, variable: bool, values: _Integers) -> int:
+    """Three numbers of the size that the first two bits name; gives where they end."""
+    if position >= len(data):
+        return _CUT
+    lead = _byte(data, position)
+    size = lead >> 6
+    if size == 3:
+        position += 1
+        for k in range(3):
+            length = (lead >> (2 * k) & 3) + 1
+            if position + length > len(data):
+                return _CUT
+            values[k] = _extended(_little(data, position, length), 8 * length)
+            position += length
+        return position
+    if position + size >= len(data):
+        return _CUT
+    bits = 0
+    for k in range(size + 1):
+        bits = bits << 8 | _byte(data, position + k)
+    if size == 0:
+        values[0], values[1], values[2] = _extended(bits >> 4, 2), _extended(bits >> 2, 2), _extended(bits, 2)
+    elif size == 1 and variable:
+        values[0], values[1], values[2] = _extended(bits >> 9, 5), _extended(bits >> 4, 5), _extended(bits, 4)
+    elif size == 1:
+        values[0], values[1], values[2] = _extended(bits >> 8, 4), _extended(bits >> 4, 4), _extended(bits, 4)
+    elif variable:
+        values[0], values[1], values[2] = (
+            _extended(bits >> 14, 8),
+            _extended(bits >> 7, 7),
+            _extended(bits, 7),
+        )
+    else:
+        values[0], values[1], values[2] = (
+            _extended(bits >> 16, 6),
+            _extended(bits >> 8, 6),
+            _extended(bits, 6),
+        )
+    return position + size + 1
+
+
+@njit(cache=True)
+def _quadruple(data: _Bytes, position: int, values: _Integers) -> int:
+    """Four numbers of 0, 4, 8 or 16 bits, as the byte before them says; gives where they end."""
+    if position >= len(data):
+        return _CUT
+    sizes = _byte(data, position)
+    # In nibbles from here on, the higher one of a byte first.
+    nibble = 2 * (position + 1)
+    for k in range(4):
+        tag = sizes >> (2 * k) & 3
+        length = 0 if tag == 0 else 1 << (tag - 1)
+        if nibble + length > 2 * len(data):
+            return _CUT
+        value = 0
+        for _ in range(length):
+            byte = _byte(data, nibble >> 1)
+            value = value << 4 | (byte & 0xF if nibble & 1 else byte >> 4)
+            nibble += 1
+        values[k] = _extended(value, 4 * length) if length else 0
+    return (nibble + 1) >> 1
+
+
+@njit(cache=True)
+def _fields(data: _Bytes, position: int, encoding: _Integers, count: int, values: _Integers) -> int:
+    """What each field of a frame adds to its prediction; gives where the frame ends."""
+    some = np.zeros(4, dtype=np.int64)
+    place = 0
+    while place < count and position >= 0:
+        kind, group = encoding[place], 1
+        if kind == _SIGNED_VB:
+            values[place], position = _signed(data, position)
+        elif kind == _UNSIGNED_VB:
+            values[place], position = _unsigned(data, position)
+        elif kind == _NEG_14BIT:
+            value, position = _unsigned(data, position)
+            values[place] = -_extended(value, 14)
+        elif kind == _TAG8_8SVB:
+            while group < 8 and place + group < count and encoding[place + group] == _TAG8_8SVB:
+                group += 1
+            there = 1
+            if group > 1:
+                if position >= len(data):
+                    return _CUT
+                there = _byte(data, position)
+                position += 1
+            for k in range(group):
+                values[place + k] = 0
+                if there >> k & 1 and position >= 0:
+                    values[place + k], position = _signed(data, position)
+        elif kind in (_TAG2_3S32, _TAG2_3SVARIABLE, _TAG8_4S16):
+            if kind == _TAG8_4S16:
+                group = 4
+                position = _quadruple(data, position, some)
+            else:
+                group = 3
+                position = _triple(data, position, kind == _TAG2_3SVARIABLE, some)
+            group = min(group, count - place)
+            values[place : place + group] = some[:group]
+        else:
+            values[place] = 0
+        place += group
+    return position
+
+
+@njit(cache=True)
+def _event(data: _Bytes, position: int) -> tuple[int, bool]:
+    """Where an event ends, and whether it is the end of the log."""
+    if position >= len(data):
+        return _CUT, False
+    kind = data[position]
+    position += 1
+    if kind == _LOG_END:
+        for k in range(len(_END_OF_LOG)):
+            if position + k >= len(data):
+                return _CUT, False
+            if data[position + k] != _END_OF_LOG[k]:
+                return _BROKEN, False
+        return position + len(_END_OF_LOG), True
+    # Beep, resumed, disarmed, other modes of flight: one or two numbers.
+    if kind in (0, 15):
+        return _unsigned(data, position)[1], False
+    if kind in (14, 30):
+        position = _unsigned(data, position)[1]
+        return (_unsigned(data, position)[1] if position >= 0 else position), False
+    if kind == 13:
+        # A setting that was changed in flight, of single precision where the highest bit says so.
+        if position >= len(data):
+            return _CUT, False
+        if data[position] < 0x80:
+            return _unsigned(data, position + 1)[1], False
+        return (position + 5 if position + 5 <= len(data) else _CUT), False
+    return _BROKEN, False
+
+
+@njit(cache=True)
+def _kind(byte: int) -> int:
+    for k in range(len(_KINDS)):
+        if _KINDS[k] == byte:
+            return k
+    return -1
+
+
+@njit(cache=True)
+def _step(iteration: int, every: int, numerator: int, denominator: int) -> int:
+    """From an iteration of the main loop to the next one that is logged."""
+    since = iteration % every
+    phase = (since + numerator - 1) % denominator
+    to_next = 1 if (phase + 1) % denominator < numerator else denominator - phase
+    return min(to_next, every - since)
+
+
+@njit(cache=True)
+def _predict(values: _Integers, before: _Integers, earlier: _Integers, rules: _Rules, kind: int) -> None:
+    """Add to each value of a main frame what was predicted from the two frames before it and the headers."""
+    every, numerator, denominator, minthrottle, vbatref, minmotor = rules.numbers
+    for place in range(rules.sizes[kind]):
+        rule, value = rules.predictor[kind, place], values[place]
+        if rule == _PREVIOUS:
+            value += before[place]
+        elif rule == _LINE:
+            value += 2 * before[place] - earlier[place]
+        elif rule == _AVERAGE:
+            # To zero, as the firmware divides.
+            total = before[place] + earlier[place]
+            value += total // 2 if total >= 0 else -(-total // 2)
+        elif rule == _MINTHROTTLE:
+            value += minthrottle
+        elif rule == _MOTOR_0:
+            value += values[rules.places[2]]
+        elif rule == _INCREMENT:
+            value += before[place] + _step(before[place], every, numerator, denominator)
+        elif rule == _1500:
+            value += 1500
+        elif rule == _VBATREF:
+            value += vbatref
+        elif rule == _MINMOTOR:
+            value += minmotor
+        value &= _UINT32
+        values[place] = _extended(value, 32) if rules.signed[place] else value
+
+
+@njit(cache=True)
+def _frame(data: _Bytes, position: int, rules: _Rules, values: _Integers) -> int:
+    """Step over a frame or an event, with what its fields add to their predictions; gives where it ends.
+
+    It is broken as well if nothing begins where it ends but the file ends not there either.
+    """
+    kind, count = _kind(data[position]), rules.sizes
+    if data[position] == _EVENT:
+        stop, last = _event(data, position + 1)
+        if last:
+            return stop
+    elif kind >= 0 and count[kind] > 0:
+        stop = _fields(data, position + 1, rules.encoding[kind], count[kind], values)
+    else:
+        return _BROKEN
+    if stop < 0 or stop == len(data) or data[stop] == _EVENT:
+        return stop
+    following = _kind(data[stop])
+    return stop if following >= 0 and count[following] > 0 else _BROKEN
+
+
+@njit(cache=True)
+def _goes_on(since: int, now: int, most: int) -> bool:
+    """Whether a counter of 32 bits has not gone back, and not by more than `most`."""
+    return (now - since) & _UINT32 <= most
+
+
+@njit(cache=True)
+def _decode(
+    data: _Bytes,
+    position: int,
+    rules: _Rules,
+    chosen: _Integers,
+    table: Array,
+) -> tuple[int, bool, int, int]:
+    """Fill a table with the chosen fields of the main frames, as far as it has rows.
+
+    Returns:
+        How many main frames there are, whether the log has an end, the first damaged byte, and how many
+        there are.
+    """
+    time, iteration, _ = rules.places
+    values = np.zeros(rules.encoding.shape[1], dtype=np.int64)
+    before, earlier = np.zeros_like(values), np.zeros_like(values)
+    rows, damaged_at, damaged, reread = 0, 0, 0, 0
+    # Whether P frames have something to build on; the time of an I frame that was refused for it.
+    builds, refused = False, -1
+    while position < len(data):
+        stop = _frame(data, position, rules, values)
+        if stop == _CUT:
+            break
+        kind, whole = _kind(data[position]), stop >= 0
+        if whole and (kind == _I or (kind == _P and builds)):
+            _predict(values, before, earlier, rules, kind)
+            whole = rows == 0 or (
+                _goes_on(before[time], values[time], _LEAP_MAX_US)
+                and _goes_on(before[iteration], values[iteration], _UINT32 >> 1)
+            )
+            # Two I frames that agree are right, and the one before them was not.
+            if not whole and kind == _I:
+                whole = refused >= 0 and _goes_on(refused, values[time], _LEAP_MAX_US)
+                refused = values[time]
+            if whole:
+                builds, refused = True, -1
+                earlier[:] = values if kind == _I else before
+                before[:] = values
+                if rows < len(table):
+                    for column in range(len(chosen)):
+                        table[rows, column] = values[chosen[column]]
+                rows += 1
+        if whole:
+            if data[position] == _EVENT and data[position + 1] == _LOG_END:
+                return rows, True, damaged_at, damaged
+            position = stop
+            continue
+        if damaged == 0:
+            damaged_at = position
+        builds = False
+        damaged += 1
+        reread += max(rules.sizes[kind] if kind >= 0 else 0, 1)
+        position += 1
+        if reread > _REREAD_MAX * len(data):
+            damaged += len(data) - position
+            break
+    return rows, False, damaged_at, damaged

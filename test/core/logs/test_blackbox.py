@@ -1,0 +1,345 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Blackbox frames: every encoding and predictor, damage, and a real log value by value."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadpi_core.errors import LogError
+from quadpi_core.logs.blackbox import decode_blackbox
+
+END = b"E\xffEnd of log\x00"
+# Nothing but what any flight has.
+PLAIN = {"loopIteration": (0, 1, 6, 9), "time": (0, 1, 2, 0)}
+
+
+def log(fields, frames, *, more=(), end=END):
+    """A flight of fields name: (predictor, encoding of I; of P), and the bytes of its frames."""
+    names, columns = list(fields), list(zip(*fields.values(), strict=True))
+    lines = ["Product:Blackbox flight data recorder by Nicholas Sherlock", "Data version:2"]
+    lines.append(f"Field I name:{','.join(names)}")
+    # All are signed but the first two.
+    lines.append(f"Field I signed:{','.join(str(int(k > 1)) for k in range(len(names)))}")
+    kinds = ("I predictor", "I encoding", "P predictor", "P encoding")
+    for kind, numbers in zip(kinds, columns, strict=True):
+        lines.append(f"Field {kind}:{','.join(map(str, numbers))}")
+    lines += more
+    return "".join(f"H {line}\n" for line in lines).encode() + b"".join(frames) + end
+
+
+def unsigned(value):
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*out, value])
+
+
+def signed(value):
+    return unsigned((value << 1 ^ value >> 31) & 0xFFFFFFFF)
+
+
+def intra(iteration, time, rest=b""):
+    return b"I" + unsigned(iteration) + unsigned(time) + rest
+
+
+def inter(jerk=0, rest=b""):
+    """`jerk`: how far the time is off a straight line."""
+    return b"P" + signed(jerk) + rest
+
+
+def read(data, *names):
+    found = decode_blackbox(data, names)
+    assert found.damaged_at is None
+    return [found.columns[name].tolist() for name in names]
+
+
+def test_times_and_iterations_of_frames_that_carry_neither():
+    data = log(
+        PLAIN, [intra(0, 1000), inter(500), inter(-3), inter(3)], more=["I interval:32", "P interval:8"]
+    )
+    found = decode_blackbox(data, ["loopIteration"])
+    assert found.columns["loopIteration"].tolist() == [0.0, 8.0, 16.0, 24.0]
+    assert found.columns["time"].tolist() == [1000.0, 1500.0, 1997.0, 2497.0]
+    assert found.ended
+    assert found.headers["I interval"] == 32
+
+
+@pytest.mark.parametrize(
+    ("share", "logged"),
+    # The table of the documentation.
+    [
+        ("1/6", "I.....P.....P.....P.....P.....P.I"),
+        ("2/3", "I.PP.PP.PP.PP.PP.PP.PP.PP.PP.PP.I"),
+        ("5/6", "I.PPPPP.PPPPP.PPPPP.PPPPP.PPPPP.I"),
+        ("1/1", "IPPPPPPPPPPPPPPPPPPPPPPPPPPPPPPPI"),
+    ],
+)
+def test_which_iterations_are_logged(share, logged):
+    expected = [k for k, kind in enumerate(logged) if kind != "."]
+    frames = [intra(0, 0), *(inter(k == 0) for k in range(len(expected) - 2)), intra(32, 99)]
+    (found,) = read(
+        log(PLAIN, frames, more=["I interval:32", f"P interval:{share}"]),
+        "loopIteration",
+    )
+    assert found == expected
+
+
+VALUES = st.integers(-(2**31), 2**31 - 1)
+
+
+# The bits of three values A, B and C, by encoding; the shortest form that holds them is taken.
+FORMS = {
+    7: ("00AABBCC", "0100AAAABBBBCCCC", "10AAAAAA00BBBBBB00CCCCCC"),
+    10: ("00AABBCC", "01AAAAABBBBBCCCC", "10AAAAAAAABBBBBBBCCCCCCC"),
+}
+
+
+def triple(values, encoding):
+    for form in FORMS[encoding]:
+        bits, room = form, {letter: form.count(letter) for letter in "ABC"}
+        for value, (letter, count) in zip(values, room.items(), strict=True):
+            if -(1 << (count - 1)) <= value < 1 << (count - 1):
+                bits = bits.replace(letter * count, f"{value & (1 << count) - 1:0{count}b}")
+        if not set(bits) & set(room):
+            return int(bits, 2).to_bytes(len(bits) // 8, "big")
+    lengths = [next(n for n in (1, 2, 3, 4) if -(1 << (8 * n - 1)) <= v < 1 << (8 * n - 1)) for v in values]
+    lead = 0xC0 | sum((n - 1) << 2 * k for k, n in enumerate(lengths))
+    parts = (v.to_bytes(n, "little", signed=True) for v, n in zip(values, lengths, strict=True))
+    return bytes([lead]) + b"".join(parts)
+
+
+def quadruple(values):
+    sizes = [
+        0 if v == 0 else next(tag for tag, b in ((1, 4), (2, 8), (3, 16)) if -(1 << b - 1) <= v < 1 << b - 1)
+        for v in values
+    ]
+    digits = "".join(
+        f"{v & (1 << b) - 1:0{b // 4}x}"
+        for v, b in zip(values, ((0, 4, 8, 16)[tag] for tag in sizes), strict=True)
+        if b
+    )
+    head = sum(tag << 2 * k for k, tag in enumerate(sizes))
+    return bytes([head]) + bytes.fromhex(digits + "0" * (len(digits) % 2))
+
+
+def eight(values):
+    if len(values) == 1:
+        return signed(values[0])
+    head = sum((value != 0) << k for k, value in enumerate(values))
+    return bytes([head]) + b"".join(signed(value) for value in values if value)
+
+
+ENCODERS = {
+    0: lambda values: b"".join(map(signed, values)),
+    6: eight,
+    7: lambda values: triple(values, 7),
+    8: quadruple,
+    10: lambda values: triple(values, 10),
+}
+SIZES = {0: 2, 6: 8, 7: 3, 8: 4, 10: 3}
+
+
+def test_encoders_of_this_test_give_the_bytes_of_the_documentation():
+    assert unsigned(23456) == b"\xa0\xb7\x01"
+    assert signed(-2147483648) == unsigned(4294967295)
+    assert eight([0, 0, 4, 0, 4])[:1] == b"\x14"
+    assert quadruple([13, 0, 4, 2]) == bytes([0b01010010, 0x0D, 0x42])
+    assert triple([1, -2, -1], 7) == bytes([0b00011011])
+
+
+@pytest.mark.parametrize("encoding", ENCODERS)
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_every_value_of_every_encoding(encoding, data):
+    most = data.draw(st.sampled_from([1, 7, 15, 31, 100, 30000] + [2**23, 2**31 - 1] * (encoding != 8)))
+    size = data.draw(st.integers(1, 8)) if encoding == 6 else SIZES[encoding]
+    values = data.draw(st.lists(st.integers(-most - 1, most), min_size=size, max_size=size))
+    names = [f"f{k}" for k in range(size)]
+    fields = PLAIN | dict.fromkeys(names, (0, encoding, 0, encoding))
+    found = read(log(fields, [intra(0, 5, ENCODERS[encoding](values))]), *names)
+    assert found == [[value] for value in values]
+
+
+def test_numbers_without_sign_of_14_bits_and_none_at_all():
+    fields = PLAIN | {"battery": (9, 3, 1, 3), "fixed": (8, 9, 0, 9), "big": (0, 1, 0, 1)}
+    rest = unsigned(40) + unsigned(2**31 - 1)
+    rises = unsigned(-5 & 0x3FFF) + unsigned(7)
+    data = log(fields, [intra(0, 1, rest), inter(1, rises)], more=["vbatref:2466"])
+    assert read(data, "battery", "fixed", "big") == [[2426, 2431], [1500, 0], [2**31 - 1, 7]]
+
+
+def test_predictors():
+    fields = PLAIN | {
+        "last": (0, 0, 1, 0),
+        "line": (0, 0, 2, 0),
+        "mean": (0, 0, 3, 0),
+        "motor[0]": (11, 0, 3, 0),
+        "motor[1]": (5, 0, 3, 0),
+        "old": (4, 0, 0, 0),
+    }
+
+    def rest(*values):
+        return b"".join(map(signed, values))
+
+    frames = [
+        intra(0, 1, rest(10, 20, 3, 1, 2, 5)),
+        inter(1, rest(1, 4, -7, 0, 0, 0)),
+        inter(0, rest(1, 4, 0, 1, 2, 0)),
+        inter(0, rest(0, 0, 0, 0, 0, 0)),
+    ]
+    data = log(fields, frames, more=["minthrottle:1070", "motorOutput:158,2047"])
+    last, line, mean, first, second, old = read(data, *list(fields)[2:])
+    assert last == [10, 11, 12, 12]
+    assert line == [20, 24, 32, 40]
+    # (3 − 4) / 2 is 0, as the firmware divides.
+    assert mean == [3, -4, 0, -2]
+    assert (first, second) == ([159, 159, 160, 159], [161, 161, 163, 162])
+    assert old == [1075, 0, 0, 0]
+
+
+def test_frames_that_are_not_of_the_main_loop_are_stepped_over():
+    more = ["Field S name:mode,state", "Field S signed:0,0", "Field S predictor:0,0", "Field S encoding:1,1"]
+    more += ["Field H name:a,b", "Field H encoding:0,0", "Field G name:time,n", "Field G encoding:1,1"]
+    events = [
+        b"E\x00\x05",
+        b"E\x0d\x03\x09",
+        b"E\x0d\x83abcd",
+        b"E\x0e\x05\x06",
+        b"E\x0f\x04",
+        b"E\x1e\x01\x00",
+    ]
+    others = [b"S\x01\x02", b"H\x01\x02", b"G\x49\x50", *events]
+    frames = [
+        intra(0, 100),
+        *(part for other in others for part in (other, inter(10 * (other == others[0])))),
+    ]
+    (times,) = read(log(PLAIN, frames, more=more), "time")
+    assert times == [100.0 + 10 * k for k in range(len(others) + 1)]
+
+
+def test_time_goes_on_where_its_bits_end():
+    (times,) = read(log(PLAIN, [intra(0, 2**32 - 10), inter(7), inter(), intra(32, 11)]), "time")
+    assert np.diff(times).tolist() == [7.0, 7.0, 7.0]
+
+
+@pytest.mark.parametrize("end", [b"", b"E", b"E\xffEnd o", b"P", b"I\x80"])
+def test_a_log_without_its_end_is_read_to_the_last_whole_frame(end):
+    found = decode_blackbox(log(PLAIN, [intra(0, 5), inter(3)], end=end), [])
+    assert found.columns["time"].tolist() == [5.0, 8.0]
+    assert not found.ended
+
+
+def test_what_rests_on_damage_is_left_out():
+    whole = [intra(0, 1000), inter(10), inter(), inter(), intra(32, 1040), inter(10)]
+    start = len(log(PLAIN, [], end=b""))
+    damaged = log(PLAIN, [*whole[:2], b"P\xff\xff\xff\xff\xff\xff", *whole[3:]])
+    found = decode_blackbox(damaged, [])
+    assert found.columns["time"].tolist() == [1000.0, 1010.0, 1040.0, 1050.0]
+    assert found.damaged_at == start + len(whole[0] + whole[1])
+    assert found.damaged_bytes > 0
+    assert found.ended
+
+
+def test_one_wrong_time_does_not_cost_the_rest():
+    leap = 40_000_000
+    frames = [intra(0, 1000), intra(32, 1500 + leap), *(intra(32 * k, 1000 + 500 * k) for k in range(2, 6))]
+    assert decode_blackbox(log(PLAIN, frames), []).columns["time"].tolist() == [
+        *(1000.0, 2000.0, 2500.0),
+        *(3000.0, 3500.0),
+    ]
+    # A logger that was paused goes on at a later time; only the first frame after it is missing.
+    frames = [intra(0, 1000), *(intra(32 * k, leap + 500 * k) for k in range(1, 5))]
+    assert np.diff(decode_blackbox(log(PLAIN, frames), []).columns["time"]).tolist() == [leap, 500.0, 500.0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            b"Field I name:loopIteration,time",
+            b"Field I name:loopIteration,when",
+            "name the field time 0 times",
+        ),
+        (b"Field I name:loopIteration,time", b"Field I name:time,time", "name the field time 2 times"),
+        (b"Field P encoding:9,0", b"Field P encoding:9", "`Field P encoding` has 1 entries for 2 fields"),
+        (b"Field P encoding:9,0", b"Field P encoding:9,4", "has an entry that is not known: 4"),
+        (b"Field I predictor:0,0", b"Field I predictor:0,x", "has an entry that is not known: None"),
+        (b"H Field P predictor:6,2\n", b"", "`Field P predictor` has 1 entries for 2 fields"),
+    ],
+)
+def test_headers_that_do_not_describe_the_frames(old, new, message):
+    data = log(PLAIN, [intra(0, 5)])
+    assert old in data
+    with pytest.raises(LogError, match=message):
+        decode_blackbox(data.replace(old, new), [])
+
+
+def test_intervals_that_no_firmware_writes():
+    for more in (
+        ["I interval:0", "P interval:0/0"],
+        ["I interval:-5", "P interval:4000000000/7"],
+        ["I interval:"],
+    ):
+        found = decode_blackbox(log(PLAIN, [intra(0, 5), inter(2), inter()], more=more), [])
+        assert found.columns["time"].tolist() == [5.0, 7.0, 9.0]
+
+
+def test_frames_of_one_byte_cannot_fill_the_memory(monkeypatch):
+    fields = dict.fromkeys(("loopIteration", "time", *(f"f{k}" for k in range(30))), (0, 9, 0, 9))
+    monkeypatch.setenv("QUADPI_UNPACKED_MIB", "1")
+    data = log(fields, [b"I" * 100_000])
+    with pytest.raises(LogError, match="unpacks to 25 MiB or more"):
+        decode_blackbox(data, list(fields))
+
+
+@pytest.mark.parametrize(
+    "piece", [b"I", b"IP", b"P\x80", b"I\xff\xff\xff\xff\xff", b"E\xffEnd of lo", b"S\x80"]
+)
+def test_long_damage_ends(piece):
+    fields = PLAIN | {f"f{k}": (0, 0, 1, 7 if k % 3 else 6) for k in range(200)}
+    data = log(fields, [piece * (2_000_000 // len(piece))], more=["Field S name:a", "Field S encoding:1"])
+    found = decode_blackbox(data, [])
+    assert found.damaged_bytes <= len(data)
+
+
+@settings(max_examples=300, deadline=None)
+@given(data=st.data())
+def test_any_bytes_are_read_or_refused(data):
+    fields = PLAIN | {f"f{k}": (0, (7, 8, 10)[k % 3], 1, 6) for k in range(9)}
+    rest = ENCODERS[0]
+    flight = bytearray(
+        log(fields, [intra(32 * k, 500 * k, rest([k] * 9)) + inter(1, b"\x00\x00") for k in range(9)])
+    )
+    for place in data.draw(st.lists(st.integers(70, len(flight) - 1), max_size=12)):
+        flight[place] = data.draw(st.integers(0, 255))
+    cut = bytes(flight[: data.draw(st.integers(70, len(flight)))])
+    try:
+        found = decode_blackbox(cut, list(fields))
+    except LogError:
+        return
+    assert all(np.isfinite(column).all() for column in found.columns.values())
+
+
+# Of what orangebox 0.4.0 reads of the log, all 4280 frames of 171 fields as 64-bit integers.
+KNOWN = "d83915113eef576c2bbb8448fd7b82763e3b67f1e496314a73f80d39c808699d"
+
+
+def test_a_real_log_value_by_value(shared_data: Path):
+    path = shared_data / "indiflight" / "LOG00258.BFL"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    flight = path.read_bytes()
+    start = flight.index(b"Field I name:") + len(b"Field I name:")
+    names = flight[start : flight.index(b"\n", start)].decode().split(",")
+    found = decode_blackbox(flight, names)
+    assert (found.ended, found.damaged_at) == (True, None)
+    table = np.stack([found.columns[name] for name in names], axis=1).astype(np.int64)
+    assert hashlib.sha256(table.tobytes()).hexdigest() == KNOWN
