@@ -237,9 +237,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             str(model),
         ]
         subprocess.run(command, check=True)
-    before, trace = read(FOLDER), make_trace(model)
-    write(trace, FOLDER)
-    print("\n".join(compare(before, trace)) or "the golden trace is as it was")
+    trace = make_trace(model)
+    changes = compare(read(FOLDER), trace)
+    if changes:
+        write(trace, FOLDER)
+    print("\n".join(changes) or "the golden trace is as it was")
     return 0
 
 

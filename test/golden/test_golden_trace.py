@@ -94,3 +94,22 @@ def test_rows_columns_and_tables_of_one_trace_alone_are_named(tool):
         "alarm: level: only in the golden trace",
         "state: 3 of 20 rows only in the golden trace, from t = 1.7 s on",
     ]
+
+
+def test_files_are_left_alone_where_nothing_changed(tool, tmp_path, monkeypatch, capsys):
+    """Another processor rounds differently: the last digit of a file may differ, and that is no change."""
+    (tmp_path / "model").mkdir()
+    tool.write(example(), tmp_path)
+    before = {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in tmp_path.glob("*.csv")}
+    rounded = example()
+    rounded["state"]["u"] = rounded["state"]["u"] * (1.0 + 1e-5)
+    monkeypatch.setattr(tool, "FOLDER", tmp_path)
+    monkeypatch.setattr(tool, "make_trace", lambda _: rounded)
+    assert tool.main([]) == 0
+    assert capsys.readouterr().out == "the golden trace is as it was\n"
+    assert {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in tmp_path.glob("*.csv")} == before
+
+    rounded["state"]["u"] = rounded["state"]["u"] + 0.5
+    assert tool.main([]) == 0
+    assert "state: u: 20 of 20 rows" in capsys.readouterr().out
+    assert tool.compare(rounded, tool.read(tmp_path)) == []
