@@ -33,6 +33,7 @@ from quadpi_core.paths import whole_output
 from quadpi_ros.adapters import AdapterError, message_class
 from quadpi_ros.discovery import DiscoveryError, await_listeners
 from quadpi_ros.runtime import SENSOR_QOS, run
+from quadpi_ros.sources import adapters_of
 
 SENSOR_TYPES: dict[str, type] = {
     "imu": Imu,
@@ -180,6 +181,50 @@ def playable(path: Path) -> list[str]:
         except AdapterError as error:
             print(f"quadpi: {path}: cannot be played: {error}", file=sys.stderr)
     return standard + adapted
+
+
+@dataclass(frozen=True)
+class LiveInputs:
+    """What the live nodes take from a bag.
+
+    Attributes:
+        rotor_topic, mocap_topic: their parameters of these names.
+        topics: to play, as the player names them.
+    """
+
+    rotor_topic: str
+    mocap_topic: str
+    topics: tuple[str, ...]
+
+
+def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
+    """What the live nodes listen to so that they hear a bag: of several topics of a kind, the first.
+
+    Args:
+        path: of the bag.
+        topics: standard names and keys of `ADAPTERS` to choose from; all that can be played without them.
+
+    Raises:
+        LogError: if the bag cannot be read.
+        PlayerError: if it lacks a kind of input, or cannot be played; see :meth:`Playlist.read`.
+    """
+    names = topics or playable(path)
+
+    def first_of(standard: Sequence[str], kind: str) -> str:
+        candidates = (*standard, *adapters_of(kind))
+        found = next((name for name in candidates if name in names), None)
+        if found is None:
+            raise PlayerError(
+                f"{path}: topic {standard[0]}: the live nodes need it or one of {', '.join(candidates[1:])}; "
+                f"the bag does not hold it"
+            )
+        return found
+
+    imu = first_of(_STANDS_IN_FOR["imu"], "imu")
+    rotors = first_of(_STANDS_IN_FOR["rotor_speeds"], "rotor_speeds")
+    mocap = first_of(_STANDS_IN_FOR["mocap"], "mocap")
+    optional = [name for name in ("wind",) if name in names]
+    return LiveInputs(rotors, mocap, (imu, rotors, mocap, *optional))
 
 
 def _topic_of(bag: Bag, name: str) -> str | None:

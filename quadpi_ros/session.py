@@ -22,8 +22,7 @@ from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.ekf_initial import COLLECT_NS
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_ros.collector import AlarmChange, Collector
-from quadpi_ros.estimator_node import MOCAP_TOPICS
-from quadpi_ros.player import Playlist
+from quadpi_ros.player import Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain
 
 # The first start on a machine compiles the kernels.
@@ -98,7 +97,7 @@ def run_session(
     end with the call, however it ends.
 
     Args:
-        bag: with imu, mocap/pose and rotor_speeds or erpm.
+        bag: with the standard topics imu, motion capture and rotor speeds.
         model: folder of a model of the vehicle.
         vehicle: name of its vehicle file, or a path.
         rate: speed of the replay; 1 is real time.
@@ -106,33 +105,29 @@ def run_session(
         on_alarm: called at every change of the alarm as it comes.
 
     Raises:
-        SessionError: if the bag lacks a topic, or no prediction comes.
+        PlayerError: if the bag lacks a topic.
+        SessionError: if no prediction comes.
         ChildError: if a process fails.
         LogError: if the bag cannot be read.
     """
-    playlist = Playlist.read(bag)
-    rotor_topic = "rotor_speeds" if "rotor_speeds" in playlist.names else "erpm"
-    stamps = {name: unpack_stamps(topic.payloads) for name, topic in playlist.by_name().items()}
-    mocap_topic = next((topic for topic in MOCAP_TOPICS if topic in playlist.names), MOCAP_TOPICS[0])
-    for topic in ("imu", rotor_topic, mocap_topic):
-        if len(stamps.get(topic, ())) < 2:
-            raise SessionError(f"{bag}: topic {topic}: the live nodes need it, the bag does not hold it")
+    inputs = live_inputs(bag, Playlist.read(bag).names)
+    recorded = Playlist.read(bag, inputs.topics).by_name()
+    stamps = {name: unpack_stamps(topic.payloads) for name, topic in recorded.items()}
     all_parameters = {
         "vehicle": vehicle,
         "model": str(model),
         "imu_rate_hz": nominal_rate(stamps["imu"]),
-        "rotor_topic": rotor_topic,
-        "mocap_topic": mocap_topic,
+        "rotor_topic": inputs.rotor_topic,
+        "mocap_topic": inputs.mocap_topic,
         **(parameters or {}),
     }
-    played = [name for name in playlist.names if name in ("imu", rotor_topic, mocap_topic, "wind")]
     with isolated_domain() as folder, Collector(int(stamps["imu"][0]), on_alarm) as collector:
         parameter_file = folder / "parameters.yaml"
         parameter_file.write_text(yaml.safe_dump({"/**": {"ros__parameters": all_parameters}}))
         with Child("quadpi_ros.live", ("--ros-args", "--params-file", str(parameter_file)), folder) as live:
             await_start(live, collector)
-            sent = play(bag, played, rate, folder, live, collector)
-        return _result(bag, collector, sent["imu"], stamps[rotor_topic])
+            sent = play(bag, inputs.topics, rate, folder, live, collector)
+        return _result(bag, collector, sent["imu"], stamps[inputs.rotor_topic])
 
 
 def await_start(nodes: Child, collector: Collector) -> None:

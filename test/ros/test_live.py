@@ -29,8 +29,9 @@ from quadpi_core.vehicle import Vehicle
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
 from quadpi_ros.collector import AlarmChange, Collector
+from quadpi_ros.player import PlayerError
 from quadpi_ros.processes import ChildError
-from quadpi_ros.session import SessionError, SessionResult, run_session
+from quadpi_ros.session import SessionResult, run_session
 
 VEHICLE = "neurobem"
 OUTSIDE_FROM_S = 2.3
@@ -222,5 +223,5 @@ def test_a_missing_model_is_one_line_and_leaves_nothing_behind(folder: Path) -> 
 
 
 def test_a_bag_without_mocap_is_refused(folder: Path) -> None:
-    with pytest.raises(SessionError, match=r"blind\.mcap: topic mocap/pose"):
+    with pytest.raises(PlayerError, match=r"blind\.mcap: topic mocap/pose"):
         run_session(folder / "blind.mcap", folder / "model", vehicle=VEHICLE)

@@ -1,18 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters, launch files and the errors of the programs, as a user meets them."""
+"""Parameters and the errors of the programs, as a user meets them."""
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
-from unittest.mock import MagicMock
 
 import pytest
 import yaml
@@ -192,94 +190,6 @@ def test_alarm_follower_tells_changes_from_repetition() -> None:
     assert [change is not None for change in changes] == [False, True, True, False, True, False, True, False]
     assert changes[4].time_s == pytest.approx(0.4)
     assert changes[4].inputs_outside == ("p", "u")
-
-
-class RecordingModules:
-    """Stand-ins for launch and launch_ros, which have no wheels: every class records its calls."""
-
-    NAMES = (
-        "ament_index_python",
-        "ament_index_python.packages",
-        "launch",
-        "launch.actions",
-        "launch.conditions",
-        "launch.event_handlers",
-        "launch.events",
-        "launch.launch_description_sources",
-        "launch.substitutions",
-        "launch_ros",
-        "launch_ros.actions",
-        "launch_ros.parameter_descriptions",
-    )
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        modules = {name: MagicMock(name=name) for name in self.NAMES}
-        modules["ament_index_python.packages"].get_package_share_directory.return_value = str(ROOT)
-        modules["launch.substitutions"].LaunchConfiguration.side_effect = lambda name: f"${name}"
-        sources = modules["launch.launch_description_sources"]
-        sources.PythonLaunchDescriptionSource.side_effect = lambda path: path
-        self.declare = modules["launch.actions"].DeclareLaunchArgument
-        self.include = modules["launch.actions"].IncludeLaunchDescription
-        self.node = modules["launch_ros.actions"].Node
-        for name, module in modules.items():
-            monkeypatch.setitem(sys.modules, name, module)
-
-    def arguments(self) -> set[str]:
-        return {call.args[0] for call in self.declare.call_args_list}
-
-
-def load(name: str) -> ModuleType:
-    specification = importlib.util.spec_from_file_location(name, ROOT / "launch" / f"{name}.launch.py")
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
-
-
-def programs() -> set[str]:
-    """What CMakeLists.txt installs for `ros2 run` and launch files."""
-    text = (ROOT / "CMakeLists.txt").read_text()
-    (names,) = [line for line in text.splitlines() if line.strip().startswith("foreach(NODE ")]
-    return set(names.strip().removeprefix("foreach(NODE ").rstrip(")").split())
-
-
-def test_monitor_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    fakes = RecordingModules(monkeypatch)
-    load("monitor").generate_launch_description()
-    names = {"vehicle", "model", "parameters", "namespace", "separate", "autostart", "use_sim_time"}
-    topics = {argument for argument in fakes.arguments() if argument.endswith("_topic")}
-    assert fakes.arguments() == names | topics
-    known = {
-        "live": NODES["estimator"].__annotations__ | NODES["monitor"].__annotations__,
-        "estimator_node": NODES["estimator"].__annotations__,
-        "monitor_node": NODES["monitor"].__annotations__,
-    }
-    started = {call.kwargs["executable"]: call.kwargs for call in fakes.node.call_args_list}
-    assert started.keys() == known.keys() <= programs()
-    for executable, settings in started.items():
-        file, given = settings["parameters"]
-        assert file == "$parameters"
-        assert given.keys() == (FROM_LAUNCH | {"autostart"}) & known[executable].keys() | {"use_sim_time"}
-        assert {f"{topic.replace('/', '_')}_topic" for topic, _ in settings["remappings"]} == topics
-        assert settings["namespace"] == "$namespace"
-    (default,) = [
-        c.kwargs["default_value"] for c in fakes.declare.call_args_list if c.args[0] == "parameters"
-    ]
-    assert Path(default).is_file()
-
-
-def test_replay_launch_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    fakes = RecordingModules(monkeypatch)
-    load("replay").generate_launch_description()
-    assert fakes.arguments() == {"bag", "rate", "namespace"}
-    ((included,),) = [call.args for call in fakes.include.call_args_list]
-    assert Path(included).is_file()
-    (player,) = [call.kwargs for call in fakes.node.call_args_list]
-    assert player["executable"] in programs()
-    from quadpi_ros.player import SENSOR_TYPES, parse_arguments
-
-    assert {topic for topic, _ in player["remappings"]} == SENSOR_TYPES.keys()
-    given = [argument.replace("$rate", "2.0") for argument in player["arguments"]]
-    assert parse_arguments(given).rate == 2.0
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,291 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch files share: their arguments, the live nodes, and what becomes of a program that ends."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import yaml
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch.events import Shutdown
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from quadpi_core.errors import QuadpiError
+from quadpi_core.paths import config_directory
+from quadpi_ros.mavlink_link import is_replay
+from quadpi_ros.player import live_inputs
+
+SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
+OUTPUTS = ("odometry", "prediction", "extrapolation_alarm", "alarm_log")
+
+# Parameters that have a launch argument, by program; those in one process share theirs.
+_ESTIMATOR = ("vehicle", "imu_rate_hz", "mocap_topic", "adapters", "world_frame", "body_frame", "autostart")
+_MONITOR = ("vehicle", "model", "imu_rate_hz", "rotor_topic", "adapters", "body_frame", "autostart")
+NODE_PARAMETERS = {
+    "live": tuple(dict.fromkeys(_ESTIMATOR + _MONITOR)),
+    "estimator_node": _ESTIMATOR,
+    "monitor_node": _MONITOR,
+}
+
+# Arguments that `ros2 launch` adds itself for its options.
+_OF_ROS2_LAUNCH = {"launch-prefix", "launch-prefix-filter"}
+# Exit status of a program that has said what the user has to mend: the next start would end the same.
+_REFUSED = 2
+_RESPAWN_DELAY_S = 1.0
+# The first start on a machine compiles the kernels.
+_START_TIMEOUT_S = 300.0
+
+
+class LaunchError(RuntimeError):
+    """A launch file cannot go on; `ros2 launch` logs the message, ends all it has started, and returns 1."""
+
+
+@dataclass(frozen=True)
+class Argument:
+    """A launch argument; one without a default is required, an empty default leaves the choice to others."""
+
+    name: str
+    description: str
+    default: str | None = None
+
+
+def argument_of(topic: str) -> str:
+    """Name of the launch argument of a topic."""
+    return f"{topic.replace('/', '_')}_topic"
+
+
+def common_arguments(parameter_file: str, respawn: bool) -> tuple[Argument, ...]:
+    """Arguments of every launch file.
+
+    Args:
+        parameter_file: name of the default one in config/nodes.
+        respawn: whether a program that ends is started again.
+    """
+    defaults = config_directory() / "nodes" / parameter_file
+    return (
+        Argument("vehicle", "vehicle file: a name in config/vehicles or a path"),
+        Argument("parameters", "parameter file", str(defaults)),
+        Argument("namespace", "namespace of nodes and topics", ""),
+        Argument("respawn", "start a program that ends again", str(respawn).lower()),
+    )
+
+
+def monitor_arguments(respawn: bool) -> tuple[Argument, ...]:
+    """Arguments of a launch file that starts the live nodes."""
+    of_the_file = "; default: that of the parameter file"
+    return (
+        *common_arguments("monitor.yaml", respawn),
+        Argument("model", "model folder, or several as [first, second]"),
+        Argument("separate", "one process per node", "false"),
+        Argument("autostart", "configure and activate", "true"),
+        Argument("use_sim_time", "clock from /clock", "false"),
+        Argument("rotor_topic", f"rotor speeds to use, such as erpm{of_the_file}", ""),
+        Argument("mocap_topic", f"motion capture to use, such as mocap/odometry{of_the_file}", ""),
+        Argument("imu_rate_hz", f"rate of the topic imu{of_the_file}", ""),
+        Argument("adapters", f"how messages of other packages are read{of_the_file}", ""),
+        Argument("body_frame", f"frame_id of the body{of_the_file}", ""),
+        Argument("world_frame", f"frame_id of the world{of_the_file}", ""),
+        *(Argument(argument_of(topic), f"name of the topic {topic}", topic) for topic in SENSORS + OUTPUTS),
+    )
+
+
+@dataclass(frozen=True)
+class Launch:
+    """A launch file at work.
+
+    Attributes:
+        values: of all its arguments.
+        direct: whether `ros2 launch` was asked for it, rather than for a file that includes it: only then may
+            it end what runs.
+    """
+
+    values: Mapping[str, str]
+    direct: bool
+
+    def switch(self, name: str) -> bool:
+        """The value of an argument that is true or false.
+
+        Raises:
+            LaunchError: if it is neither.
+        """
+        value = self.values[name]
+        if value.lower() not in {"true", "false", "1", "0"}:
+            raise LaunchError(f"launch argument `{name}` must be true or false, found `{value}`")
+        return value.lower() in {"true", "1"}
+
+    def given(self, names: Iterable[str]) -> dict[str, Any]:
+        """Parameters of a program, from those of the named arguments that have a value."""
+        return {name: self._parameter(name) for name in names if self.values[name]}
+
+    def _parameter(self, name: str) -> Any:
+        value = self.values[name]
+        if name in {"autostart", "use_sim_time"}:
+            return self.switch(name)
+        if name == "imu_rate_hz":
+            try:
+                return float(value)
+            except ValueError:
+                raise LaunchError(f"launch argument `{name}` must be a number, found `{value}`") from None
+        if name == "model" and value.startswith("["):
+            return [str(folder) for folder in yaml.safe_load(value)]
+        return ParameterValue(value, value_type=str)
+
+    def program(
+        self, executable: str, parameters: Mapping[str, Any], topics: Sequence[str] = ()
+    ) -> list[Any]:
+        """Actions that run a node of quadpi, started again where the argument says so.
+
+        Args:
+            executable: in lib/quadpi.
+            parameters: beside those of the parameter file.
+            topics: that have an argument for another name.
+        """
+        again = self.switch("respawn")
+        node = Node(
+            package="quadpi",
+            executable=executable,
+            namespace=self.values["namespace"],
+            parameters=[self.values["parameters"], dict(parameters)],
+            remappings=self.remappings(topics),
+            output="screen",
+            respawn=again,
+            respawn_delay=_RESPAWN_DELAY_S,
+        )
+        return [node, self.when_ended(node, executable, again)]
+
+    def remappings(self, topics: Iterable[str]) -> list[tuple[str, str]]:
+        """The other names of topics, by their arguments."""
+        return [(topic, self.values[argument_of(topic)]) for topic in topics]
+
+    def when_ended(
+        self, node: Node, executable: str, again: bool, then: Callable[[], list[Any]] = list
+    ) -> RegisterEventHandler:
+        """What follows when a program ends: an error where it has failed for good, else `then`.
+
+        For good is a program that is not started again, or that has said what the user has to mend.
+        """
+
+        def ended(event: Any, context: LaunchContext) -> list[Any]:
+            failed = event.returncode != 0 and not context.is_shutdown
+            if failed and self.direct and (not again or event.returncode == _REFUSED):
+                raise LaunchError(f"{executable} has ended with exit status {event.returncode}")
+            return then()
+
+        return RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended))
+
+
+def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({})) -> list[Any]:
+    """Estimator and monitor: in one process, or each in its own.
+
+    Args:
+        launch: with :func:`monitor_arguments`.
+        chosen: values of arguments that are not given.
+    """
+    instead = {name: value for name, value in chosen.items() if not launch.values[name]}
+    whole = replace(launch, values={**launch.values, **instead})
+    programs = ("estimator_node", "monitor_node") if launch.switch("separate") else ("live",)
+    return [
+        action
+        for program in programs
+        for action in whole.program(
+            program, whole.given((*NODE_PARAMETERS[program], "use_sim_time")), SENSORS + OUTPUTS
+        )
+    ]
+
+
+def description(
+    file: str, arguments: Sequence[Argument], start: Callable[[Launch], list[Any]]
+) -> LaunchDescription:
+    """The description of a launch file, which refuses arguments that it does not know.
+
+    Args:
+        file: its path.
+        arguments: that it takes.
+        start: gives its actions; may raise :class:`LaunchError`.
+    """
+
+    def execute(context: LaunchContext) -> list[Any]:
+        direct = _asked_for(Path(file))
+        if direct:
+            _refuse_unknown(Path(file).name, context.argv, [argument.name for argument in arguments])
+        values = {argument.name: context.launch_configurations[argument.name] for argument in arguments}
+        return start(Launch(values, direct))
+
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(one.name, default_value=one.default, description=one.description)
+                for one in arguments
+            ),
+            OpaqueFunction(function=execute),
+        ]
+    )
+
+
+def _asked_for(file: Path) -> bool:
+    """Whether `ros2 launch` runs this file, by its package or path, and not one that includes it."""
+    return any(
+        Path(name).name == file.name
+        and (package == "quadpi" or (Path(name).is_file() and Path(name).samefile(file)))
+        for package, name in pairwise(("", *sys.argv))
+    )
+
+
+def _refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse `name:=value` of the command line that nothing reads: launch itself would ignore it.
+
+    Raises:
+        LaunchError: naming it.
+    """
+    names = [argument.partition(":=")[0] for argument in given]
+    unknown = [name for name in names if name not in known and name not in _OF_ROS2_LAUNCH]
+    if unknown:
+        raise LaunchError(
+            f"{file}: unknown launch argument `{unknown[0]}`; known: {', '.join(sorted(known))}"
+        )
+
+
+def bridge(launch: Launch) -> list[Any]:
+    """The MAVLink bridge; one that plays a log is not started again when it has played it."""
+    replayed = is_replay(launch.values["connection"])
+    respawn = launch.switch("respawn") and not replayed
+    whole = replace(launch, values={**launch.values, "respawn": str(respawn)})
+    return whole.program("mavlink_bridge", whole.given(("connection", "vehicle")))
+
+
+def replay(launch: Launch) -> list[Any]:
+    """The live nodes, and a player that ends all when the bag is played; topics are chosen from the bag.
+
+    Raises:
+        LaunchError: if the bag cannot be played.
+    """
+    bag = Path(launch.values["bag"])
+    try:
+        inputs = live_inputs(bag, launch.values["topics"].split())
+    except QuadpiError as error:
+        raise LaunchError(str(error)) from error
+    player = Node(
+        package="quadpi",
+        executable="player",
+        namespace=launch.values["namespace"],
+        arguments=[
+            *(str(bag), "--rate", launch.values["rate"], "--topics", *inputs.topics),
+            *("--nodes", "estimator", "monitor", "--wait", str(_START_TIMEOUT_S)),
+        ],
+        remappings=launch.remappings(SENSORS),
+        output="screen",
+    )
+    end = partial(list[Any], [EmitEvent(event=Shutdown(reason="bag played"))])
+    chosen = {"rotor_topic": inputs.rotor_topic, "mocap_topic": inputs.mocap_topic}
+    return [*live_nodes(launch, chosen), player, launch.when_ended(player, "player", again=False, then=end)]

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Launch files as users start them: every line of README and docs, and what becomes of programs that end."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
+from diagnostic_msgs.msg import DiagnosticArray
+from quadpi.msg import WrenchPrediction
+
+from quadpi_core.models import AerodynamicModel
+from quadpi_core.paths import bags_directory
+from quadpi_core.vehicle import Vehicle
+from quadpi_ros.collector import Listener
+from quadpi_ros.estimator_node import EstimatorParameters
+from quadpi_ros.monitor_node import MonitorParameters
+
+from . import launch_child
+
+ROOT = Path(__file__).parents[2]
+GOLDEN_MODEL = ROOT / "test" / "golden" / "model"
+# The first start on a machine compiles the kernels.
+START_S = 120.0
+Launch = Callable[..., AbstractContextManager["Launched"]]
+NOT_INSTALLED = re.compile(r"the package (\w+) that defines it is not installed")
+
+
+def launch_lines() -> list[str]:
+    """Every `ros2 launch quadpi …` of the documents, without that beginning."""
+    lines = []
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        text = page.read_text().replace("\\\n", " ")
+        lines += re.findall(r"^ *ros2 launch quadpi (.+)$", text, flags=re.MULTILINE)
+    return sorted(set(lines))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files that the documents name."""
+    folder = tmp_path_factory.mktemp("launch")
+    shutil.copy(bags_directory() / "interpolation.mcap", folder / "flight.mcap")
+    for page in (ROOT / "docs").glob("*.md"):
+        for name, content in re.findall(r"^```yaml\n# (\S+\.yaml)\n(.*?)^```", page.read_text(), re.M | re.S):
+            (folder / name).write_text(content)
+    return folder
+
+
+@pytest.fixture
+def launch(place: Path, ros_domain: int, tmp_path: Path) -> Launch:
+    """launch("monitor.launch.py", "vehicle:=bebop2", …) → the process that does what `ros2 launch` does."""
+    del ros_domain
+
+    @contextmanager
+    def started(*arguments: str) -> Iterator[Launched]:
+        command = [sys.executable, launch_child.__file__, "quadpi", *arguments]
+        with (tmp_path / "said.txt").open("w") as output:
+            process = subprocess.Popen(
+                command, cwd=place, stdout=output, stderr=output, env={**os.environ, "PYTHONUNBUFFERED": "1"}
+            )
+            try:
+                yield Launched(process, tmp_path / "said.txt")
+            finally:
+                if process.poll() is None:
+                    process.send_signal(signal.SIGINT)
+                process.wait(30.0)
+
+    return started
+
+
+class Launched:
+    """A launch under way."""
+
+    def __init__(self, process: subprocess.Popen[bytes], said: Path) -> None:
+        self._process, self._said = process, said
+
+    @property
+    def said(self) -> str:
+        return self._said.read_text()
+
+    def pids(self) -> list[int]:
+        """Of the programs it has started so far."""
+        return [int(pid) for pid in re.findall(r"process started with pid \[(\d+)\]", self.said)]
+
+    @property
+    def ended(self) -> bool:
+        return self._process.poll() is not None
+
+    def wait(self) -> int:
+        return self._process.wait(START_S)
+
+    def wait_until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + START_S
+        while not condition():
+            assert self._process.poll() is None, self.said
+            assert time.monotonic() < deadline, self.said
+            time.sleep(0.05)
+
+    def interrupt(self) -> int:
+        self._process.send_signal(signal.SIGINT)
+        return self.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", launch_lines())
+def test_lines_of_the_documents(line: str, place: Path, launch: Launch) -> None:
+    file, *arguments = shlex.split(line)
+    vehicle = Vehicle.load(str(place / "my-quad.yaml") if "vehicle:=my-quad.yaml" in arguments else "bebop2")
+    model = AerodynamicModel.load(GOLDEN_MODEL)
+    replace(model, vehicle=vehicle.name, vehicle_fingerprint=vehicle.fingerprint).save(place / "my-model")
+    if file == "replay.launch.py":
+        arguments.append("rate:=5")
+    predicted: list[bytes] = []
+    topics = [(WrenchPrediction, "prediction", predicted.append)]
+    if file == "mavlink.launch.py":
+        topics = [(DiagnosticArray, "/diagnostics", predicted.append)]
+    with Listener("test_launch", topics) as listener, launch(file, *arguments) as launched:
+        if any("field-nodes" in argument for argument in arguments):
+            status = launched.wait()
+            assert status == 1
+            assert NOT_INSTALLED.search(launched.said), launched.said
+        elif file == "replay.launch.py":
+            listener.spin_until(lambda: launched.ended, START_S)
+            assert launched.wait() == 0, launched.said
+            assert len(predicted) > 5000
+        else:
+            launched.wait_until(lambda: listener.connected)
+            assert launched.interrupt() == 0, launched.said
+
+
+def test_lines_are_found() -> None:
+    assert {line.split()[0] for line in launch_lines()} == {
+        file.name for file in (ROOT / "launch").glob("*.launch.py")
+    }
+
+
+@pytest.mark.parametrize("file", ["monitor.launch.py", "replay.launch.py"])
+def test_an_unknown_argument_is_refused(file: str, launch: Launch) -> None:
+    given = ("bag:=flight.mcap", "vehicle:=bebop2", "model:=my-model", "vehikel:=bebop2")
+    with launch(file, *given[file.startswith("monitor") :]) as launched:
+        assert launched.wait() == 1
+        assert f"{file}: unknown launch argument `vehikel`; known: adapters, " in launched.said
+        assert not launched.pids()
+
+
+BRIDGE = ("mavlink.launch.py", "connection:=udpout:127.0.0.1:14599", "vehicle:=bebop2")
+
+
+def test_a_program_that_dies_is_started_again(launch: Launch) -> None:
+    with launch(*BRIDGE) as launched:
+        launched.wait_until(lambda: len(launched.pids()) == 1)
+        os.kill(launched.pids()[0], signal.SIGKILL)
+        launched.wait_until(lambda: len(launched.pids()) == 2)
+        assert launched.interrupt() == 0, launched.said
+
+
+@pytest.mark.parametrize("why", ["killed", "refused"])
+def test_a_program_that_fails_for_good_is_an_exit_status(why: str, launch: Launch) -> None:
+    file, connection, vehicle = BRIDGE
+    wrong = ["vehicle:=nothing"] if why == "refused" else [vehicle, "respawn:=false"]
+    with launch(file, connection, *wrong) as launched:
+        launched.wait_until(lambda: len(launched.pids()) == 1)
+        if why == "killed":
+            os.kill(launched.pids()[0], signal.SIGKILL)
+        assert launched.wait() == 1
+        status = -signal.SIGKILL if why == "killed" else 2
+        assert f"mavlink_bridge has ended with exit status {status}" in launched.said
+        assert len(launched.pids()) == 1
+
+
+def test_arguments_are_parameters_of_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, module in launch_child.stand_ins().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.delitem(sys.modules, "quadpi_ros.launching", raising=False)
+    launching = importlib.import_module("quadpi_ros.launching")
+    monkeypatch.delitem(sys.modules, "quadpi_ros.launching")
+    parameters = {
+        "estimator_node": {item.name for item in fields(EstimatorParameters)},
+        "monitor_node": {item.name for item in fields(MonitorParameters)},
+    }
+    parameters["live"] = parameters["estimator_node"] | parameters["monitor_node"]
+    arguments = {argument.name for argument in launching.monitor_arguments(respawn=True)}
+    assert parameters.keys() == launching.NODE_PARAMETERS.keys()
+    for program, names in launching.NODE_PARAMETERS.items():
+        assert set(names) == arguments & parameters[program]
