@@ -82,11 +82,11 @@ class Payloads:
         return Payloads(self.data, self.starts[order], self.lengths[order])
 
     def cut(self, rows: slice) -> Payloads:
-        """The messages in a range of a :meth:`compact` whole, sharing its buffer and compact themselves."""
+        """The messages in a range, sharing no more of the buffer than holds them."""
         starts, lengths = self.starts[rows], self.lengths[rows]
         if len(starts) == 0:
             return Payloads(self.data[:0], starts, lengths)
-        first, stop = starts[0], starts[-1] + lengths[-1]
+        first, stop = starts.min(), (starts + lengths).max()
         return Payloads(self.data[first:stop], starts - first, lengths)
 
     def compact(self, head: int | None = None) -> Payloads:
