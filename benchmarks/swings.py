@@ -4,17 +4,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
-from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.identification import identify
-from quadpi_core.logs.bags import write_bag
+from quadpi_core.logs.bags import recording_topics, write_bag
+from quadpi_core.logs.mcap import cut_topic
+from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.pool import load_pools
 from quadpi_core.prepared import prepare_flights
@@ -79,6 +81,27 @@ def swings(vehicle: Vehicle, seconds: float = FLIGHT_S) -> Recording:
             _tilt(mocap_ns)[0],
         ),
     )
+
+
+def write_long_bag(path: Path, vehicle: Vehicle, seconds: float) -> None:
+    """The swings again and again, from a process that holds them once."""
+    once = swings(vehicle, REPEATS_AFTER_S)
+    period_ns, count = round(1e9 * REPEATS_AFTER_S), int(np.ceil(seconds / REPEATS_AFTER_S))
+    end_ns = _START_NS + round(1e9 * seconds)
+    with mcap_writer(path, {"vehicle": vehicle.name}) as writer:
+        for begin_ns in range(0, count * period_ns, period_ns):
+            for topic in recording_topics(_later(once, begin_ns)):
+                writer.add(cut_topic(topic, end_ns)[0])
+            writer.flush(_START_NS + begin_ns + period_ns - 1)
+
+
+def _later(recording: Recording, by_ns: int) -> Recording:
+    streams = {
+        column.name: replace(stream, time_ns=stream.time_ns + by_ns)
+        for column in fields(recording)
+        if isinstance(stream := getattr(recording, column.name), Stream)
+    }
+    return replace(recording, **streams)
 
 
 def _tilt(time_ns: Stamps) -> tuple[Array, Array]:

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,11 +16,12 @@ import numpy as np
 from rosbags.interfaces import Connection
 
 from quadpi_core import __version__
-from quadpi_core.errors import LogError, VehicleError
-from quadpi_core.flight import Recording, RotorSpeedStream, Stamps
+from quadpi_core.errors import LogError, SampleError, VehicleError
+from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.logs import messages
-from quadpi_core.logs.adapters.bags import find_adapted, unpack_adapted
+from quadpi_core.logs.adapters.bags import AdaptedReading, AdaptedTopic, find_adapted
 from quadpi_core.logs.adapters.settings import AdapterSettings
+from quadpi_core.logs.blocks import join_blocks
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
@@ -59,9 +61,20 @@ _KINDS = {
     **dict.fromkeys(_MOCAP, "mocap"),
     "odometry": "odometry",
 }
-# Topics whose messages become streams of other names.
-_STREAMS = {"erpm": ("rotor_speeds",), "mocap/odometry": ("mocap/pose", "mocap/twist")}
-_FIELDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
+# What the messages of each topic become: fields of a recording.
+_FIELDS = {
+    "imu": ("imu",),
+    "erpm": ("rotor_speeds",),
+    "rotor_speeds": ("rotor_speeds",),
+    "mocap/pose": ("pose",),
+    "mocap/odometry": ("pose", "twist"),
+    "mocap/twist": ("twist",),
+    "odometry": ("odometry",),
+    "wind": ("wind",),
+    "simulation/wrench": ("simulated",),
+}
+_FIELDS_OF_KINDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
+_NO_IMU = ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
 _STARTS_WITH_HEADER = re.compile(
     r"(?:\s*(?:#[^\n]*|\w+\s+[A-Z_0-9]+\s*=[^\n]*)?\n)*\s*std_msgs/(?:msg/)?Header\s"
 )
@@ -101,77 +114,154 @@ def read_bag(
             `imu`, a topic of the wrong type, a name that several topics share, and `erpm` without a vehicle
             that has pole pairs.
     """
-    path = Path(path)
-    with Bag(path) as bag:
+    with open_recording(path, vehicle, adapters) as recording:
+        return join_blocks(recording.blocks())
+
+
+@contextmanager
+def open_recording(
+    path: Path | str, vehicle: Vehicle | None = None, adapters: AdapterSettings | None = None
+) -> Iterator[BagRecording]:
+    """Open a bag to read what :func:`read_bag` does in blocks.
+
+    Args:
+        path: see :func:`read_bag`.
+        vehicle: see there.
+        adapters: see there.
+
+    Raises:
+        LogError: see there; what is wrong with a message, when its block is read.
+    """
+    with Bag(Path(path)) as bag:
+        yield BagRecording(bag, vehicle, adapters)
+
+
+class BagRecording:
+    """The recording that an open bag holds, to be read in blocks, as often as needed.
+
+    Attributes:
+        name, source, vehicle: see :class:`quadpi_core.flight.Recording`.
+        streams: names of its fields that the bag has messages for.
+
+    Raises:
+        LogError: see :func:`read_bag`.
+    """
+
+    def __init__(self, bag: Bag, vehicle: Vehicle | None, adapters: AdapterSettings | None) -> None:
+        self._bag = bag
+        self._adapters = adapters
+        self._known_vehicle = vehicle
         names = {}
         for topic in _RECORDED:
             connection = find_topic(bag, topic)
             if connection is not None:
                 names[topic] = connection.topic
-        adapted = find_adapted(bag, adapters, {_KINDS[topic] for topic in names if topic in _KINDS})
-        for topic in [topic for topic, kind in _KINDS.items() if kind in adapted]:
+        self._adapted = find_adapted(bag, adapters, {_KINDS[topic] for topic in names if topic in _KINDS})
+        for topic in [topic for topic, kind in _KINDS.items() if kind in self._adapted]:
             names.pop(topic, None)
-        if "imu" not in names and "imu" not in adapted:
+        if "imu" not in names and "imu" not in self._adapted:
             found = ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
-            raise LogError(f"{path}: topic imu: missing; topics of the bag: {found}")
-        vehicle_name = _vehicle_name(bag, vehicle)
+            raise LogError(f"{bag.path}: topic imu: missing; topics of the bag: {found}")
         for other in [topic for topic in _MOCAP if topic in names][1:]:
             names.pop(other)
         if "rotor_speeds" in names:
             names.pop("erpm", None)
-        topics = bag.read([*names.values(), *(topic.name for topic in adapted.values())])
-        streams: dict[str, Any] = {
-            _FIELDS[kind]: unpack_adapted(bag, topic, topics[topic.name], adapters, vehicle)
+        self._names = names
+        self.name, self.source, self.vehicle = bag.path.stem, str(bag.path), _vehicle_name(bag, vehicle)
+        self.streams = {field for topic in names for field in _FIELDS[topic]} | {
+            _FIELDS_OF_KINDS[kind] for kind in self._adapted
+        }
+
+    def imu_stamps(self) -> Stamps:
+        """Header stamps (N,) of the topic `imu`, which the bag must have."""
+        return _stamps(self._bag, [self._names["imu"]])[self._names["imu"]]
+
+    def blocks(self) -> Iterator[Recording]:
+        """The recording in blocks; see :mod:`quadpi_core.logs.blocks`.
+
+        They follow each other in log time. What messages of other packages give is absent from a block that
+        has none of them, and when it arrived is not known.
+        """
+        unpacking = _Unpacking(
+            self._bag.path, self._names, self._adapted, self._adapters, self._known_vehicle
+        )
+        for topics in self._bag.blocks(unpacking.topics):
+            streams, arrivals = unpacking.unpack(topics)
+            yield Recording(
+                name=self.name,
+                vehicle=self.vehicle,
+                source=self.source,
+                **{"imu": _NO_IMU, **streams},
+                arrivals=arrivals,
+            )
+        unpacking.finish()
+
+
+class _Unpacking:
+    """What becomes of the messages of a bag as they come, and how many came."""
+
+    def __init__(
+        self,
+        path: Path,
+        names: Mapping[str, str],
+        adapted: Mapping[str, AdaptedTopic],
+        adapters: AdapterSettings | None,
+        vehicle: Vehicle | None,
+    ) -> None:
+        self._path = path
+        self._names = names
+        self._unpackers: dict[str, Callable[[Payloads], Any]] = {
+            "imu": messages.unpack_imu,
+            "rotor_speeds": messages.unpack_rotor_speeds,
+            "erpm": lambda payloads: _unpack_erpm(payloads, vehicle),
+            "mocap/pose": messages.unpack_pose,
+            "mocap/twist": messages.unpack_twist,
+            "mocap/odometry": messages.unpack_mocap_odometry,
+            "odometry": messages.unpack_odometry,
+            "wind": messages.unpack_wind,
+            "simulation/wrench": messages.unpack_simulated,
+        }
+        self._adapted = {
+            kind: AdaptedReading(path, topic, adapters, vehicle)
             for kind, topic in adapted.items()
             if adapters is not None
         }
+        self.topics = [*names.values(), *(reading.name for reading in self._adapted.values())]
+        self._read = dict.fromkeys(self.topics, 0)
 
-    def unpacked(topic: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
-        return unpacked_topic(path, topics[names[topic]], unpack) if topic in names else None
+    def unpack(self, topics: Mapping[str, Topic]) -> tuple[dict[str, Any], dict[str, Stamps]]:
+        """The streams in the messages that come next, by the names of their fields, and their arrivals."""
+        streams: dict[str, Any] = {}
+        arrivals: dict[str, Stamps] = {}
+        for topic, name in self._names.items():
+            content = unpacked_topic(
+                self._path, topics[name], self._unpackers[topic], before=self._read[name]
+            )
+            parts = content if isinstance(content, tuple) else (content,)
+            streams |= zip(_FIELDS[topic], parts, strict=True)
+            if "imu" in self._names and topic != "imu":
+                # How many IMU samples were logged before each message, or with it.
+                imu_ns = topics[self._names["imu"]].log_time_ns
+                arrived = np.searchsorted(imu_ns, topics[name].log_time_ns, side="right")
+                arrivals |= {part.topic: arrived for part in parts}
+        for kind, reading in self._adapted.items():
+            stream = reading.unpack(topics[reading.name], before=self._read[reading.name])
+            if stream is not None:
+                streams[_FIELDS_OF_KINDS[kind]] = stream
+        for name, messages_of in topics.items():
+            self._read[name] += len(messages_of.payloads)
+        return streams, arrivals
 
-    def unpack_erpm(payloads: Payloads) -> RotorSpeedStream:
-        if vehicle is None:
-            raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
-        return messages.unpack_erpm(payloads, vehicle)
-
-    pose, twist = unpacked("mocap/pose", messages.unpack_pose), unpacked("mocap/twist", messages.unpack_twist)
-    if "mocap/odometry" in names:
-        pose, twist = unpacked_topic(path, topics[names["mocap/odometry"]], messages.unpack_mocap_odometry)
-    if "imu" in names:
-        imu = unpacked_topic(path, topics[names["imu"]], messages.unpack_imu)
-        streams.setdefault("imu", imu)
-    return Recording(
-        name=path.stem,
-        vehicle=vehicle_name,
-        source=str(path),
-        **{
-            "rotor_speeds": unpacked("rotor_speeds", messages.unpack_rotor_speeds)
-            or unpacked("erpm", unpack_erpm),
-            "pose": pose,
-            "twist": twist,
-            "odometry": unpacked("odometry", messages.unpack_odometry),
-            "wind": unpacked("wind", messages.unpack_wind),
-            "simulated": unpacked("simulation/wrench", messages.unpack_simulated),
-            **streams,
-        },
-        arrivals=_arrivals(names, topics),
-    )
+    def finish(self) -> None:
+        """Say what messages of other packages did not give; see :meth:`AdaptedReading.finish`."""
+        for reading in self._adapted.values():
+            reading.finish(self._read[reading.name])
 
 
-def _arrivals(names: Mapping[str, str], topics: Mapping[str, Topic]) -> dict[str, Stamps]:
-    """How many IMU samples were logged before each message of the other topics, or with it."""
-    if "imu" not in names:
-        return {}
-    imu_ns = topics[names["imu"]].log_time_ns
-    arrivals = {
-        topic: np.searchsorted(imu_ns, topics[name].log_time_ns, side="right")
-        for topic, name in names.items()
-        if topic != "imu"
-    }
-    for topic, streams in _STREAMS.items():
-        if topic in arrivals:
-            arrivals |= dict.fromkeys(streams, arrivals[topic])
-    return arrivals
+def _unpack_erpm(payloads: Payloads, vehicle: Vehicle | None) -> RotorSpeedStream:
+    if vehicle is None:
+        raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
+    return messages.unpack_erpm(payloads, vehicle)
 
 
 def read_outputs(path: Path | str) -> tuple[Predictions | None, ReportedAlarms | None]:
@@ -209,6 +299,12 @@ def write_bag(
     Raises:
         LogError: if the path does not end in .mcap.
     """
+    entries = {"vehicle": recording.vehicle, "version": __version__, **_provenance(Path(recording.source))}
+    write_mcap(Path(path), [*recording_topics(recording), *extra], {**entries, **(metadata or {})})
+
+
+def recording_topics(recording: Recording) -> list[Topic]:
+    """The standard topics that hold a recording, or a block of one."""
     topics = [output_topic("imu", recording.imu.time_ns, messages.pack_imu(recording.imu))]
     if recording.rotor_speeds is not None:
         stream = recording.rotor_speeds
@@ -227,8 +323,7 @@ def write_bag(
         simulated = recording.simulated
         payloads = messages.pack_body_vectors(simulated.time_ns, simulated.wrench, messages.WRENCH)
         topics.append(output_topic("simulation/wrench", simulated.time_ns, payloads))
-    entries = {"vehicle": recording.vehicle, "version": __version__, **_provenance(Path(recording.source))}
-    write_mcap(Path(path), [*topics, *extra], {**entries, **(metadata or {})})
+    return topics
 
 
 def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:
@@ -262,17 +357,28 @@ def bag_topics(path: Path | str) -> list[TopicSummary]:
     Raises:
         LogError: for a bag that cannot be read.
     """
-    path = Path(path)
-    with Bag(path) as bag:
+    with Bag(Path(path)) as bag:
         by_name = {connection.topic: connection for connection in bag.connections}
-        topics = bag.read(by_name, head=messages.STAMP_END)
-    return [_summary(path, by_name[name], topics[name]) for name in sorted(by_name)]
+        stamps = _stamps(bag, sorted(by_name))
+    return [
+        TopicSummary(name, by_name[name].msgtype, stamps_ns, _has_header(by_name[name]))
+        for name, stamps_ns in stamps.items()
+    ]
 
 
-def _summary(path: Path, connection: Connection, topic: Topic) -> TopicSummary:
-    has_header = _has_header(connection)
-    stamps_ns = unpacked_topic(path, topic, messages.unpack_stamps) if has_header else topic.log_time_ns
-    return TopicSummary(topic.name, topic.type_name, stamps_ns, has_header)
+def _stamps(bag: Bag, names: Sequence[str]) -> dict[str, Stamps]:
+    """By topic (N,): header stamps, or log times where messages have no header."""
+    with_header = {connection.topic for connection in bag.connections if _has_header(connection)}
+    found: dict[str, list[Stamps]] = {name: [np.empty(0, dtype=np.int64)] for name in names}
+    counts = dict.fromkeys(names, 0)
+    for block in bag.blocks(names, head=messages.STAMP_END):
+        for name, topic in block.items():
+            stamps_ns = topic.log_time_ns
+            if name in with_header:
+                stamps_ns = unpacked_topic(bag.path, topic, messages.unpack_stamps, before=counts[name])
+            found[name].append(stamps_ns)
+            counts[name] += len(stamps_ns)
+    return {name: np.concatenate(parts) for name, parts in found.items()}
 
 
 def _has_header(connection: Connection) -> bool:
@@ -313,14 +419,24 @@ def _is_named(name: str, topic: str) -> bool:
     return namespace != whole and "truth" not in parts and not (topic == "odometry" and parts[-1] == "mocap")
 
 
-def unpacked_topic(path: Path, topic: Topic, unpack: Callable[[Payloads], _Content]) -> _Content:
+def unpacked_topic(
+    path: Path, topic: Topic, unpack: Callable[[Payloads], _Content], *, before: int = 0
+) -> _Content:
     """What `unpack` makes of the messages of a topic.
+
+    Args:
+        path: of the bag.
+        topic: its messages, or some of them.
+        unpack: see :mod:`quadpi_core.logs.messages`.
+        before: how many messages of the topic came before these.
 
     Raises:
         LogError: as `unpack` does, naming bag and topic.
     """
     try:
         return unpack(topic.payloads)
+    except SampleError as error:
+        raise LogError(f"{path}: topic {topic.name}: {error.after(before)}") from error
     except (LogError, VehicleError) as error:
         raise LogError(f"{path}: topic {topic.name}: {error}") from error
 

@@ -209,7 +209,7 @@ class Bag:
         }
 
     def blocks(
-        self, names: Collection[str], *, messages: int = BLOCK_MESSAGES, head: int | None = None
+        self, names: Collection[str], *, messages: int | None = None, head: int | None = None
     ) -> Iterator[dict[str, Topic]]:
         """Read topics by their full names, block by block in the order of log times.
 
@@ -217,7 +217,8 @@ class Bag:
 
         Args:
             names: topics of the bag; each is in every block, if need be without messages.
-            messages: at most so many of all topics are in a block, but for those logged at one instant.
+            messages: at most so many of all topics are in a block, but for those logged at one instant;
+                :data:`BLOCK_MESSAGES` unless given.
             head: see :meth:`read`.
         """
         types = {
@@ -232,7 +233,7 @@ class Bag:
                 parts = self._parts_of_sections(storages, types, head)
             else:
                 parts = self._parts_one_by_one(types, head)
-            for topics in _in_log_order(parts, messages):
+            for topics in _in_log_order(parts, messages or BLOCK_MESSAGES):
                 for name, topic in topics.items():
                     found[name] += len(topic.payloads)
                 yield {name: topics.get(name) or _empty(name, type_name) for name, type_name in types.items()}

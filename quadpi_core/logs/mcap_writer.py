@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
@@ -90,9 +90,16 @@ def mcap_writer(path: Path, metadata: Mapping[str, str]) -> Iterator[McapWriter]
 
 @dataclass
 class _Channel:
-    """A topic of the bag: how many of its messages are written, and those that wait for their turn."""
+    """A topic of the bag.
+
+    Attributes:
+        type_name: of its messages.
+        described: whether the file says so already.
+        written: how many messages are in the file, or in the chunk that comes next.
+    """
 
     type_name: str
+    described: bool = False
     written: int = 0
     waiting: list[Topic] = field(default_factory=list)
 
@@ -155,38 +162,49 @@ class McapWriter:
         stream.write(MAGIC + _record(_HEADER, _string("ros2") + _string(f"quadpi {__version__}")))
 
     def announce(self, topics: Mapping[str, str]) -> None:
-        """Take note of topics and their types, by name; they are in the bag even if no message comes."""
-        new = {name: type_name for name, type_name in topics.items() if name not in self._channels}
+        """Describe topics by name and type now; they are in the bag even if no message comes.
+
+        Others are described before the chunk that holds their first message.
+        """
+        for name, type_name in topics.items():
+            self._channels.setdefault(name, _Channel(type_name))
+        self._describe(topics)
+
+    def _describe(self, names: Collection[str]) -> None:
+        """Write what the file does not say yet of topics: their schemas, then their channels."""
+        new = [name for name in self._channels if name in names and not self._channels[name].described]
         before = len(self._schemas)
-        for type_name in new.values():
+        for type_name in (self._channels[name].type_name for name in new):
             if type_name not in self._schemas:
                 self._schemas[type_name] = _schema(len(self._schemas) + 1, type_name)
-        numbers = {type_name: number for number, type_name in enumerate(self._schemas, start=1)}
-        described = [
-            _channel(number, numbers[type_name], name, type_name)
-            for number, (name, type_name) in enumerate(new.items(), start=len(self._channels))
-        ]
-        self._channels |= {name: _Channel(type_name) for name, type_name in new.items()}
+        numbers, types = list(self._channels), list(self._schemas)
+        described = []
+        for name in new:
+            channel = self._channels[name]
+            channel.described = True
+            described.append(
+                _channel(numbers.index(name), types.index(channel.type_name) + 1, name, channel.type_name)
+            )
         self._described += described
         self._stream.write(b"".join([*list(self._schemas.values())[before:], *described]))
 
     def add(self, topic: Topic) -> None:
-        """Take messages of a topic.
+        """Take messages of a topic, announced or not.
 
         Raises:
             LogError: naming topic and sample, for log times that ROS stamps cannot hold.
         """
         if len(topic.payloads) == 0:
             return
-        self.announce({topic.name: topic.type_name})
-        channel = self._channels[topic.name]
+        channel = self._channels.setdefault(topic.name, _Channel(topic.type_name))
         foreign = (topic.log_time_ns < 0) | (topic.log_time_ns >= _STAMP_END_NS)
         if np.any(foreign):
             sample = channel.written + sum(len(part.payloads) for part in channel.waiting)
             sample += int(np.argmax(foreign))
             reason = "the stamp is before 1970 or after 2038"
             raise LogError(f"{self._path}: topic {topic.name}: sample {sample}: {reason}")
-        channel.waiting.append(topic)
+        unsorted = np.any(topic.log_time_ns[1:] < topic.log_time_ns[:-1])
+        channel.waiting.append(join_topics([topic]) if unsorted else topic)
 
     def flush(self, until_ns: int = _STAMP_END_NS) -> None:
         """Write the messages logged at that time or before, as none is still to come that belongs there.
@@ -195,11 +213,9 @@ class McapWriter:
         """
         due = []
         for number, channel in enumerate(self._channels.values()):
-            if not channel.waiting:
-                continue
-            now, later = cut_topic(join_topics(channel.waiting), until_ns + 1)
-            channel.waiting = [later] if len(later.payloads) else []
-            if len(now.payloads):
+            parts = [cut_topic(topic, until_ns + 1) for topic in channel.waiting]
+            channel.waiting = [later for _, later in parts if len(later.payloads)]
+            for now in (now for now, _ in parts if len(now.payloads)):
                 due.append((number, channel.written, now))
                 channel.written += len(now.payloads)
         if not due:
@@ -235,9 +251,13 @@ class McapWriter:
         stream.write(_summary(groups, start=stream.tell()) + MAGIC)
 
     def _close_chunk(self) -> None:
-        if self._open:
-            self._chunk_index.append(_write_chunk(self._stream, _Framed.join(self._open)))
-            self._open = []
+        if not self._open:
+            return
+        chunk = _Framed.join(self._open)
+        names = list(self._channels)
+        self._describe([names[number] for number in np.unique(chunk.channel)])
+        self._chunk_index.append(_write_chunk(self._stream, chunk))
+        self._open = []
 
     def _statistics(self) -> bytes:
         counts = [channel.written for channel in self._channels.values()]

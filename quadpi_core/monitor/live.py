@@ -13,8 +13,9 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
-from quadpi_core.monitor.replay import monitored
+from quadpi_core.monitor.replay import follow, recorded_flight
 from quadpi_core.signals.resample import interpolate, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
@@ -44,9 +45,10 @@ def live_samples(recording: Recording, vehicle: Vehicle, cutoff_hz: float, at_ns
     rate_hz = nominal_rate(recording.imu.time_ns)
     preparation = Preparation(vehicle, rate_hz, cutoff_hz)
     stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 7))]
-    for part in monitored(recording, vehicle, rate_hz)[0]:
-        preparation.reset()
-        prepared = preparation.step(*part)
+    for part in follow(recorded_flight(recording), vehicle):
+        if part.begin == SET_BACK:
+            preparation.reset()
+        prepared = preparation.step(*part.samples)
         stamps.append(prepared.time_ns[prepared.usable])
         rows.append(np.column_stack((prepared.inputs, prepared.measured, prepared.settled)))
     time_ns, values = np.concatenate(stamps), np.concatenate(rows)

@@ -39,6 +39,9 @@ IMU, STATE, ROTORS, WIND_TOPIC, _TRACKS = 0, 1, 2, 3, 4
 _OLDEST, _COUNT, _NEWEST_NS = 0, 1, 2
 # A state is the widest row.
 _WIDEST = 10
+# How a stretch begins: as the one before it ended; with a stamp that is more than MAX_JUMP_BACK_NS before the
+# newest; with one that is so far before that of the last sample: the IMU's clock was set back.
+CONTINUES, STEPS_BACK, SET_BACK = 0, 1, 2
 # Of PairingCounts.
 _PAIRED, _EARLY, _DROPPED, _DISORDERED = 0, 1, 2, 3
 _NEVER = -(2**63)
@@ -140,6 +143,8 @@ class Pairing:
             places=np.array([[0, 0, _NEVER]] * _TRACKS),
             counts=np.zeros(4, dtype=np.int64),
         )
+        # Of the IMU: the newest stamp since one stepped back, and that of the last sample.
+        self._clock = np.full(2, _NEVER)
         self._taken_ns = np.empty(capacity, dtype=np.int64)
         self._taken = np.empty((capacity, CHANNELS))
         # Compiled now, not when the first sample waits for it.
@@ -177,24 +182,47 @@ class Pairing:
             return None
         return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
 
-    def take_all(self, arriving: Arriving) -> tuple[list[PairedSamples], int]:
-        """What :meth:`take` gives after each arrival, joined; apart where the clock of the IMU was set back.
+    @property
+    def settled_ns(self) -> int:
+        """No sample will be taken at or before this stamp, unless the IMU's clock is set back."""
+        oldest, count, newest_ns = self._tracks.places[IMU].tolist()
+        return int(self._tracks.time_ns[IMU, oldest]) - 1 if count else int(newest_ns)
 
-        Returns:
-            The samples, and how many of them are complete.
-        """
-        samples = len(arriving.imu_ns)
-        taken_ns, taken = np.empty(samples, dtype=np.int64), np.empty((samples, CHANNELS))
-        starts = np.empty(samples, dtype=np.int64)
-        before = self.counts.paired
-        count, set_back = _take_all(*self._tracks, self._timeout_ns, arriving, taken_ns, taken, starts)
-        edges = [0, *starts[:set_back].tolist(), count]
-        parts = [
-            PairedSamples(taken_ns[start:stop], taken[start:stop])
-            for start, stop in pairwise(edges)
-            if stop > start
-        ]
-        return parts, self.counts.paired - before
+    def take_all(self, arriving: Arriving) -> list[Stretch]:
+        """What :meth:`take` gives after each arrival, joined between steps back of the IMU's stamps."""
+        breaks = np.empty((arriving.kind.size, 2), dtype=np.int64)
+        count = _find_steps_back(arriving.kind, arriving.row, arriving.imu_ns, self._clock, breaks)
+        stretches = []
+        known = 0
+        begins = [(0, CONTINUES), *((place, begin) for place, begin in breaks[:count].tolist())]
+        for (start, begin), (stop, _) in pairwise([*begins, (arriving.kind.size, CONTINUES)]):
+            if start == stop and len(begins) > 1:
+                continue
+            own = arriving._replace(kind=arriving.kind[start:stop], row=arriving.row[start:stop])
+            room = int(np.count_nonzero(own.kind == IMU)) + int(self._tracks.places[IMU, _COUNT])
+            taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, CHANNELS))
+            taken_count = _take_all(*self._tracks, self._timeout_ns, own, taken_ns, taken)
+            samples = PairedSamples(taken_ns[:taken_count], taken[:taken_count])
+            states = slice(known, known + int(np.count_nonzero(own.kind == STATE)))
+            known = states.stop
+            stretches.append(Stretch(begin, samples, states, self.settled_ns))
+        return stretches
+
+
+class Stretch(NamedTuple):
+    """What came while the stamps of the IMU did not step back.
+
+    Attributes:
+        begin: how it begins, one of :data:`CONTINUES`, :data:`STEPS_BACK` and :data:`SET_BACK`.
+        samples: that were completed or given up.
+        states: rows of the states that came.
+        settled_ns: :attr:`Pairing.settled_ns` at its end.
+    """
+
+    begin: int
+    samples: PairedSamples
+    states: slice
+    settled_ns: int
 
 
 class Arriving(NamedTuple):
@@ -273,20 +301,14 @@ def _take_all(
     arriving: Any,
     taken_ns: Any,
     taken: Any,
-    starts: Any,
-) -> tuple[int, int]:
-    """Fill stamps and rows; their number, and how many times the IMU was set back, before which ones."""
+) -> int:
+    """Fill stamps and rows; their number."""
     tracks = _Tracks(time_ns, rows, places, counts)
-    count, set_back, newest_ns = 0, 0, _NEVER
+    count = 0
     for event in range(arriving.kind.size):
         kind, row = arriving.kind[event], arriving.row[event]
         if kind == IMU:
-            at_ns = arriving.imu_ns[row]
-            if newest_ns != _NEVER and at_ns < newest_ns - MAX_JUMP_BACK_NS:
-                starts[set_back] = count
-                set_back += 1
-            newest_ns = at_ns
-            _add(tracks, IMU, at_ns, arriving.specific_force[row])
+            _add(tracks, IMU, arriving.imu_ns[row], arriving.specific_force[row])
         elif kind == STATE:
             state = arriving.states[row]
             _add_state(tracks, arriving.state_ns[row], state[:3], state[3:7], state[7:])
@@ -295,7 +317,24 @@ def _take_all(
         else:
             _add(tracks, WIND_TOPIC, arriving.wind_ns[row], arriving.wind[row])
         count += _take(tracks, timeout_ns, taken_ns[count:], taken[count:])
-    return count, set_back
+    return count
+
+
+@njit(cache=True)
+def _find_steps_back(kind: Any, row: Any, imu_ns: Any, clock: Any, breaks: Any) -> int:
+    """Fill places in `kind` where the IMU's stamps step back, and how (E, 2); their number."""
+    count = 0
+    for event in range(kind.size):
+        if kind[event] != IMU:
+            continue
+        time_ns, newest_ns, last_ns = imu_ns[row[event]], clock[0], clock[1]
+        if newest_ns != _NEVER and time_ns < newest_ns - MAX_JUMP_BACK_NS:
+            breaks[count, 0] = event
+            breaks[count, 1] = SET_BACK if time_ns < last_ns - MAX_JUMP_BACK_NS else STEPS_BACK
+            count += 1
+            clock[0] = time_ns
+        clock[0], clock[1] = max(clock[0], time_ns), time_ns
+    return count
 
 
 @njit(cache=True)

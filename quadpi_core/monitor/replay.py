@@ -1,24 +1,31 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the live nodes would have published for a recorded flight, computed on whole arrays."""
+"""What the live nodes would have published for a recorded flight, computed block by block.
+
+Estimator, pairing and monitor remember what live they remember between two samples; what they give is written
+as it comes. So memory does not grow with the flight, and the bytes do not depend on the blocks.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array
-from quadpi_core.logs import decode_recording, messages, result_messages
-from quadpi_core.logs.bags import output_topic
+from quadpi_core.logs import FORMATS, decode_recording, identify_format, messages, result_messages
+from quadpi_core.logs.bags import TOPIC_TYPES, open_recording, output_topic
+from quadpi_core.logs.blocks import by_arrival, split_recording
 from quadpi_core.logs.mcap import Topic
-from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, MonitorSettings, alarm_time
 from quadpi_core.monitor.events import Events
@@ -28,15 +35,13 @@ from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.signals import ekf_kernels
-from quadpi_core.signals.ekf import Ekf, EkfTrace
+from quadpi_core.signals.ekf import Ekf, EkfTrace, Spans, never_started
 from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
-
-_Rows = TypeVar("_Rows", Predictions, Alarms)
 
 
 @dataclass(frozen=True)
@@ -97,95 +102,174 @@ def replay(
     """
     if Path(output).resolve() == Path(bag).resolve():
         raise LogError(f"{bag}: the output would replace the flight; choose another file")
-    recording = decode_recording(bag, vehicle)
-    for stream in recording.streams():
-        stream.require_samples(recording.source)
-    if len(recording.imu) < 2:
-        raise LogError(f"{recording.source}: topic imu: one sample is too few")
-    rate_hz = nominal_rate(recording.imu.time_ns)
-    monitor = Monitor(model, vehicle, rate_hz, confidence, settings)
-    samples, topics = _published(recording, vehicle, rate_hz)
-    predictions, alarms, events = _watch(monitor, samples)
+    with open_flight(bag, vehicle) as flight:
+        monitor = Monitor(model, vehicle, flight.rate_hz, confidence, settings)
+        return _write(flight, monitor, vehicle, Path(output))
 
-    topics.append(
-        output_topic(
-            "prediction",
-            predictions.time_ns,
-            result_messages.pack_predictions(
-                predictions, model=model.identity, confidence=monitor.confidence, axes=model.axes
-            ),
+
+def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: Path) -> ReplaySummary:
+    """Follow a flight, write what comes of it and sum it up."""
+    model = monitor.model
+    metadata = {
+        "vehicle": vehicle.name,
+        "model": model.identity,
+        "source": flight.name,
+        "version": __version__,
+    }
+    tally = _Tally()
+    with mcap_writer(output, metadata) as writer:
+        names = ["odometry"] if flight.has_mocap else []
+        writer.announce(
+            {f"/{name}": TOPIC_TYPES[name] for name in [*names, "prediction", "extrapolation_alarm"]}
         )
+        for stretch in follow(flight, vehicle):
+            if stretch.begin != pairing.CONTINUES:
+                # Stamps come again, which must not mix with those before.
+                writer.flush()
+            if stretch.begin == pairing.SET_BACK:
+                monitor.reset()
+            predictions, alarms, events = monitor.step(*stretch.samples)
+            for topic in _messages(stretch.states, predictions, alarms, events, monitor):
+                writer.add(topic)
+            writer.flush(stretch.settled_ns)
+            tally.add(stretch, predictions, alarms, events)
+    return tally.summary()
+
+
+def _messages(
+    states: FusedSamples | None,
+    predictions: Predictions,
+    alarms: Alarms,
+    events: Events,
+    monitor: Monitor,
+) -> Iterator[Topic]:
+    """What the nodes publish."""
+    if states is not None:
+        payloads = messages.pack_odometry(states.odometry, states.pose_covariance, states.twist_covariance)
+        yield output_topic("odometry", states.time_ns, payloads)
+    yield output_topic(
+        "prediction",
+        predictions.time_ns,
+        result_messages.pack_predictions(
+            predictions,
+            model=monitor.model.identity,
+            confidence=monitor.confidence,
+            axes=monitor.model.axes,
+        ),
     )
-    topics.append(output_topic("extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms)))
+    if len(alarms):
+        yield output_topic("extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms))
     if events:
         stamps = np.array([event.time_ns for event in events])
-        topics.append(output_topic("alarm_log", stamps, result_messages.pack_events(events)))
-    write_mcap(
-        Path(output),
-        topics,
-        {"vehicle": vehicle.name, "model": model.identity, "source": recording.name, "version": __version__},
-    )
-    monitored = sum(len(part.time_ns) for part in samples)
-    return _summarise(recording, monitored, len(predictions.time_ns), alarms, events)
+        yield output_topic("alarm_log", stamps, result_messages.pack_events(events))
 
 
-def _published(
-    recording: Recording, vehicle: Vehicle, rate_hz: float
-) -> tuple[list[PairedSamples], list[Topic]]:
-    """What the monitor gets, and the odometry that an estimator publishes.
+@dataclass(frozen=True)
+class RecordedFlight:
+    """A flight to follow.
 
-    All else of a long flight is let go here.
+    Attributes:
+        name, source: see :class:`Recording`.
+        rate_hz: of the IMU.
+        has_mocap: whether the state comes from the EKF; else from the flight's odometry.
+        blocks: the flight, as :func:`quadpi_core.logs.blocks.by_arrival` gives it.
     """
-    samples, fused = monitored(recording, vehicle, rate_hz)
-    if fused is None:
-        return samples, []
-    payloads = messages.pack_odometry(fused.odometry, fused.pose_covariance, fused.twist_covariance)
-    return samples, [output_topic("odometry", fused.time_ns, payloads)]
+
+    name: str
+    source: str
+    rate_hz: float
+    has_mocap: bool
+    blocks: Iterator[Recording]
 
 
-def monitored(
-    recording: Recording, vehicle: Vehicle, rate_hz: float
-) -> tuple[list[PairedSamples], FusedSamples | None]:
-    """What the monitor gets of a recording, and the states of the estimator; None without motion capture.
+@contextmanager
+def open_flight(path: Path | str, vehicle: Vehicle) -> Iterator[RecordedFlight]:
+    """The flight in a bag, which is then never held whole, or in any log that needs no mapping.
+
+    Raises:
+        LogError: naming what cannot be read or is missing.
+    """
+    if identify_format(Path(path)) is not FORMATS["bag"]:
+        yield recorded_flight(decode_recording(path, vehicle))
+        return
+    with open_recording(path, vehicle) as bag:
+        yield _flight(bag.name, bag.source, bag.streams, bag.imu_stamps(), by_arrival(bag.blocks()))
+
+
+def recorded_flight(recording: Recording) -> RecordedFlight:
+    """The flight that a recording is.
 
     Raises:
         LogError: naming what is missing.
+    """
+    for stream in recording.streams():
+        stream.require_samples(recording.source)
+    fields = {name for name in vars(recording) if getattr(recording, name) is not None}
+    blocks = split_recording(recording)
+    return _flight(recording.name, recording.source, fields, recording.imu.time_ns, blocks)
+
+
+def _flight(
+    name: str, source: str, streams: Collection[str], imu_ns: Stamps, blocks: Iterator[Recording]
+) -> RecordedFlight:
+    if len(imu_ns) < 2:
+        raise LogError(f"{source}: topic imu: one sample is too few")
+    has_mocap = "pose" in streams or "twist" in streams
+    if not has_mocap and "odometry" not in streams:
+        raise LogError(f"{source}: topics mocap/pose and odometry are missing: one is needed")
+    if "rotor_speeds" not in streams:
+        raise LogError(f"{source}: topic rotor_speeds (or erpm) is missing")
+    return RecordedFlight(name, source, nominal_rate(imu_ns), has_mocap, blocks)
+
+
+class Followed(NamedTuple):
+    """What comes of a part of a flight until it reaches the monitor; see :class:`.pairing.Stretch`.
+
+    Attributes:
+        samples: what the monitor gets.
+        states: what the estimator publishes; None without one.
+        imu_ns: (N,) stamps of the IMU samples that came since what was followed before.
+        settled_ns: no sample or state that is still to come is stamped then or before.
+    """
+
+    begin: int
+    samples: PairedSamples
+    states: FusedSamples | None
+    imu_ns: Stamps
+    settled_ns: int
+
+
+def follow(flight: RecordedFlight, vehicle: Vehicle) -> Iterator[Followed]:
+    """Take a flight as estimator and pairing take it live.
+
+    Raises:
+        LogError: naming what cannot be read, or if IMU, rotor speeds and state share no time.
         SignalError: if the estimator never starts.
     """
-    imu = _Imu(
-        recording.imu.time_ns,
-        with_gyro_faults(recording.imu).specific_force,
-        np.arange(len(recording.imu)),
-    )
-    odometry, state_of, fused = recording.odometry, None, None
-    if recording.pose is not None or recording.twist is not None:
-        imu, fused, state_of = _estimator_output(Ekf(vehicle, rate_hz).run(recording), recording.imu)
-        odometry = fused.odometry
-    if odometry is None:
-        raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
-    return _pair(recording, imu, odometry, state_of), fused
-
-
-def _watch(monitor: Monitor, samples: Sequence[PairedSamples]) -> tuple[Predictions, Alarms, Events]:
-    """What the monitor says; it starts anew with each part of the samples."""
-    outputs = []
-    for part in samples:
-        monitor.reset()
-        outputs.append(monitor.step(*part))
-    if len(outputs) == 1:
-        return outputs[0]
-    predictions, alarms, events = zip(*outputs, strict=True)
-    return _joined(predictions), _joined(alarms), [event for part in events for event in part]
-
-
-def _joined(parts: Sequence[_Rows]) -> _Rows:
-    """The rows of all parts."""
-    return type(parts[0])(
-        **{
-            column.name: np.concatenate([getattr(part, column.name) for part in parts])
-            for column in fields(parts[0])
-        }
-    )
+    ekf = Ekf(vehicle, flight.rate_hz) if flight.has_mocap else None
+    spans, started = Spans(), False
+    meeting = pairing.Pairing()
+    for block in flight.blocks:
+        odometry, state_of, states = block.odometry, None, None
+        imu = _Imu(block.imu.time_ns, with_gyro_faults(block.imu).specific_force, np.arange(len(block.imu)))
+        if ekf is not None:
+            trace = ekf.take(block)
+            imu, states, state_of = _estimator_output(trace, block.imu)
+            odometry = states.odometry
+            spans, started = spans.seen(block), started or len(trace) > 0
+        assert odometry is not None  # RecordedFlight says so
+        new = block.imu.time_ns
+        for stretch in meeting.take_all(_arriving(block, imu, odometry, state_of)):
+            settled_ns = stretch.settled_ns
+            if ekf is not None and ekf.settled_ns is not None:
+                settled_ns = min(settled_ns, ekf.settled_ns)
+            own = None if states is None else states.part(stretch.states)
+            yield Followed(stretch.begin, stretch.samples, own, new, settled_ns)
+            new = new[:0]
+    if ekf is not None and not started:
+        raise never_started(flight.source, spans)
+    if meeting.counts.paired == 0:
+        raise LogError(f"{flight.source}: topics imu, rotor_speeds and the state share no time")
 
 
 def replay_all(
@@ -286,63 +370,77 @@ class _Imu(NamedTuple):
     used: Stamps
 
 
-def _pair(
-    recording: Recording, imu: _Imu, odometry: OdometryStream, state_of: Stamps | None
-) -> list[PairedSamples]:
-    """What live pairing gives, apart where the clock of the IMU was set back.
+def _arriving(
+    block: Recording, imu: _Imu, odometry: OdometryStream, state_of: Stamps | None
+) -> pairing.Arriving:
+    """What reaches the pairing of a block, in the order of its arrival.
 
     Args:
-        recording: with rotor speeds.
+        block: with rotor speeds.
         imu: what the monitor gets of it.
         odometry: the states.
         state_of: (S,) IMU sample that each state comes right after; None where it came by itself.
     """
-    rotor_speeds = recording.rotor_speeds
-    if rotor_speeds is None:
-        raise LogError(f"{recording.source}: topic rotor_speeds (or erpm) is missing")
-    wind = recording.wind or WindStream(np.empty(0, dtype=np.int64), np.empty((0, 3)))
+    rotor_speeds = block.rotor_speeds
+    assert rotor_speeds is not None  # RecordedFlight says so
+    wind = block.wind or WindStream(np.empty(0, dtype=np.int64), np.empty((0, 3)))
     # Of what belongs to one IMU sample: what came since the one before, the sample, its state.
     came = {
-        pairing.WIND_TOPIC: 3 * recording.arrivals_of(wind),
-        pairing.ROTORS: 3 * recording.arrivals_of(rotor_speeds),
+        pairing.WIND_TOPIC: 3 * block.arrivals_of(wind),
+        pairing.ROTORS: 3 * block.arrivals_of(rotor_speeds),
         pairing.IMU: 3 * imu.used + 1,
-        pairing.STATE: 3 * recording.arrivals_of(odometry) if state_of is None else 3 * state_of + 2,
+        pairing.STATE: 3 * block.arrivals_of(odometry) if state_of is None else 3 * state_of + 2,
     }
     rows = {kind: np.arange(len(places)) for kind, places in came.items()} | {pairing.IMU: imu.used}
     order = np.argsort(np.concatenate(list(came.values())), kind="stable")
-    states = np.concatenate((odometry.velocity, odometry.attitude, odometry.rates), axis=1)
-    arriving = pairing.Arriving(
+    return pairing.Arriving(
         kind=np.repeat(list(came), [len(places) for places in came.values()])[order],
         row=np.concatenate([rows[kind] for kind in came])[order],
         imu_ns=imu.time_ns,
         specific_force=imu.specific_force,
         state_ns=odometry.time_ns,
-        states=states,
+        states=np.concatenate((odometry.velocity, odometry.attitude, odometry.rates), axis=1),
         rotor_ns=rotor_speeds.time_ns,
         rotor_speeds=rotor_speeds.speeds,
         wind_ns=wind.time_ns,
         wind=wind.velocity,
     )
-    samples, complete = pairing.Pairing().take_all(arriving)
-    if complete == 0:
-        raise LogError(f"{recording.source}: topics imu, rotor_speeds and the state share no time")
-    return samples
 
 
-def _summarise(
-    recording: Recording, monitored: int, predictions: int, alarms: Alarms, events: Events
-) -> ReplaySummary:
-    stamps = recording.imu.time_ns
-    alarm, warning = (
-        alarm_time(alarms.time_ns, alarms.level, int(stamps[-1]), level)
-        for level in (LEVEL_ALARM, LEVEL_WARNING)
-    )
-    return ReplaySummary(
-        samples_in=len(stamps),
-        predictions_out=predictions,
-        dropped=monitored - predictions,
-        alarm_fraction=alarm.fraction,
-        alarm_first_s=alarm.first_s(int(stamps[0])),
-        warning_first_s=warning.first_s(int(stamps[0])),
-        events=max((event.number for event in events), default=0),
-    )
+class _Tally:
+    """Counts what comes of a replay; of an alarm row it keeps the stamp and the level."""
+
+    def __init__(self) -> None:
+        self._imu_ns: tuple[int, int] | None = None
+        self._samples = self._monitored = self._predictions = self._events = 0
+        self._alarm_ns: list[Stamps] = []
+        self._levels: list[npt.NDArray[np.uint8]] = []
+
+    def add(self, part: Followed, predictions: Predictions, alarms: Alarms, events: Events) -> None:
+        """Count what came of a part of the flight."""
+        if len(part.imu_ns):
+            first_ns = int(part.imu_ns[0]) if self._imu_ns is None else self._imu_ns[0]
+            self._imu_ns = first_ns, int(part.imu_ns[-1])
+        self._samples += len(part.imu_ns)
+        self._monitored += len(part.samples.time_ns)
+        self._predictions += len(predictions.time_ns)
+        self._events = max([self._events, *(event.number for event in events)])
+        self._alarm_ns.append(alarms.time_ns.copy())
+        self._levels.append(alarms.level.copy())
+
+    def summary(self) -> ReplaySummary:
+        """What all of it amounts to; there was a sample at least."""
+        start_ns, end_ns = self._imu_ns or (0, 0)
+        time_ns, levels = np.concatenate(self._alarm_ns), np.concatenate(self._levels)
+        alarm, warning = (
+            alarm_time(time_ns, levels, end_ns, level) for level in (LEVEL_ALARM, LEVEL_WARNING)
+        )
+        return ReplaySummary(
+            samples_in=self._samples,
+            predictions_out=self._predictions,
+            dropped=self._monitored - self._predictions,
+            alarm_fraction=alarm.fraction,
+            alarm_first_s=alarm.first_s(start_ns),
+            warning_first_s=warning.first_s(start_ns),
+            events=self._events,
+        )

@@ -244,6 +244,13 @@ class Ekf:
         return State(self._memory.stamps[head : head + 1], self._memory.rows[head])
 
     @property
+    def settled_ns(self) -> int | None:
+        """No estimate comes at or before this stamp, unless the IMU's clock is set back; None at first."""
+        if self._initial is not None:
+            return int(self._memory.stamps[self._memory.clock[Clock.HEAD]])
+        return self._imu[0][0] + COLLECT_NS - 1 if self._imu else None
+
+    @property
     def delay_s(self) -> float:
         """By how much motion capture's stamps are late, as estimated."""
         return float(self.state.row[Row.DELAY])
@@ -325,7 +332,20 @@ class Ekf:
         Raises:
             SignalError: if the recording has no motion capture, or never a second of IMU samples and that.
         """
-        track, outcomes, _ = self._run(recording, journalled=False)
+        trace = self.take(recording)
+        if len(trace) == 0:
+            raise never_started(recording.source, Spans().seen(recording))
+        return trace
+
+    def take(self, block: Recording) -> EkfTrace:
+        """Estimate over the next block of a recording; see :func:`quadpi_core.logs.blocks.by_arrival`.
+
+        Blocks of any length give the same estimates, bit for bit. There are none before the filter begins.
+
+        Raises:
+            SignalError: if the recording has no motion capture.
+        """
+        track, outcomes, _ = self._run(block, journalled=False)
         return EkfTrace(
             time_ns=track.time_ns,
             nominal=track.nominal,
@@ -345,7 +365,10 @@ class Ekf:
         Raises:
             SignalError: as :meth:`run`.
         """
-        return self._run(recording, journalled=True)[2]
+        segments = self._run(recording, journalled=True)[2]
+        if not segments:
+            raise never_started(recording.source, Spans().seen(recording))
+        return segments
 
     @property
     def noise(self) -> Noise:
@@ -369,20 +392,20 @@ class Ekf:
             room = len(measurements.time_ns)
             self._journal = np.empty(room, dtype=np.int64), np.empty((room, JOURNAL))
         segments: list[Segment] = []
-        began: int | None = None
+        began = 0
 
         def close() -> None:
-            if self._initial is not None and began is not None and journalled:
+            if self._initial is not None and journalled:
                 sampled = track.sample[began + 1 : int(progress.recorded[0])]
                 segments.append(self._segment(self._initial, imu.time_ns, sampled))
 
         while progress.imu[0] < len(imu):
-            if self._initial is not None and began is not None:
+            if self._initial is not None:
                 ekf_run.run(self._memory, imu.time_ns, samples, measurements, progress, track, *self._journal)
                 if progress.imu[0] == len(imu):
                     break
+                # The next sample asks for a RESET.
                 close()
-                began = None
             index = int(progress.imu[0])
             self._feed_next(imu.time_ns, samples, measurements, progress)
             if self._initial is not None and progress.imu[0] > index:
@@ -390,13 +413,7 @@ class Ekf:
                 ekf_run.record(self._memory, track, progress, index)
         close()
         self._journal = _NO_JOURNAL
-        recorded = int(progress.recorded[0])
-        if recorded == 0:
-            raise SignalError(
-                f"{recording.source}: the estimator never started: it needs one second with IMU samples and "
-                f"motion capture; imu spans {_span(imu.time_ns)}, {_span_of_mocap(recording)}"
-            )
-        return track.until(recorded), progress.outcomes, segments
+        return track.until(int(progress.recorded[0])), progress.outcomes, segments
 
     def _segment(self, initial: Initial, imu_ns: Stamps, sampled: npt.NDArray[np.int64]) -> Segment:
         """What happened since the beginning; `sampled` are the IMU samples used since it caught up."""
@@ -521,10 +538,37 @@ def assumed_noise(vehicle: Vehicle, rate_hz: float) -> Noise:
     )
 
 
-def _span(time_ns: Stamps) -> str:
-    return f"{time_ns[0] * 1e-9:.3f} to {time_ns[-1] * 1e-9:.3f} s"
+class Spans(NamedTuple):
+    """From when to when there were samples of the IMU and of motion capture [ns]; None without any."""
+
+    imu: tuple[int, int] | None = None
+    mocap: tuple[int, int] | None = None
+    mocap_topic: str = ""
+
+    def seen(self, block: Recording) -> Spans:
+        """The spans after one more block of the recording."""
+        mocap = block.twist if block.pose is None else block.pose
+        return Spans(
+            _longer(self.imu, block.imu.time_ns),
+            self.mocap if mocap is None else _longer(self.mocap, mocap.time_ns),
+            self.mocap_topic if mocap is None else mocap.topic,
+        )
 
 
-def _span_of_mocap(recording: Recording) -> str:
-    stream = recording.pose or recording.twist
-    return f"{stream.topic} {_span(stream.time_ns)}" if stream else ""
+def never_started(source: str, spans: Spans) -> SignalError:
+    """The error of a recording over which the filter gave no estimate."""
+    mocap = f"{spans.mocap_topic} {_span(spans.mocap)}" if spans.mocap else ""
+    return SignalError(
+        f"{source}: the estimator never started: it needs one second with IMU samples and "
+        f"motion capture; imu spans {_span(spans.imu)}, {mocap}"
+    )
+
+
+def _longer(span: tuple[int, int] | None, time_ns: Stamps) -> tuple[int, int] | None:
+    if len(time_ns) == 0:
+        return span
+    return int(time_ns[0]) if span is None else span[0], int(time_ns[-1])
+
+
+def _span(span: tuple[int, int] | None) -> str:
+    return "no time" if span is None else f"{span[0] * 1e-9:.3f} to {span[1] * 1e-9:.3f} s"

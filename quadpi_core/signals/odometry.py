@@ -79,6 +79,10 @@ class FusedSamples(NamedTuple):
         """Those that a mask (K,) chooses; not copied where it chooses all."""
         return self if chosen.all() else FusedSamples(self.time_ns[chosen], self.rows[chosen])
 
+    def part(self, rows: slice) -> FusedSamples:
+        """Those of a range; views."""
+        return FusedSamples(self.time_ns[rows], self.rows[rows])
+
 
 def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSamples:
     """The filter's state as odometry and corrected IMU; copies, so the state may go on.

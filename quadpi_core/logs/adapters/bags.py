@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection
+from pathlib import Path
 from typing import NamedTuple
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 
-from quadpi_core.errors import LogError, VehicleError
+from quadpi_core.errors import LogError, SampleError, VehicleError
 from quadpi_core.flight import Stream
 from quadpi_core.logs.adapters.registry import ADAPTERS, Adapter
 from quadpi_core.logs.adapters.settings import AdapterSettings
@@ -83,29 +84,59 @@ def _only(bag: Bag, kind: str, chosen: list[AdaptedTopic], asked: str | None) ->
     return chosen[0]
 
 
-def unpack_adapted(
-    bag: Bag, adapted: AdaptedTopic, topic: Topic, settings: AdapterSettings, vehicle: Vehicle | None
-) -> Stream:
-    """The samples of a topic; logs how many messages gave none, and why.
+class AdaptedReading:
+    """Unpacks the messages of a topic, some at a time, and counts what they give.
 
     Raises:
-        LogError: naming bag, topic and sample, for messages that cannot be read, or if none gives a sample.
+        LogError: naming bag and topic, if the bag holds no definition that can be used.
     """
-    where = f"{bag.path}: topic {topic.name}"
-    definition = adapted.connection.msgdef
-    if definition.format != MessageDefinitionFormat.MSG or not definition.data:
-        raise LogError(
-            f"{where}: the bag does not hold the definition of {topic.type_name} as a .msg; "
-            "`ros2 bag convert` to MCAP adds it, where the package is installed"
-        )
-    try:
-        unpacker = adapted.adapter.open(definition.data, settings, vehicle)
-        stream = unpacker.unpack(topic.payloads)
-    except (LogError, VehicleError) as error:
-        raise LogError(f"{where}: {error}") from error
-    dropped = "; ".join(f"{count}: {reason}" for reason, count in unpacker.dropped.most_common())
-    if len(stream) == 0:
-        raise LogError(f"{where}: none of {len(topic.payloads)} messages gives a sample ({dropped})")
-    if dropped:
-        _log.warning("%s: dropped messages of %d: %s", where, len(topic.payloads), dropped)
-    return stream
+
+    def __init__(
+        self, bag: Path, topic: AdaptedTopic, settings: AdapterSettings, vehicle: Vehicle | None
+    ) -> None:
+        self.name = topic.name
+        self._where = f"{bag}: topic {topic.name}"
+        self._samples = 0
+        definition, type_name = topic.connection.msgdef, topic.adapter.type_name
+        if definition.format != MessageDefinitionFormat.MSG or not definition.data:
+            raise LogError(
+                f"{self._where}: the bag does not hold the definition of {type_name} as a .msg; "
+                "`ros2 bag convert` to MCAP adds it, where the package is installed"
+            )
+        try:
+            self._unpacker = topic.adapter.open(definition.data, settings, vehicle)
+        except (LogError, VehicleError) as error:
+            raise LogError(f"{self._where}: {error}") from error
+
+    def unpack(self, topic: Topic, before: int) -> Stream | None:
+        """The samples in messages; None without messages.
+
+        Args:
+            topic: its next messages.
+            before: how many came before them.
+
+        Raises:
+            LogError: naming bag, topic and sample, for messages that cannot be read.
+        """
+        if len(topic.payloads) == 0:
+            return None
+        try:
+            stream = self._unpacker.unpack(topic.payloads)
+        except SampleError as error:
+            raise LogError(f"{self._where}: {error.after(before)}") from error
+        except (LogError, VehicleError) as error:
+            raise LogError(f"{self._where}: {error}") from error
+        self._samples += len(stream)
+        return stream
+
+    def finish(self, count: int) -> None:
+        """Log how many of all `count` messages gave no sample, and why.
+
+        Raises:
+            LogError: if none gave one.
+        """
+        dropped = "; ".join(f"{number}: {reason}" for reason, number in self._unpacker.dropped.most_common())
+        if self._samples == 0:
+            raise LogError(f"{self._where}: none of {count} messages gives a sample ({dropped})")
+        if dropped:
+            _log.warning("%s: dropped messages of %d: %s", self._where, count, dropped)

@@ -30,16 +30,24 @@ class BodyReader:
     """Poses of the body that the settings name.
 
     A body that is hidden is absent from a message, or comes with an orientation that is none (NaN, zeros).
-
-    Attributes:
-        dropped: how many messages gave no sample, by reason.
     """
 
     def __init__(self, settings: BodySettings) -> None:
         self._settings = settings
         self._body = settings.body.encode()
         self._seen: set[str] = set()
-        self.dropped: Counter[str] = Counter()
+        self._absent, self._untracked = 0, 0
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """How many messages gave no sample, by reason."""
+        body = self._settings.body
+        return +Counter(
+            {
+                f"{body} is not in it (others: {self.seen})": self._absent,
+                f"{body} has no pose in it": self._untracked,
+            }
+        )
 
     @property
     def seen(self) -> str:
@@ -65,13 +73,13 @@ class BodyReader:
             raise SampleError(index, f"two bodies are named {self._settings.body}")
         if absent := len(time_ns) - len(rows):
             self._note(names)
-            self.dropped[f"{self._settings.body} is not in it (others: {self.seen})"] += absent
+            self._absent += absent
         position = bodies.columns["pose.position"][rows]
         orientation = bodies.columns["pose.orientation"][rows][:, _WXYZ]
         norm = np.sqrt(np.einsum("ni,ni->n", orientation, orientation))
         tracked = (np.abs(norm - 1.0) <= NORM_TOLERANCE) & np.isfinite(position).all(axis=1)
         if not tracked.all():
-            self.dropped[f"{self._settings.body} has no pose in it"] += int(np.sum(~tracked))
+            self._untracked += int(np.sum(~tracked))
             sample, position, orientation, norm = (
                 values[tracked] for values in (sample, position, orientation, norm)
             )

@@ -2,21 +2,27 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import tracemalloc
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.swings import write_long_bag
 from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
-from quadpi_core.logs import messages
-from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
-from quadpi_core.logs.mcap import Bag
+from quadpi_core.logs import blocks, mcap, messages
+from quadpi_core.logs.bags import read_bag, read_outputs, recording_topics, write_bag
+from quadpi_core.logs.mcap import Bag, join_topics
+from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.logs.payloads import Payloads
+from quadpi_core.monitor import replay as replay_module
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.replay import replay, replay_all
+from quadpi_core.monitor.replay import recorded_flight, replay, replay_all
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.odometry import fused_sample
 
@@ -117,6 +123,117 @@ def test_the_same_bytes_each_time(each_model, vehicle, with_pose, bag_of, tmp_pa
     replay(each_model, vehicle, bag, first)
     replay(each_model, vehicle, bag, second)
     assert first.read_bytes() == second.read_bytes()
+
+
+def cut(recording: Recording, seconds: float) -> Recording:
+    """The first seconds of a recording."""
+    return replace(
+        recording,
+        **{
+            name: type(stream)(
+                *(
+                    getattr(stream, column.name)[stream.time_ns < START_NS + seconds * 1e9]
+                    for column in fields(stream)
+                )
+            )
+            for name in ("imu", "rotor_speeds", "pose", "odometry")
+            if (stream := getattr(recording, name)) is not None
+        },
+    )
+
+
+def set_back(recording: Recording, after_s: float, by_s: float, path: Path) -> Path:
+    """A bag whose recorder's clock went on while those of the sensors were set back."""
+    topics = []
+    for topic in recording_topics(recording):
+        stamps = topic.log_time_ns - np.where(
+            topic.log_time_ns < START_NS + after_s * 1e9, 0, int(by_s * 1e9)
+        )
+        rows = topic.payloads.rows(np.arange(len(stamps)), int(topic.payloads.lengths[0])).copy()
+        # Seconds and nanoseconds follow the four bytes of the encapsulation.
+        rows[:, 4:12] = np.stack(np.divmod(stamps, 10**9), axis=1).astype("<u4").view(np.uint8)
+        topics.append(replace(topic, payloads=Payloads.from_rows(rows)))
+    write_mcap(path, topics, {"vehicle": recording.vehicle})
+    return path
+
+
+@pytest.fixture
+def odd_bag(with_pose, tmp_path) -> Path:
+    """Six seconds in which a sample of the IMU is none, rotor speeds pause and the clock is set back."""
+    imu, rotors = with_pose.imu, with_pose.rotor_speeds
+    force = imu.specific_force.copy()
+    force[700, 1] = np.nan
+    kept = np.r_[0:700, 900 : len(rotors)]
+    odd = replace(
+        with_pose,
+        imu=replace(imu, specific_force=force),
+        rotor_speeds=RotorSpeedStream(rotors.time_ns[kept], rotors.speeds[kept]),
+    )
+    return set_back(odd, 3.5, 2.2, tmp_path / "odd.mcap")
+
+
+@pytest.mark.parametrize(("messages", "seconds"), [(1, 1.3), (7, 6.0), (1000, 6.0)])
+def test_the_bytes_do_not_depend_on_the_blocks(
+    each_model, vehicle, with_pose, odd_bag, bag_of, tmp_path, monkeypatch, messages, seconds
+):
+    settings = MonitorSettings(adaptive=True)
+    flights = [bag_of(cut(with_pose, seconds))] + ([odd_bag] if messages > 1 else [])
+    for flight in flights:
+        whole, blocks = tmp_path / "whole.mcap", tmp_path / "blocks.mcap"
+        monkeypatch.setattr(mcap, "BLOCK_MESSAGES", 10**6)
+        expected = replay(each_model, vehicle, flight, whole, settings=settings)
+        monkeypatch.setattr(mcap, "BLOCK_MESSAGES", messages)
+        assert replay(each_model, vehicle, flight, blocks, settings=settings) == expected
+        assert blocks.read_bytes() == whole.read_bytes()
+
+
+def test_a_clock_that_is_set_back_keeps_what_was_before(model, vehicle, odd_bag, tmp_path):
+    summary = replay(model, vehicle, odd_bag, tmp_path / "out.mcap")
+    assert summary.events > 0  # the pause of the rotor speeds
+    with Bag(tmp_path / "out.mcap") as bag:
+        blocks = list(bag.blocks(["/odometry", "/prediction"]))
+    stamps = {
+        name: messages.unpack_stamps(join_topics([block[name] for block in blocks]).payloads)
+        for name in ("/odometry", "/prediction")
+    }
+    # The estimator begins anew: 1.3 s after the clock was set back come again.
+    assert np.sum(stamps["/odometry"] < START_NS + 2.3e9) == pytest.approx(650, abs=3)
+    assert len(stamps["/odometry"]) == pytest.approx(2 * RATE_HZ * (3.5 - 1.0 + 2.5 - 1.0) / 2, abs=5)
+    assert np.isin(stamps["/prediction"], stamps["/odometry"]).all()
+
+
+@pytest.mark.parametrize("samples", [7, 1000])
+def test_blocks_of_a_log_are_followed_like_those_of_its_bag(
+    model, vehicle, with_pose, bag_of, tmp_path, monkeypatch, samples
+):
+    """Logs that are no bags are read whole: what arrived when follows from the stamps."""
+    bag = bag_of(with_pose)
+    replay(model, vehicle, bag, tmp_path / "bag.mcap")
+    monkeypatch.setattr(blocks, "BLOCK_SAMPLES", samples)
+    recording = read_bag(bag, vehicle)
+
+    @contextmanager
+    def whole(_path, _vehicle):
+        yield recorded_flight(replace(recording, arrivals={}))
+
+    monkeypatch.setattr(replay_module, "open_flight", whole)
+    replay(model, vehicle, bag, tmp_path / "log.mcap")
+    assert (tmp_path / "log.mcap").read_bytes() == (tmp_path / "bag.mcap").read_bytes()
+
+
+def test_memory_does_not_grow_with_the_flight(model, vehicle, tmp_path):
+    peaks = []
+    lengths_s = (40.0, 80.0)
+    for seconds in lengths_s:
+        bag = tmp_path / "long.mcap"
+        write_long_bag(bag, vehicle, seconds)
+        tracemalloc.start()
+        summary = replay(model, vehicle, bag, tmp_path / "out.mcap")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert summary.predictions_out == pytest.approx((seconds - 1.0) * RATE_HZ, abs=5)
+    # Of a flight are kept the stamps of its IMU and the alarm's levels: 8 and 0.2 bytes per sample.
+    assert peaks[1] - peaks[0] < 60 * np.diff(lengths_s) * RATE_HZ
 
 
 def test_leaving_the_envelope_is_in_the_bag_and_the_summary(model, vehicle, with_odometry, bag_of, tmp_path):

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The most memory that `quadpi replay` takes for two hours at 500 Hz.
+
+Two lengths are measured; what the longer takes more is added for each further minute. The figure is that of
+the whole process, of which the libraries take most.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks import Result
+from benchmarks.swings import IMU_HZ, METHODS, VEHICLE, three_models, write_long_bag
+from quadpi_core.vehicle import Vehicle
+
+NAMES = ("replay_memory_mib",)
+
+MEASURED_MIN = (20, 40)
+FLIGHT_MIN = 120
+GOAL_MIB = 600.0
+# Of the process alone: what the system reports of a child may be what its parent took.
+_CHILD = """
+import pathlib, re
+from quadpi_core.cli import main
+try:
+    main()
+finally:
+    status = pathlib.Path("/proc/self/status").read_text()
+    pathlib.Path({peak!r}).write_text(re.search(r"VmHWM:\\s*(\\d+)", status)[1])
+"""
+
+
+def run() -> list[Result]:
+    vehicle = Vehicle.load(VEHICLE)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        three_models(folder, vehicle)
+        peaks = [_peak_mib(folder, vehicle, minutes) for minutes in (1, *MEASURED_MIN)][1:]
+    (shorter, longer), (brief, long) = MEASURED_MIN, peaks
+    growth = (long - brief) / (longer - shorter)
+    return [
+        Result(
+            NAMES[0],
+            long + growth * (FLIGHT_MIN - longer),
+            "MiB",
+            f"{brief:.0f} MiB for {shorter} minutes at {IMU_HZ:.0f} Hz, {long:.0f} for {longer}, "
+            f"extrapolated to {FLIGHT_MIN}",
+            goal=GOAL_MIB,
+            at_most=True,
+        )
+    ]
+
+
+def _peak_mib(folder: Path, vehicle: Vehicle, minutes: float) -> float:
+    """The most memory of a replay; the first one compiles, which takes more."""
+    bag, output, peak = (folder / name for name in ("long.mcap", "replayed.mcap", "peak"))
+    write_long_bag(bag, vehicle, 60.0 * minutes)
+    arguments = ["replay", str(folder / METHODS[0]), str(bag), "-o", str(output)]
+    child = [sys.executable, "-c", _CHILD.format(peak=str(peak)), *arguments]
+    subprocess.run(child, check=True, stdout=subprocess.DEVNULL)
+    return int(peak.read_text()) / 1024
