@@ -95,9 +95,9 @@ class Results:
         self._frame_id = frame_id
         self._first, *others = monitors
         self._publish_first = node.announce(WrenchPrediction, "prediction")
-        self._publish_others = [
-            (name, node.announce(WrenchPrediction, f"prediction/{name}")) for name in others
-        ]
+        # Below the first one's, under whatever name that goes: a remapping says nothing of topics below it.
+        below = node.resolve_topic_name("prediction")
+        self._publish_others = [(name, node.announce(WrenchPrediction, f"{below}/{name}")) for name in others]
         self._publish_alarm = node.announce(ExtrapolationAlarm, "extrapolation_alarm")
         self._publish_log = node.announce(AlarmEvent, "alarm_log", LOG_QOS)
         self._alarm = (LEVEL_OK, 0)

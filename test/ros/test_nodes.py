@@ -288,3 +288,27 @@ def test_a_failed_configuration_is_one_line_and_can_be_tried_again(monkeypatch: 
     assert node.trigger_shutdown() == TransitionCallbackReturn.SUCCESS
     assert node.state == "finalized"
     node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("remapping", "prediction"),
+    [("prediction:=/lab/wrench", "/lab/wrench"), ("imu:=/lab/imu", "/uav/prediction")],
+)
+def test_predictions_of_all_models_go_by_the_other_name(
+    remapping: str, prediction: str, ros_domain: int, folder: Path
+) -> None:
+    import rclpy
+
+    from quadpi_ros.monitor_node import MonitorNode
+
+    model = f"model:=[{folder / 'model'}, {folder / 'other'}]"
+    given = ["-p", "vehicle:=neurobem", "-p", model, "-r", "__ns:=/uav", "-r", remapping]
+    rclpy.init(args=["--ros-args", *given], domain_id=ros_domain)
+    try:
+        node = MonitorNode()
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        topics = {publisher.topic_name for publisher in node.publishers}
+        assert topics >= {prediction, f"{prediction}/other"}
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
