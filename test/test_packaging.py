@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
 import subprocess
 import sys
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -108,6 +110,59 @@ def test_a_program_runs_with_no_environment_active(program: str, prefix: Path) -
     assert result.returncode == 2, result.stderr
     assert "loud" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+# Packages of the system by another name than `python3-` and that of PyPI, or that come with another.
+SYSTEM_PACKAGES = {"pyyaml": "python3-yaml", "llvmlite": "python3-numba"}
+# Imported only where an extra of pyproject.toml is asked for, or what it tests with.
+OPTIONAL = {"sklearn", "torch"}
+# Needed by the messages, not imported.
+OF_MESSAGES = {"std_msgs", "rosidl_default_runtime"}
+
+
+def imported() -> set[str]:
+    """The packages that the code and the launch files import, without what Python and quadpi bring."""
+    folders = (*PACKAGES, "launch")
+    modules = set()
+    for file in [file for folder in folders for file in (ROOT / folder).rglob("*.py")]:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {name.name.partition(".")[0] for name in node.names}
+            if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                modules.add(node.module.partition(".")[0])
+    return modules - set(sys.stdlib_module_names) - {*PACKAGES, "quadpi"}
+
+
+def test_what_is_imported_is_declared() -> None:
+    """In package.xml what rosdep knows, in README's line for pip the rest of pyproject.toml; and nothing else."""
+    package = ElementTree.parse(ROOT / "package.xml")
+    declared = {item.text for tag in ("depend", "exec_depend") for item in package.iter(tag)} - OF_MESSAGES
+    by_pip = set(re.findall(r"^ +pip install ([a-z].*)$", (ROOT / "README.md").read_text(), re.M)[0].split())
+    requirements = re.search(
+        r"^dependencies = \[\n(.*?)^\]", (ROOT / "pyproject.toml").read_text(), re.M | re.S
+    )
+    assert requirements is not None
+    required = set(re.findall(r'"([\w.]+)>=', requirements[1]))
+
+    distributions = packages_distributions()
+    names = {module: distributions.get(module, [module])[0].lower() for module in imported() - OPTIONAL}
+    names["backports"] = "backports.zstd"
+    ros = {module for module in names if module in declared}
+    python = {name for module, name in names.items() if module not in ros}
+    assert python == required
+    system = {name: SYSTEM_PACKAGES.get(name, f"python3-{name}") for name in python - by_pip}
+    assert ros | set(system.values()) == declared
+    assert by_pip <= python
+
+
+def test_maintainer_can_be_reached() -> None:
+    """catkin_pkg refuses what is no address, and the domain must not be one that is reserved for examples."""
+    maintainer = ElementTree.parse(ROOT / "package.xml").find("maintainer")
+    assert maintainer is not None
+    assert re.fullmatch(
+        r"[\w.+-]+@[\w-]+(\.[\w-]+)*\.(?!invalid|example|test|localhost)[a-z]+", maintainer.get("email", "")
+    )
+    assert pytest.importorskip("catkin_pkg.package").parse_package(str(ROOT / "package.xml")).name == "quadpi"
 
 
 def test_versions_agree() -> None:
