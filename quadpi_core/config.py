@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -53,6 +54,8 @@ def is_config_path(name_or_path: str | Path) -> bool:
 
 # No quantity is larger, or smaller unless it is zero; powers and products of such numbers stay finite.
 _LARGEST = 1e30
+_OF_SIZE = f"numbers must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, or 0"
+_DIGITS_MAX = 100
 # With every alias written out: an alias of aliases of aliases names as much as anyone likes.
 _NODES_MAX = 100_000
 _TAG = "tag:yaml.org,2002:"
@@ -80,8 +83,10 @@ class _Loader(yaml.SafeLoader):
     def construct_int(self, node: yaml.ScalarNode) -> int:
         """A whole decimal number."""
         self._require(_INT, node, "a whole number")
-        # The length first: Python refuses to read thousands of digits, or takes long.
-        return int(node.value) if len(node.value) <= 32 else int(self._sized(float(node.value), node))
+        if len(node.value) > _DIGITS_MAX:  # Python reads no whole numbers of thousands of digits
+            raise _refused(_OF_SIZE, node)
+        self._sized(float(node.value), node)
+        return int(node.value)
 
     def construct_float(self, node: yaml.ScalarNode) -> float:
         """A decimal number; what is infinite or none is judged where its key is known."""
@@ -100,9 +105,8 @@ class _Loader(yaml.SafeLoader):
             raise _refused(f"`{node.value}` is not {what}", node)
 
     def _sized(self, value: float, node: yaml.ScalarNode) -> float:
-        written_infinite = "inf" in node.value.lower()
-        if 0 < abs(value) < 1.0 / _LARGEST or (abs(value) > _LARGEST and not written_infinite):
-            raise _refused(f"numbers must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, or 0", node)
+        if 0 < abs(value) < 1.0 / _LARGEST or _LARGEST < abs(value) < math.inf:
+            raise _refused(_OF_SIZE, node)
         return value
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
