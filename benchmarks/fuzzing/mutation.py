@@ -198,6 +198,7 @@ def _altered(rng: random.Random, content: Any) -> Any:
         if rng.random() < 0.1:
             return content[:place] + content[place:][: rng.randrange(3)] * rng.choice((0, 2))
         return [*content[:place], _altered(rng, content[place]), *content[place + 1 :]]
-    if isinstance(content, int | float) and not isinstance(content, bool) and rng.random() < 0.4:
+    is_number = isinstance(content, float) or (type(content) is int and abs(content) < 2**64)
+    if is_number and rng.random() < 0.4:
         return content * rng.choice((-1, 0, 2, 1000, 1e200))
     return rng.choice(_VALUES)

@@ -8,11 +8,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 import quadpi_core
+from benchmarks.fuzzing.flight_logs import dataflash, hover
 from quadpi_core import paths
 from quadpi_core.paths import bags_directory, whole_output
 
@@ -102,6 +104,27 @@ def test_workers_end_quietly(interrupted, bags, tmp_path):
     before = contents(tmp_path)
     options = ("--vehicle", "neurobem", "-o", tmp_path / "bags", "--workers", 2)
     assert interrupted(signal.SIGINT, "import", *bags, *options) == (130, INTERRUPTED)
+    assert contents(tmp_path) == before
+
+
+def test_a_log_that_is_being_read(tmp_path):
+    """40 MB of records, which take seconds; the signal comes as soon as there is a temporary folder."""
+    log = tmp_path / "long.BIN"
+    flight = dataflash(hover(200))
+    log.write_bytes(flight * (40_000_000 // len(flight)))
+    before = contents(tmp_path)
+    command = ("import", log, "--vehicle", "neurobem", "-o", tmp_path / "bags")
+    with subprocess.Popen(
+        [sys.executable, "-m", "quadpi_core.cli", *map(str, command)],
+        env=os.environ | {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1])},
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        while process.poll() is None and set(tmp_path.rglob("*")) == before.keys():
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate()
+    assert (process.returncode, errors) == (143, INTERRUPTED)
     assert contents(tmp_path) == before
 
 

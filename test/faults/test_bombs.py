@@ -121,7 +121,6 @@ def test_parquet_table_of_one_value(tmp_path):
     ids=["line without an end", "many flights", "many fields"],
 )
 def test_headers_of_a_blackbox(tmp_path, content):
-    pytest.importorskip("orangebox", reason="orangebox is not installed")
     path = tmp_path / "bomb.bbl"
     path.write_bytes(b"H Product:Blackbox flight data recorder by Nicholas Sherlock\n" + content)
     with refusing(path), pytest.raises(LogError, match="no frame of a flight can be read"):
