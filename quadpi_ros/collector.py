@@ -183,7 +183,7 @@ class Collector(Listener):
         return result_messages.unpack_predictions(Payloads.join(self._predictions))
 
     def alarms(self) -> result_messages.ReportedAlarms:
-        """Every alarm message so far."""
+        """Every alarm message that followed from a sample so far: none of the silence around a flight."""
         return result_messages.unpack_alarms(Payloads.join(self._alarms))
 
     def _take_prediction(self, payload: bytes) -> None:
@@ -191,7 +191,10 @@ class Collector(Listener):
         self._predictions.append(payload)
 
     def _take_alarm(self, payload: bytes) -> None:
+        alarm = result_messages.unpack_alarms(payload)
+        if not alarm.of_samples.all():
+            return
         self._alarms.append(payload)
-        change = self._follower.follow(result_messages.unpack_alarms(payload))
+        change = self._follower.follow(alarm)
         if change is not None and self._on_alarm is not None:
             self._on_alarm(change)

@@ -80,7 +80,7 @@ def topic_status(
         name: of the status.
         report: of the topic since the last status.
         required: whether silence is an error.
-        rate_hz: parameter `imu_rate_hz` for the topic imu.
+        rate_hz: parameter `imu_rate_hz` for the topic imu, where it is given.
         mismatch: why a publisher cannot be heard.
         values: what else to say.
     """
@@ -91,7 +91,7 @@ def topic_status(
         level, message = (ERROR if required else OK), "nothing arrives"
     elif _other_rate(report, rate_hz):
         level = ERROR
-        message = f"stamps say {report.stamp_rate_hz:.0f} Hz, imu_rate_hz is {rate_hz:g}: set it to the rate"
+        message = f"stamps say {report.stamp_rate_hz:.0f} Hz, imu_rate_hz is {rate_hz:g}: set it to 0"
     elif report.refused_now:
         level, message = WARN, f"{report.refused_now} samples refused in the last second"
     elif report.gaps:

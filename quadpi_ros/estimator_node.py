@@ -25,15 +25,21 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import SensorNode
+from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, SensorNode
 from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
 # Of several in a bag, the first is used.
 MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
 IMU = Source(Imu, "imu", messages.unpack_imu)
 
+# Nothing of a quadrotor needs a faster one.
+FASTEST_IMU_HZ = 5000.0
+IMU_RATE = "nominal rate of the topic imu; 0: as its stamps tell in the first second"
+
 _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
+# For so long the filter may take to begin; stamps of one clock are never this far apart.
+_INITIALISING_S, _APART_S = 3.0, 1.0
 _FUSED = {f"{kind} {outcome}" for kind in ("poses", "velocities") for outcome in ("used", "collected")}
 _LEVELS = {
     EstimatorStatus.INITIALISING: diagnostics.WARN,
@@ -48,7 +54,7 @@ class EstimatorParameters:
     """Parameters of the node `estimator`."""
 
     vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
-    imu_rate_hz: float = parameter(500.0, "nominal rate of the topic imu", limits=(50.0, 5000.0))
+    imu_rate_hz: float = parameter(0.0, IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
     mocap_topic: str = parameter(
         "mocap/pose",
         "topic and type of the motion capture to use",
@@ -99,15 +105,18 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._imu = adapted.instead_of(IMU, "imu")
         self._mocap, self._take_mocap = self._motion_capture(adapted)
         _warm_up(vehicle)
-        self._ekf = Ekf(vehicle, parameters.imu_rate_hz)
+        self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
         self._publish = self.announce(Odometry, "odometry")
 
     def activate(self) -> None:
         """Start anew from what comes now."""
         self._ekf.reset()
-        self._imu_health = self.listen(*self._imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz)
+        self._imu_health = self.listen(
+            *self._imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz or None
+        )
         self._mocap_health = self.listen(*self._mocap, self._take_mocap)
         self._counted = self._mocap_outcomes()
+        self._without_state = 0
 
     def _motion_capture(self, adapted: AdaptedSources) -> tuple[Source, Callable[[Any], None]]:
         """The topic that the parameters name, and what takes its samples."""
@@ -124,10 +133,19 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def problem(self) -> str | None:
         """Also that no state comes out of what arrives."""
         silent = super().problem()
-        if silent or self._ekf.initialised:
+        self._without_state = 0 if silent or self._ekf.initialised else self._without_state + 1
+        if self._without_state == 0:
             return silent
         imu, mocap = self._imu.topic, self._mocap.topic
-        return f"{imu} and {mocap} arrive but give no state: are they stamped by the same clock?"
+        apart_s = 1e-9 * abs((self._imu_health.newest_ns or 0) - (self._mocap_health.newest_ns or 0))
+        if apart_s > _APART_S:
+            return f"{imu} and {mocap} are stamped {apart_s:.3g} s apart: by different clocks?"
+        if self._without_state * DIAGNOSTICS_PERIOD_S <= _INITIALISING_S:
+            return None
+        return (
+            f"{imu} and {mocap} arrive but give no state: a second of both is needed, "
+            f"{mocap} at 25 Hz or more and at most 0.4 s late"
+        )
 
     def count_refused(self) -> None:
         """Poses and velocities wait for their place in time; only then it is known whether they are used."""
@@ -148,6 +166,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
                 "since_correction_s": ekf.since_correction_s,
             }
         values |= self._mocap_outcomes()
+        if self._imu.topic in self.silent:
+            stale = f"nothing arrives on {self._imu.topic}"
+            return [self.status("filter", diagnostics.STALE, stale, values)]
         return [self.status("filter", _LEVELS[ekf.status], ekf.status.name.lower(), values)]
 
     def _mocap_outcomes(self) -> Counter[str]:
@@ -203,7 +224,7 @@ def _reason(outcome: Outcome) -> str:
 
 def _warm_up(vehicle: Vehicle) -> None:
     """Load every compiled kernel now: the first sample in flight must not wait for it."""
-    ekf = Ekf(vehicle, _WARM_UP_RATE_HZ)
+    ekf = Ekf(vehicle)
     hover = np.array([[0.0, 0.0, -vehicle.gravity_m_s2]])
     level = np.array([[1.0, 0.0, 0.0, 0.0]])
     still = np.zeros((1, 3))

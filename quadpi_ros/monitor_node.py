@@ -19,6 +19,7 @@ from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
 from rclpy.clock import ROSClock
+from rclpy.timer import Timer
 
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, RotorSpeedStream, WindStream
@@ -27,16 +28,18 @@ from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
 from quadpi_core.monitor.pairing import CAPACITY, TIMEOUT_S, Pairing
+from quadpi_core.monitor.silence import WATCH_S, Silence
 from quadpi_core.paths import resolved_below
+from quadpi_core.signals.imu_rate import ImuRate
 from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import guarded
-from quadpi_ros.estimator_node import IMU, EstimatorNode
+from quadpi_ros.estimator_node import FASTEST_IMU_HZ, IMU, IMU_RATE, EstimatorNode
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.results import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import SensorNode
+from quadpi_ros.sensor_node import STEADY, SensorNode
 from quadpi_ros.slow_service import SlowService
 from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
@@ -68,7 +71,7 @@ class MonitorParameters:
         "how messages of other packages are read: a name in config/adapters or a path",
         optional=True,
     )
-    imu_rate_hz: float = parameter(500.0, "nominal rate of the topic imu", limits=(50.0, 5000.0))
+    imu_rate_hz: float = parameter(0.0, IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
     confidence: float = parameter(
         0.0, "nominal coverage of the intervals; 0 takes the model's own", limits=(0.0, 0.9999)
     )
@@ -119,8 +122,13 @@ class MonitorNode(SensorNode[MonitorParameters]):
         super().__init__("monitor", MonitorParameters)
         self._estimator = estimator
         self._load_model: SlowService | None = None
-        self._dropped = 0
+        self._dropped = self._judged = 0
         self._newest_ns = _LONG_AGO_NS
+        self._watch: Timer | None = None
+        self._silence = Silence()
+        self._silence_told_s = -math.inf
+        self._rate = ImuRate()
+        self._rate_problem = ""
 
     def configure(self) -> None:
         """Load the vehicle, the models and every compiled kernel."""
@@ -138,17 +146,21 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Start anew from what comes now."""
         self._restart()
         if self._estimator is None:
-            self.listen(*self._imu, self._take_raw_imu, rate_hz=self.parameters.imu_rate_hz)
+            self.listen(*self._imu, self._take_raw_imu, rate_hz=self.parameters.imu_rate_hz or None)
             self.listen(*self._odometry, self.take_odometry)
         else:
             self._estimator.listener = self
         self.listen(Vector3Stamped, "wind", messages.unpack_wind, self._take_wind, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds)
         self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
+        self._watch = self.create_timer(WATCH_S, self._watch_inputs, clock=STEADY)
 
     def deactivate(self) -> None:
         """Stop listening."""
         super().deactivate()
+        if self._watch is not None:
+            self.destroy_timer(self._watch)
+            self._watch = None
         if self._estimator is not None:
             self._estimator.listener = None
         if self._load_model is not None:
@@ -161,13 +173,20 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def statuses(self) -> list[DiagnosticStatus]:
         """The models and their alarm, how samples meet, and how long results take."""
-        values = asdict(self._pairing.counts) | self._latencies()
+        values = asdict(self._pairing.counts) | {"imu_rate": str(self._rate)} | self._latencies()
         dropped, self._dropped = self._pairing.counts.dropped - self._dropped, self._pairing.counts.dropped
         level, message = diagnostics.OK, "samples are complete"
         if dropped:
             level, message = diagnostics.WARN, f"{dropped} IMU samples without state or rotor speeds in time"
+        if self._rate_problem:
+            level, message = diagnostics.ERROR, self._rate_problem
+        alarm_level, alarm, models = self._results.alarm_status()
+        judged, self._judged = self._pairing.arrived.judged - self._judged, self._pairing.arrived.judged
+        if not judged:
+            level = alarm_level = diagnostics.STALE
+            message = alarm = ", ".join(self._silence.reasons) or "no sample came in the last second"
         return [
-            self.status("alarm", *self._results.alarm_status()),
+            self.status("alarm", alarm_level, alarm, models),
             self.status("pairing", level, message, values),
         ]
 
@@ -233,7 +252,9 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _advance(self) -> None:
         samples = self._pairing.take()
-        if samples is None:
+        if self._pairing.rate is not self._rate:
+            self._follow_rate()
+        if samples is None or self._rate.begins:
             return
         predicted_ns = self._results.take(samples)
         now_ns = time.monotonic_ns()
@@ -242,12 +263,37 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if len(predicted_ns) < len(samples.time_ns):
             self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
 
+    def _watch_inputs(self) -> None:
+        """Say that nothing comes, by a clock of this process, at the rate of the alarm or slower."""
+        now_s = time.monotonic()
+        self._silence.follow(now_s, self._pairing.arrived)
+        since_s = now_s - self._silence_told_s
+        if not self._silence.reasons or since_s < 1.0 / self.parameters.alarm_rate_hz - 0.5 * WATCH_S:
+            return
+        self._silence_told_s = now_s
+        time_ns = self.get_clock().now().nanoseconds
+        if self._newest_ns != _LONG_AGO_NS:
+            time_ns = self._newest_ns + round(1e9 * self._silence.elapsed_s)
+        self._results.tell_silence(time_ns, self._silence.reasons)
+
+    def _follow_rate(self) -> None:
+        """Make the filters for the rate that the IMU's stamps tell; nothing is predicted without one."""
+        rate = self._rate = self._pairing.rate
+        problems = [f"topic {IMU.topic}: {rate}: set it to 0"] if rate.differs else []
+        problems += self._results.monitors.retune(rate)
+        self._rate_problem = "; ".join(problems)
+        if problems:
+            self.get_logger().error(f"nothing is predicted: {self._rate_problem}")
+
     def _restart(self) -> None:
-        timeout_s = self.parameters.pairing_timeout_s
+        timeout_s, rate_hz = self.parameters.pairing_timeout_s, self.parameters.imu_rate_hz
         # Room for all that may come while a sample waits, or the timeout would be shorter than it says.
-        waiting = math.ceil(timeout_s * self.parameters.imu_rate_hz)
-        self._pairing = Pairing(timeout_s, max(CAPACITY, 2 * waiting))
-        self._dropped = 0
+        waiting = math.ceil(timeout_s * (rate_hz or FASTEST_IMU_HZ))
+        self._pairing = Pairing(timeout_s, max(CAPACITY, 2 * waiting), rate_hz)
+        self._follow_rate()
+        self._dropped = self._judged = 0
+        self._silence = Silence()
+        self._silence_told_s = -math.inf
         self._newest_ns = _LONG_AGO_NS
         self._latency = Latency()
         self._results.monitors.reset()
@@ -267,7 +313,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         monitor = Monitor(
             AerodynamicModel.load(path),
             self._vehicle,
-            parameters.imu_rate_hz,
+            parameters.imu_rate_hz or None,
             parameters.confidence or None,
             self._settings(),
         )

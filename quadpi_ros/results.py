@@ -21,6 +21,7 @@ from quadpi_core.monitor import Monitor, Predictions
 from quadpi_core.monitor.alarm import LEVEL_OK
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.several import Monitors
+from quadpi_core.signals.imu_rate import ImuRate
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.runtime import LOG_QOS
@@ -28,6 +29,8 @@ from quadpi_ros.sensor_node import SensorNode
 
 _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
 _LEVELS = ("ok", "warning", "alarm")
+# In cut-offs of the low-pass.
+_WARM_UP_RATE = 10.0
 
 
 def topic_name(model: AerodynamicModel) -> str:
@@ -63,6 +66,8 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
         wind=np.zeros((1, 3)),
     )
     missing = PairedSamples(np.ones(1, dtype=np.int64), np.full_like(hover.values, np.nan))
+    # The rate in flight is measured there.
+    monitor.retune(ImuRate(_WARM_UP_RATE * monitor.model.cutoff_hz))
     for samples in (hover, missing):
         predictions, alarms, _ = monitor.step(*samples)
         _pack(monitor, predictions, messages.BODY_FRAME)
@@ -78,6 +83,7 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
     stream = RotorSpeedStream(hover.time_ns, hover.rotor_speeds)
     messages.unpack_rotor_speeds(messages.pack_rotor_speeds(stream)[0])
     monitor.predict(monitor.preparation.step(*hover._replace(time_ns=np.full(1, 2))))
+    monitor.retune(ImuRate())
     monitor.reset()
 
 
@@ -116,6 +122,11 @@ class Results:
             if len(other.time_ns):
                 _publish_all(publish, _pack(self.monitors[name], other, self._frame_id))
         return predictions.time_ns
+
+    def tell_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
+        """Publish an alarm at an instant at which no sample is."""
+        alarms = self.monitors[self._first].unheard(time_ns)
+        _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, self._frame_id, reasons))
 
     def swap(
         self, name: str, monitor: Monitor | None, error: str | None, response: LoadModel.Response

@@ -26,8 +26,10 @@ from quadpi_ros.runtime import OUTPUT_QOS, SENSOR_QOS
 
 Sample = TypeVar("Sample", bound=Stream)
 
+# No clock of a sensor or a simulation stops it.
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _WARNING_PERIOD_S = 5.0
-_DIAGNOSTICS_PERIOD_S = 1.0
+DIAGNOSTICS_PERIOD_S = 1.0
 # How often in a row a problem is seen before it is logged.
 _LOGGED_AT = 2
 
@@ -64,6 +66,9 @@ class SensorNode(ManagedNode[Parameters]):
 
     That is the code that bags go through, and it costs less than rclpy's own conversion. Subscriptions
     exist while the node is active, publishers while it is configured.
+
+    Attributes:
+        silent: topics on which nothing came in the period before the last status.
     """
 
     def __init__(self, name: str, parameters: type[Parameters]) -> None:
@@ -72,11 +77,10 @@ class SensorNode(ManagedNode[Parameters]):
         self._inputs: dict[str, _Input] = {}
         self._outputs: dict[str, _Output] = {}
         self._problem = _Problem()
+        self.silent: set[str] = set()
         self._diagnosed_s = time.monotonic()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(
-            _DIAGNOSTICS_PERIOD_S, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=STEADY)
 
     def listen(
         self,
@@ -152,13 +156,9 @@ class SensorNode(ManagedNode[Parameters]):
             self._next_warning_s[about] = now_s + _WARNING_PERIOD_S
             self.get_logger().warning(f"{about}: {text}")
 
-    def silent_topics(self) -> list[str]:
-        """Required topics on which nothing came in the last period."""
-        return sorted(name for name, topic in self._inputs.items() if topic.required and topic.health.silent)
-
     def problem(self) -> str | None:
         """What keeps the node from working although it is active; None if nothing does."""
-        silent = self.silent_topics()
+        silent = sorted(name for name in self.silent if self._inputs[name].required)
         if not silent:
             return None
         endpoints = [self._inputs[name].subscription for name in silent]
@@ -178,6 +178,7 @@ class SensorNode(ManagedNode[Parameters]):
         period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         problem = None
         if self.state == "active":
+            self.silent = {name for name, topic in self._inputs.items() if topic.health.silent}
             problem = self.problem()
             self.count_refused()
         self._follow(problem)

@@ -20,7 +20,6 @@ from quadpi_core.logs.result_messages import ReportedAlarms
 from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, alarm_time
 from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.ekf_initial import COLLECT_NS
-from quadpi_core.signals.resample import nominal_rate
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.player import Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain
@@ -116,7 +115,6 @@ def run_session(
     all_parameters = {
         "vehicle": vehicle,
         "model": str(model),
-        "imu_rate_hz": nominal_rate(stamps["imu"]),
         "rotor_topic": inputs.rotor_topic,
         "mocap_topic": inputs.mocap_topic,
         **(parameters or {}),

@@ -65,7 +65,8 @@ class AdaptiveFactor:
             if not 0.0 < value < np.inf:
                 raise ModelError(f"adaptive intervals: {name} must be positive, found {value}")
         self._miss_share = 1.0 - confidence
-        self._step = gain_per_s / rate_hz
+        self._gain_per_s = gain_per_s
+        self.retune(rate_hz)
         self._log_factor = np.zeros(len(AXES))
 
     @property
@@ -76,6 +77,10 @@ class AdaptiveFactor:
     def reset(self) -> None:
         """Forget the past: the next interval is the model's own."""
         self._log_factor[:] = 0.0
+
+    def retune(self, rate_hz: float) -> None:
+        """Go on with samples of another rate."""
+        self._step = self._gain_per_s / rate_hz
 
     def step(self, measured: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Adapted bounds (K, 6) of K samples, from their measured wrench and the model's own bounds (K, 6).

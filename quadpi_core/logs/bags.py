@@ -265,7 +265,7 @@ def _unpack_erpm(payloads: Payloads, vehicle: Vehicle | None) -> RotorSpeedStrea
 
 
 def read_outputs(path: Path | str) -> tuple[Predictions | None, ReportedAlarms | None]:
-    """Read what the monitor published; None where the bag lacks the topic.
+    """Read what the monitor published of samples; None where the bag lacks the topic.
 
     Raises:
         LogError: as :func:`read_bag`.
@@ -274,9 +274,10 @@ def read_outputs(path: Path | str) -> tuple[Predictions | None, ReportedAlarms |
     with Bag(path) as bag:
         prediction, alarm = find_topic(bag, "prediction"), find_topic(bag, "extrapolation_alarm")
         topics = bag.read([connection.topic for connection in (prediction, alarm) if connection])
+    alarms = unpacked_topic(path, topics[alarm.topic], unpack_alarms) if alarm else None
     return (
         unpacked_topic(path, topics[prediction.topic], unpack_predictions) if prediction else None,
-        unpacked_topic(path, topics[alarm.topic], unpack_alarms) if alarm else None,
+        alarms.where(alarms.of_samples) if alarms is not None else None,
     )
 
 

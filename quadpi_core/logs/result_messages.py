@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
@@ -28,6 +28,7 @@ from quadpi_core.logs.messages import (
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.logs.stamps import header_stamps
 from quadpi_core.logs.values import PREDICTION_VALUES, prediction_values
+from quadpi_core.monitor.alarm_kernel import BAD_DATA, CAUSES, UNAVAILABLE
 from quadpi_core.monitor.events import AlarmEvent
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.reasons import reasons
@@ -116,6 +117,22 @@ class ReportedAlarms:
     inputs_outside: list[tuple[str, ...]]
     reasons: list[tuple[str, ...]]
 
+    @property
+    def of_samples(self) -> npt.NDArray[np.bool_]:
+        """(M,) False for a message that no sample led to: by the monitor's own clock, while nothing came."""
+        of_samples: npt.NDArray[np.bool_] = self.cause_health[:, CAUSES.index(BAD_DATA)] != UNAVAILABLE
+        return of_samples
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> ReportedAlarms:
+        """Those that a mask (M,) chooses."""
+        rows = np.flatnonzero(chosen)
+        columns = {column.name: getattr(self, column.name) for column in fields(self)}
+        kept: dict[str, Any] = {
+            name: [values[k] for k in rows] if isinstance(values, list) else values[rows]
+            for name, values in columns.items()
+        }
+        return replace(self, **kept)
+
 
 _ALARM_NUMBERS = (
     "level",
@@ -142,11 +159,20 @@ def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
     )
 
 
-def pack_alarms(alarms: Alarms, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first."""
+def pack_alarms(
+    alarms: Alarms, frame_id: str = BODY_FRAME, unheard: tuple[str, ...] | None = None
+) -> Payloads:
+    """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first.
+
+    Args:
+        alarms: of the monitor.
+        frame_id: body frame.
+        unheard: the reasons, where no samples led to these rows.
+    """
     groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
     for row in range(len(alarms)):
-        groups.setdefault((_inputs_outside(alarms.input_excess[row]), reasons(alarms, row)), []).append(row)
+        told = reasons(alarms, row) if unheard is None else unheard
+        groups.setdefault((_inputs_outside(alarms.input_excess[row]), told), []).append(row)
     parts, orders = [], []
     for (outside, told), members in groups.items():
         rows = np.array(members)

@@ -208,6 +208,18 @@ class Alarm:
         )
         return _rows(integers[:count], numbers[:count], *self._per_peak) if count else _NO_ROWS
 
+    def unheard(self, time_ns: int) -> Alarms:
+        """A row for an instant without a sample: BAD_DATA, beside the causes that stand; changes nothing."""
+        integers = self._memory[: kernel.ROW_INTEGERS].copy()
+        integers[kernel.ROW_TIME], integers[kernel.ROW_FAULTS] = time_ns, 0
+        integers[kernel.ROW_LEVEL] = LEVEL_ALARM
+        integers[kernel.ROW_CAUSES] |= BAD_DATA
+        integers[kernel.ROW_CAUSE_LEVEL + CAUSES.index(BAD_DATA)] = LEVEL_ALARM
+        integers[kernel.ROW_HEALTH : kernel.ROW_FAULTS] = UNAVAILABLE
+        numbers = np.zeros(kernel.ROW_SIZE)
+        numbers[kernel.ROW_EVIDENCE + CAUSES.index(BAD_DATA)] = 1.0
+        return _rows(integers[np.newaxis], numbers[np.newaxis], *self._per_peak)
+
 
 def _inverse(peaks: Array) -> Array:
     """1 / peak (6,); 0 for axes that the model does not hold."""

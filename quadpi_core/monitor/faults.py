@@ -39,8 +39,10 @@ STATE_MISSING, ROTORS_MISSING = 1 << 5, 1 << 6
 GYRO_FROZEN, ACCELEROMETER_FROZEN = 1 << 7, 1 << 8
 # One bit per rotor from each of these on.
 ROTOR_FROZEN, ROTOR_HALF, ROTOR_JUMPS, ROTOR_DIFFERS = 1 << 9, 1 << 13, 1 << 17, 1 << 21
+# Of the IMU's rate: another than was given, not known (any more), too low for the model's low-pass.
+RATE_DIFFERS, RATE_UNKNOWN, RATE_LOW = 1 << 25, 1 << 26, 1 << 27
 # On the ground motors start one after the other and sensors may rest: there these mean nothing.
-IN_FLIGHT_ONLY = (1 << 25) - GYRO_FROZEN
+IN_FLIGHT_ONLY = RATE_DIFFERS - GYRO_FROZEN
 
 _NO_STAMP = np.iinfo(np.int64).min
 # An inertial sensor repeats a sample bit for bit once in a while, not for this long (and not this often).
@@ -77,11 +79,15 @@ class FaultMemory(NamedTuple):
     previous_ns: npt.NDArray[np.int64]
     state: Array
 
+    def retune(self, rate_hz: float) -> None:
+        """Go on with samples of another rate."""
+        self.limits[1] = frozen_s(rate_hz)
+
     @classmethod
     def empty(cls, vehicle: Vehicle, rate_hz: float) -> FaultMemory:
         """The memory for a vehicle, and the sample rate of its IMU, that has seen nothing."""
         return cls(
-            np.array([vehicle.rotor_speed_spike_rad_s, max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz)]),
+            np.array([vehicle.rotor_speed_spike_rad_s, frozen_s(rate_hz)]),
             np.asarray(vehicle.rotor_spins, dtype=float),
             np.array([_NO_STAMP]),
             np.zeros(STATE_SIZE),
@@ -91,6 +97,11 @@ class FaultMemory(NamedTuple):
         """Forget the past."""
         self.previous_ns[0] = _NO_STAMP
         self.state[:] = 0.0
+
+
+def frozen_s(rate_hz: float) -> float:
+    """For how long an inertial sensor of that rate may stand still."""
+    return max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz)
 
 
 def fault_words(faults: int) -> Iterator[str]:
@@ -105,6 +116,9 @@ def fault_words(faults: int) -> Iterator[str]:
         ROTORS_MISSING: "rotor speeds missing",
         GYRO_FROZEN: "gyro frozen",
         ACCELEROMETER_FROZEN: "accelerometer frozen",
+        RATE_DIFFERS: "imu rate is not imu_rate_hz",
+        RATE_UNKNOWN: "imu rate not known yet",
+        RATE_LOW: "imu rate too low for the model",
     }
     if faults & STATE_MISSING and faults & ROTORS_MISSING:
         yield "state or rotor speeds missing"

@@ -94,6 +94,11 @@ class TopicHealth:
         self.refused[reason if known else "other"] += count
 
     @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest sample; None before the first."""
+        return self._newest_ns
+
+    @property
     def silent(self) -> bool:
         """Whether nothing came since the report before."""
         return self._samples == 0 and self.refused.total() == self._refused_before

@@ -42,12 +42,12 @@ def live_samples(recording: Recording, vehicle: Vehicle, cutoff_hz: float, at_ns
         LogError: naming what is missing, or if no sample could be judged.
         SignalError: if the estimator never starts, or the cut-off is impossible.
     """
-    rate_hz = nominal_rate(recording.imu.time_ns)
-    preparation = Preparation(vehicle, rate_hz, cutoff_hz)
+    preparation = Preparation(vehicle, nominal_rate(recording.imu.time_ns), cutoff_hz)
     stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 7))]
     for part in follow(recorded_flight(recording), vehicle):
         if part.begin == SET_BACK:
             preparation.reset()
+        preparation.retune(part.rate)
         prepared = preparation.step(*part.samples)
         stamps.append(prepared.time_ns[prepared.usable])
         rows.append(np.column_stack((prepared.inputs, prepared.measured, prepared.settled)))

@@ -19,6 +19,7 @@ from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
 from quadpi_core.monitor.events import EventLog, Events
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.preparation import Preparation, Prepared
+from quadpi_core.signals.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class Monitor:
     Args:
         model: identified for this vehicle.
         vehicle: as in its vehicle file.
-        rate_hz: sample rate of the IMU.
+        rate_hz: sample rate of the IMU; None until :meth:`retune` says it: no sample is used before.
         confidence: nominal coverage of the intervals.
         settings: of the alarm, and whether intervals adapt.
 
@@ -44,7 +45,7 @@ class Monitor:
         self,
         model: AerodynamicModel,
         vehicle: Vehicle,
-        rate_hz: float,
+        rate_hz: float | None,
         confidence: float | None = None,
         settings: MonitorSettings | None = None,
     ) -> None:
@@ -61,7 +62,9 @@ class Monitor:
             model.interval_ratio(self.confidence),
         )
         self._events = EventLog()
-        self._adaptive = AdaptiveFactor(self.confidence, rate_hz) if settings.adaptive else None
+        self._adaptive = (
+            AdaptiveFactor(self.confidence, rate_hz or RATE_BEFORE_HZ) if settings.adaptive else None
+        )
         model.evaluate(np.zeros((1, len(INPUT_NAMES))), self.confidence)
 
     def reset(self) -> None:
@@ -71,6 +74,16 @@ class Monitor:
         self._events.reset()
         if self._adaptive is not None:
             self._adaptive.reset()
+
+    def retune(self, rate: ImuRate) -> None:
+        """Go on with samples of another rate; without one that fits, every sample is BAD_DATA.
+
+        Raises:
+            SignalError: see :meth:`Preparation.retune`.
+        """
+        if self._adaptive is not None and rate.filter_hz > 0.0:
+            self._adaptive.retune(rate.filter_hz)
+        self.preparation.retune(rate)
 
     def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
         """Take K samples; blocks of any length give the same rows, bit for bit.
@@ -98,6 +111,10 @@ class Monitor:
     def change(self, settings: MonitorSettings) -> None:
         """Go on with other times and rates of the alarm; which intervals go out stays as it is."""
         self._alarm.change(settings)
+
+    def unheard(self, time_ns: int) -> Alarms:
+        """The alarm at an instant without a sample, see :meth:`Alarm.unheard`; the log of events has none."""
+        return self._alarm.unheard(time_ns)
 
     @property
     def events(self) -> Events:

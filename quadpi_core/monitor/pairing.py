@@ -5,7 +5,8 @@
 An IMU sample is complete once the state for its stamp and a rotor speed at or after its stamp have
 arrived. Rotor speeds (and the state, where its stamps differ) are interpolated linearly to the IMU stamp;
 wind, slow and optional, holds its last value. Everything is bounded: fixed-size buffers, and an IMU sample
-that stays incomplete while the IMU runs ahead by the timeout is dropped and counted.
+that stays incomplete while the IMU runs ahead by the timeout is dropped and counted. The IMU's stamps also
+tell its rate, which the filters behind are made for.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from quadpi_core.compiled import njit
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.monitor.silence import Arrived
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,
@@ -28,6 +30,7 @@ from quadpi_core.signals.chain import (
     VELOCITY,
     WIND,
 )
+from quadpi_core.signals.imu_rate import CHANGES, LOST, ImuRate, Meter, follow, follow_arrays
 
 # How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
 TIMEOUT_S = 0.1
@@ -133,9 +136,10 @@ class Pairing:
     Args:
         timeout_s: how far, in stamps, the IMU may run ahead of an incomplete sample before it is given up.
         capacity: samples kept per topic; the oldest makes room.
+        rate_hz: that a user says the IMU has; 0 where its stamps alone tell.
     """
 
-    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = CAPACITY) -> None:
+    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = CAPACITY, rate_hz: float = 0.0) -> None:
         self._timeout_ns = round(timeout_s * 1e9)
         self._tracks = _Tracks(
             time_ns=np.zeros((_TRACKS, capacity), dtype=np.int64),
@@ -145,6 +149,10 @@ class Pairing:
         )
         # Of the IMU: the newest stamp since one stepped back, and that of the last sample.
         self._clock = np.full(2, _NEVER)
+        self._given_hz = rate_hz
+        self._meter = Meter.empty()
+        self._changes = self._meter.changes
+        self._rate = self._meter.rate(rate_hz)
         self._taken_ns = np.empty(capacity, dtype=np.int64)
         self._taken = np.empty((capacity, CHANNELS))
         # Compiled now, not when the first sample waits for it.
@@ -155,8 +163,25 @@ class Pairing:
         """What became of the samples so far."""
         return PairingCounts(*self._tracks.counts.tolist())
 
+    @property
+    def arrived(self) -> Arrived:
+        """How far the inputs have come."""
+        newest = self._tracks.places[:, _NEWEST_NS].tolist()
+        imu_ns, state_ns, rotors_ns, _ = (None if time_ns == _NEVER else time_ns for time_ns in newest)
+        judged = 0 if self.rate.begins else self.counts.paired + self.counts.dropped
+        return Arrived(imu_ns, state_ns, rotors_ns, judged)
+
+    @property
+    def rate(self) -> ImuRate:
+        """What the stamps of the IMU tell of its rate; it is that of the samples taken now."""
+        if self._meter.changes != self._changes:
+            self._changes = self._meter.changes
+            self._rate = self._meter.rate(self._given_hz)
+        return self._rate
+
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
+        follow_arrays(*self._meter, time_ns)
         _add_to(*self._tracks, IMU, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
@@ -165,6 +190,7 @@ class Pairing:
 
     def add_estimate(self, time_ns: int, motion: Array) -> None:
         """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
+        follow_arrays(*self._meter, time_ns)
         _add_estimate_to(*self._tracks, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
@@ -189,13 +215,22 @@ class Pairing:
         return int(self._tracks.time_ns[IMU, oldest]) - 1 if count else int(newest_ns)
 
     def take_all(self, arriving: Arriving) -> list[Stretch]:
-        """What :meth:`take` gives after each arrival, joined between steps back of the IMU's stamps."""
-        breaks = np.empty((arriving.kind.size, 2), dtype=np.int64)
-        count = _find_steps_back(arriving.kind, arriving.row, arriving.imu_ns, self._clock, breaks)
+        """What :meth:`take` gives after each arrival, joined.
+
+        Apart where the IMU's stamps step back, and where what they tell of its rate changes.
+        """
+        breaks = np.empty((arriving.kind.size, 3), dtype=np.int64)
+        spans_ns = np.empty(arriving.kind.size)
+        before = self.rate
+        count = _find_breaks(
+            arriving.kind, arriving.row, arriving.imu_ns, self._clock, self._meter, breaks, spans_ns
+        )
         stretches = []
         known = 0
-        begins = [(0, CONTINUES), *((place, begin) for place, begin in breaks[:count].tolist())]
-        for (start, begin), (stop, _) in pairwise([*begins, (arriving.kind.size, CONTINUES)]):
+        begins = [(0, CONTINUES, before)]
+        for (place, begin, lost), span_ns in zip(breaks[:count].tolist(), spans_ns.tolist(), strict=False):
+            begins.append((place, begin, ImuRate.of_span(span_ns, self._given_hz, bool(lost))))
+        for (start, begin, rate), (stop, *_) in pairwise([*begins, (arriving.kind.size, CONTINUES, before)]):
             if start == stop and len(begins) > 1:
                 continue
             own = arriving._replace(kind=arriving.kind[start:stop], row=arriving.row[start:stop])
@@ -205,21 +240,23 @@ class Pairing:
             samples = PairedSamples(taken_ns[:taken_count], taken[:taken_count])
             states = slice(known, known + int(np.count_nonzero(own.kind == STATE)))
             known = states.stop
-            stretches.append(Stretch(begin, samples, states, self.settled_ns))
+            stretches.append(Stretch(begin, rate, samples, states, self.settled_ns))
         return stretches
 
 
 class Stretch(NamedTuple):
-    """What came while the stamps of the IMU did not step back.
+    """What came while the stamps of the IMU did not step back, and told the same of its rate.
 
     Attributes:
         begin: how it begins, one of :data:`CONTINUES`, :data:`STEPS_BACK` and :data:`SET_BACK`.
+        rate: of its samples.
         samples: that were completed or given up.
         states: rows of the states that came.
         settled_ns: :attr:`Pairing.settled_ns` at its end.
     """
 
     begin: int
+    rate: ImuRate
     samples: PairedSamples
     states: slice
     settled_ns: int
@@ -321,19 +358,26 @@ def _take_all(
 
 
 @njit(cache=True)
-def _find_steps_back(kind: Any, row: Any, imu_ns: Any, clock: Any, breaks: Any) -> int:
-    """Fill places in `kind` where the IMU's stamps step back, and how (E, 2); their number."""
+def _find_breaks(kind: Any, row: Any, imu_ns: Any, clock: Any, meter: Any, breaks: Any, spans_ns: Any) -> int:
+    """Find where the IMU's stamps step back, or tell something else of its rate; the number of places.
+
+    Fills (E, 3) places in `kind`, how it begins there, and whether the rate is lost; (E,) usual spans [ns].
+    """
     count = 0
     for event in range(kind.size):
         if kind[event] != IMU:
             continue
         time_ns, newest_ns, last_ns = imu_ns[row[event]], clock[0], clock[1]
+        begin, changes = CONTINUES, meter.numbers[CHANGES]
         if newest_ns != _NEVER and time_ns < newest_ns - MAX_JUMP_BACK_NS:
-            breaks[count, 0] = event
-            breaks[count, 1] = SET_BACK if time_ns < last_ns - MAX_JUMP_BACK_NS else STEPS_BACK
-            count += 1
+            begin = SET_BACK if time_ns < last_ns - MAX_JUMP_BACK_NS else STEPS_BACK
             clock[0] = time_ns
         clock[0], clock[1] = max(clock[0], time_ns), time_ns
+        follow(meter, time_ns)
+        if begin != CONTINUES or meter.numbers[CHANGES] != changes:
+            breaks[count, 0], breaks[count, 1] = event, begin
+            breaks[count, 2], spans_ns[count] = meter.numbers[LOST], meter.span[0]
+            count += 1
     return count
 
 

@@ -13,7 +13,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
-from quadpi_core.monitor.faults import FaultMemory, judge
+from quadpi_core.monitor.faults import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN, FaultMemory, judge
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,
@@ -27,12 +27,15 @@ from quadpi_core.signals.chain import (
     forget,
 )
 from quadpi_core.signals.filters import LowPass, Section, design_low_pass
+from quadpi_core.signals.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import Vehicle
 
 # After a state begins or comes back, its accelerometer bias is still being found: measured forces then leave
 # their intervals up to ten times as often (docs/alarm.md).
 SETTLE_NS = 1_000_000_000
+# Where the numbers of the low-pass stand: coefficients, rate (0: none fits), fault where no rate fits.
+_DESIGN_HZ, _FAULT, _LOW_PASS_SIZE = 6, 7, 8
 _NO_STAMP = np.iinfo(np.int64).min
 
 
@@ -64,20 +67,23 @@ class Preparation:
 
     Args:
         vehicle: as in its vehicle file.
-        rate_hz: sample rate of the IMU.
+        rate_hz: sample rate of the IMU; None until :meth:`retune` says it.
         cutoff_hz: of the low-pass.
 
     Raises:
         SignalError: if the sample rate is too low for the cut-off.
     """
 
-    def __init__(self, vehicle: Vehicle, rate_hz: float, cutoff_hz: float) -> None:
-        design = design_low_pass(cutoff_hz, rate_hz)
-        self._faults = FaultMemory.empty(vehicle, rate_hz)
+    def __init__(self, vehicle: Vehicle, rate_hz: float | None, cutoff_hz: float) -> None:
+        self._cutoff_hz = cutoff_hz
+        self._rate: ImuRate | None = None
+        self._low_pass = np.zeros(_LOW_PASS_SIZE)
+        self._faults = FaultMemory.empty(vehicle, rate_hz or RATE_BEFORE_HZ)
         self._chain = ChainMemory.empty()
         self._begun_ns = np.array([_NO_STAMP])
+        self.retune(ImuRate(rate_hz or 0.0))
         self._known = (
-            np.array((*design.first, *design.second, design.rate_hz)),
+            self._low_pass,
             *(*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia),
             *self._faults,
             *self._chain,
@@ -88,6 +94,24 @@ class Preparation:
         """Forget the past: as after construction."""
         self._faults.forget()
         forget(self._chain)
+
+    def retune(self, rate: ImuRate) -> None:
+        """Go on with samples of another rate: the low-pass starts anew. Without one, no sample is usable.
+
+        Raises:
+            SignalError: if the rate is too low for the cut-off; then no sample is usable either.
+        """
+        if rate == self._rate:
+            return
+        self._rate = rate
+        forget(self._chain)
+        self._low_pass[_DESIGN_HZ] = 0.0
+        self._low_pass[_FAULT] = RATE_DIFFERS if rate.differs else RATE_UNKNOWN
+        if rate.filter_hz > 0.0:
+            self._low_pass[_FAULT] = RATE_LOW
+            design = design_low_pass(self._cutoff_hz, rate.filter_hz)
+            self._low_pass[:_FAULT] = (*design.first, *design.second, design.rate_hz)
+            self._faults.retune(rate.filter_hz)
 
     def step(self, time_ns: Stamps, values: Array) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
@@ -142,7 +166,7 @@ def _prepare(
     design = LowPass(
         Section(low_pass[0], low_pass[1], low_pass[2]),
         Section(low_pass[3], low_pass[4], low_pass[5]),
-        low_pass[6],
+        low_pass[_DESIGN_HZ],
     )
     memory, chain = (
         FaultMemory(limits, spins, previous_ns, state),
@@ -152,6 +176,10 @@ def _prepare(
     value, slope = np.empty((1, CHANNELS)), np.empty((1, CHANNELS))
     for i in range(values.shape[0]):
         faults[i], usable[i], jump = judge(time_ns[i], values[i], memory)
+        if low_pass[_DESIGN_HZ] == 0.0:
+            # Of a sample that lacks more, the rest says why.
+            faults[i] |= np.int64(low_pass[_FAULT]) if usable[i] else 0
+            usable[i] = False
         if not usable[i]:
             continue
         if jump:

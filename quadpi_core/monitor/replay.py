@@ -36,6 +36,7 @@ from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace, Spans, never_started
+from quadpi_core.signals.imu_rate import ImuRate
 from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
@@ -128,6 +129,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
                 writer.flush()
             if stretch.begin == pairing.SET_BACK:
                 monitor.reset()
+            monitor.retune(stretch.rate)
             predictions, alarms, events = monitor.step(*stretch.samples)
             for topic in _messages(stretch.states, predictions, alarms, events, monitor):
                 writer.add(topic)
@@ -170,7 +172,7 @@ class RecordedFlight:
 
     Attributes:
         name, source: see :class:`Recording`.
-        rate_hz: of the IMU.
+        rate_hz: of the IMU over the whole flight; what is made of samples goes by the rate as live knows it.
         has_mocap: whether the state comes from the EKF; else from the flight's odometry.
         blocks: the flight, as :func:`quadpi_core.logs.blocks.by_arrival` gives it.
     """
@@ -226,13 +228,15 @@ class Followed(NamedTuple):
     """What comes of a part of a flight until it reaches the monitor; see :class:`.pairing.Stretch`.
 
     Attributes:
-        samples: what the monitor gets.
+        rate: of the IMU, as its stamps tell it.
+        samples: what the monitor gets; none before the rate is known.
         states: what the estimator publishes; None without one.
         imu_ns: (N,) stamps of the IMU samples that came since what was followed before.
         settled_ns: no sample or state that is still to come is stamped then or before.
     """
 
     begin: int
+    rate: ImuRate
     samples: PairedSamples
     states: FusedSamples | None
     imu_ns: Stamps
@@ -246,8 +250,8 @@ def follow(flight: RecordedFlight, vehicle: Vehicle) -> Iterator[Followed]:
         LogError: naming what cannot be read, or if IMU, rotor speeds and state share no time.
         SignalError: if the estimator never starts.
     """
-    ekf = Ekf(vehicle, flight.rate_hz) if flight.has_mocap else None
-    spans, started = Spans(), False
+    ekf = Ekf(vehicle) if flight.has_mocap else None
+    spans, started, measured = Spans(), False, False
     meeting = pairing.Pairing()
     for block in flight.blocks:
         odometry, state_of, states = block.odometry, None, None
@@ -264,12 +268,18 @@ def follow(flight: RecordedFlight, vehicle: Vehicle) -> Iterator[Followed]:
             if ekf is not None and ekf.settled_ns is not None:
                 settled_ns = min(settled_ns, ekf.settled_ns)
             own = None if states is None else states.part(stretch.states)
-            yield Followed(stretch.begin, stretch.samples, own, new, settled_ns)
+            samples = stretch.samples
+            if stretch.rate.begins:
+                samples = PairedSamples(samples.time_ns[:0], samples.values[:0])
+            measured = measured or not stretch.rate.begins
+            yield Followed(stretch.begin, stretch.rate, samples, own, new, settled_ns)
             new = new[:0]
     if ekf is not None and not started:
         raise never_started(flight.source, spans)
     if meeting.counts.paired == 0:
         raise LogError(f"{flight.source}: topics imu, rotor_speeds and the state share no time")
+    if not measured:
+        raise LogError(f"{flight.source}: topic imu: its rate is measured in a second, and it is shorter")
 
 
 def replay_all(

@@ -7,12 +7,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.events import Events
 from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Prepared
+from quadpi_core.signals.imu_rate import ImuRate
 
 if TYPE_CHECKING:
     from quadpi_core.monitor.monitor import Monitor
@@ -26,6 +27,7 @@ class Monitors:
 
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
+        self._rate: ImuRate | None = None
         for name, monitor in monitors.items():
             self._put(name, monitor)
 
@@ -41,10 +43,15 @@ class Monitors:
         """Put a new monitor in the place of one; with the same cut-off, the low-pass goes on.
 
         Raises:
-            ModelError: if there is none of that name.
+            ModelError: if there is none of that name, or the rate of the IMU is too low for the new one.
         """
         if name not in self._monitors:
             raise ModelError(f"no model flies as `{name}`; those that fly: {', '.join(self._monitors)}")
+        if self._rate is not None:
+            try:
+                monitor.retune(self._rate)
+            except SignalError as error:
+                raise ModelError(f"{monitor.model.identity}: {error}") from error
         self._put(name, monitor)
 
     def change(self, settings: MonitorSettings) -> None:
@@ -56,6 +63,17 @@ class Monitors:
         """Forget the past: as after construction."""
         for monitor in self._monitors.values():
             monitor.reset()
+
+    def retune(self, rate: ImuRate) -> list[str]:
+        """Go on with samples of another rate; says which models it is too low for."""
+        self._rate = rate
+        problems = []
+        for name, monitor in self._monitors.items():
+            try:
+                monitor.retune(rate)
+            except SignalError as error:
+                problems.append(f"model {name}: {error}")
+        return problems
 
     def step(self, samples: PairedSamples) -> tuple[tuple[Predictions, Alarms, Events], list[Predictions]]:
         """Take K samples, as :meth:`Monitor.step`: what the first says, and the predictions of the others."""

@@ -34,7 +34,9 @@ from quadpi_core.signals.ekf_initial import (
 from quadpi_core.signals.ekf_kernels import ERROR_STATES, EstimatorStatus, Noise, Outcome, Row
 from quadpi_core.signals.ekf_memory import Clock, Source
 from quadpi_core.signals.ekf_status import status_of
+from quadpi_core.signals.imu_rate import RATE_BEFORE_HZ
 from quadpi_core.signals.odometry import FusedSamples
+from quadpi_core.signals.resample import RATE_SPAN, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 _COLLECTED_MAX = 8192
@@ -203,13 +205,17 @@ class Ekf:
 
     Args:
         vehicle: for its sensor noise and gravity.
-        rate_hz: nominal rate of the IMU, which turns its noise per sample into a density.
+        rate_hz: nominal rate of the IMU, which turns its noise per sample into a density. None measures it in
+            the second before each start, and starts anew when it changes.
     """
 
-    def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
+    def __init__(self, vehicle: Vehicle, rate_hz: float | None = None) -> None:
+        self._vehicle = vehicle
+        self._measures = rate_hz is None
+        self._rate_hz = rate_hz or RATE_BEFORE_HZ
         self._sensors = vehicle.noise
         self._gravity = vehicle.gravity_m_s2
-        self._memory = ekf_memory.allocate(rate_hz, assumed_noise(vehicle, rate_hz))
+        self._memory = ekf_memory.allocate(self._rate_hz, assumed_noise(vehicle, self._rate_hz))
         self._initial: Initial | None = None
         self._caught_up: Stamps = np.empty(0, dtype=np.int64)
         self._imu: deque[ImuSample] = deque(maxlen=_COLLECTED_MAX)
@@ -497,7 +503,11 @@ class Ekf:
             return
         self._initial = initial
         arrived_ns = self._memory.sources[:, Source.ARRIVED_NS].copy()
+        if self._measures:
+            self._take_rate(nominal_rate(np.array([stamp for stamp, _ in imu], dtype=np.int64)))
         ekf_memory.start(self._memory, initial.time_ns, initial.row, initial.imu_ns)
+        if self._measures:
+            self._memory.clock[Clock.SPAN_NS] = round(1e9 * RATE_SPAN / self._rate_hz)
         caught_up = [(stamp, sample) for stamp, sample in imu if stamp >= initial.imu_ns]
         counted = self._memory.counts[_IMU].copy()
         for stamp, sample in caught_up[1:]:
@@ -513,6 +523,14 @@ class Ekf:
         self._memory.clock[Clock.STATUS] = status_of(self._memory, time_ns)
         self._imu.clear()
         self._measurements.clear()
+
+    def _take_rate(self, rate_hz: float) -> None:
+        """Go on with a memory for an IMU of that rate; the counts stay."""
+        if rate_hz != self._rate_hz:
+            counts = self._memory.counts
+            self._memory = ekf_memory.allocate(rate_hz, assumed_noise(self._vehicle, rate_hz))
+            self._memory.counts[:] = counts
+            self._rate_hz = rate_hz
 
     def _counts(self, source: int) -> dict[Outcome, int]:
         counted = self._memory.counts[source]

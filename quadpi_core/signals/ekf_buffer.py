@@ -40,7 +40,9 @@ from quadpi_core.signals.ekf_kernels import (
 )
 from quadpi_core.signals.ekf_memory import BUFFER_S, NEVER, Clock, Memory, Source, noise_of
 from quadpi_core.signals.ekf_status import status_of
+from quadpi_core.signals.imu_rate import NOTICED_NS, off_for
 from quadpi_core.signals.limits import usable_imu, usable_pose, usable_velocity
+from quadpi_core.signals.resample import RATE_SPAN
 
 HOLD_NS = 10_000_000
 _BUFFER_NS = round(BUFFER_S * 1e9)
@@ -58,6 +60,7 @@ _HELD_FIRST, _HELD_COUNT, _STATUS, _JOURNALLED, _JUMPED_NS = (
     Clock.JOURNALLED,
     Clock.JUMPED_NS,
 )
+_SPAN_NS, _OFF_NS = Clock.SPAN_NS, Clock.OFF_NS
 _ARRIVED_NS, _SEEN_NS, _REPEATS, _CHANGES = Source.ARRIVED_NS, Source.SEEN_NS, Source.REPEATS, Source.CHANGES
 _REFUSED_SINCE_NS, _REFUSED_NS, _REFUSED = Source.REFUSED_SINCE_NS, Source.REFUSED_NS, Source.REFUSED
 _DELAY, _STATE_BEGIN, _WIDTH = Row.DELAY, Row.NOMINAL.start, Row.WIDTH
@@ -101,7 +104,7 @@ def predict(memory: Memory, time_ns: int, sample: Array) -> int:
     """Take one IMU sample (6,), rates rad/s and specific force m/s², and move the estimate to its stamp.
 
     Then :func:`release` is due. Gives the value of an :class:`Outcome`; unless USED, which alone is counted
-    here, the memory keeps but a stamp that jumped.
+    here, the memory keeps but a stamp that jumped, and for how long the rate has been another.
     """
     clock, stamps, rows = memory.clock, memory.stamps, memory.rows
     if not usable_imu(sample):
@@ -118,6 +121,11 @@ def predict(memory: Memory, time_ns: int, sample: Array) -> int:
     if since <= 0:
         return Outcome.STAMP_NOT_ADVANCING.value
     length = len(stamps)
+    if clock[_SPAN_NS] > 0 and clock[_FILLED] >= RATE_SPAN:
+        span_ns = time_ns - stamps[(head + 1 - RATE_SPAN) % length]
+        clock[_OFF_NS] = off_for(clock[_OFF_NS], span_ns, clock[_SPAN_NS], since)
+        if clock[_OFF_NS] > NOTICED_NS:
+            return Outcome.RESET.value
     following = (head + 1) % length
     stamps[following] = time_ns
     copy(sample, rows[following], 0, 6)

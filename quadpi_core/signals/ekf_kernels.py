@@ -66,7 +66,7 @@ class Outcome(IntEnum):
     STAMP_NOT_ADVANCING = 3
     TOO_LATE = 4
     TOO_EARLY = 5
-    RESET = 6  # the IMU paused too long or its clock jumped back: the filter starts anew with this sample
+    RESET = 6  # the IMU paused too long, its clock jumped back or its rate changed: the filter starts anew
     REJECTED = 7  # contradicts the estimate by more than both uncertainties allow
     FROZEN = 8  # repeats the value before it bit for bit: no new measurement
     STAMP_JUMPED = 9  # an IMU sample far from the one before: RESET if the next one agrees with it

@@ -13,6 +13,7 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.ekf_corrections import VALUES, Count
 from quadpi_core.signals.ekf_kernels import Noise, Outcome, Row
+from quadpi_core.signals.resample import RATE_SPAN
 
 BUFFER_S = 0.5
 # Measurements that wait; more than motion capture sends in the time by which it may be early.
@@ -34,7 +35,9 @@ class Clock:
     STATUS = 6
     JOURNALLED = 7
     JUMPED_NS = 8  # stamp of the IMU sample before, where that was far from all before it
-    WIDTH = 9
+    SPAN_NS = 9  # usual time of ten steps of the IMU; 0 where the rate is given
+    OFF_NS = 10  # for how long nearly all spans of ten steps differ from that
+    WIDTH = 11
 
 
 class Source:
@@ -54,7 +57,7 @@ class Memory(NamedTuple):
     """All that the filter remembers; arrays that the kernels change in place.
 
     Attributes:
-        clock: (9,) see :class:`Clock`.
+        clock: (11,) see :class:`Clock`.
         stamps: (N,) of the estimates in `rows`, a ring.
         rows: (N + 3, 279) estimates at the stamps of IMU samples, see :class:`Row`; then that after the last
             correction, at its own instant, and two to work on.
@@ -78,7 +81,7 @@ class Memory(NamedTuple):
 
 def allocate(rate_hz: float, noise: Noise) -> Memory:
     """An empty memory for an IMU of that rate."""
-    length = int(np.ceil(BUFFER_S * rate_hz)) + 3
+    length = max(int(np.ceil(BUFFER_S * rate_hz)), RATE_SPAN) + 3
     memory = Memory(
         clock=np.zeros(Clock.WIDTH, dtype=np.int64),
         stamps=np.zeros(length, dtype=np.int64),

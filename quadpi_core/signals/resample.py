@@ -13,7 +13,8 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import make_continuous
 
-_RATE_SPAN = 10
+# Steps that a rate is measured over: long enough for stamps that are rounded to a millisecond.
+RATE_SPAN = 10
 # Stamps are whole nanoseconds: a last sample that misses its place by less than this part of a step counts.
 _ROUNDING = 1e-4
 
@@ -63,7 +64,7 @@ def nominal_rate(time_ns: Stamps) -> float:
 
     The median over spans of ten samples: neither lost samples nor stamps rounded to a millisecond change it.
     """
-    span = min(_RATE_SPAN, len(time_ns) - 1)
+    span = min(RATE_SPAN, len(time_ns) - 1)
     return float(1e9 * span / np.median(time_ns[span:] - time_ns[:-span]))
 
 

@@ -134,7 +134,7 @@ def sensors(bebop2):
 @pytest.fixture(scope="session")
 def fly_onboard(bebop2):
     """fly_onboard(sent, …) → Flown: what estimator and monitor make of that, see :meth:`Onboard.fly`."""
-    return lambda sent, *spoil: Onboard(*bebop2).fly(sent, *spoil)
+    return lambda sent, *spoil, rate_hz=0.0: Onboard(*bebop2, rate_hz).fly(sent, *spoil)
 
 
 @pytest.fixture(scope="session")

@@ -122,13 +122,14 @@ class Flown:
 
 
 class Onboard:
-    """The nodes `estimator` and `monitor` of one process."""
+    """The nodes `estimator` and `monitor` of one process, with `rate_hz` as their parameter imu_rate_hz."""
 
-    def __init__(self, vehicle: Vehicle, model: AerodynamicModel) -> None:
+    def __init__(self, vehicle: Vehicle, model: AerodynamicModel, rate_hz: float = 0.0) -> None:
         self._gyro_noise = vehicle.noise.gyro_noise_rad_s
-        self.ekf = Ekf(vehicle, RATE_HZ)
-        self.pairing = Pairing()
-        self.monitors = Monitors({"model": Monitor(model, vehicle, RATE_HZ)})
+        self.ekf = Ekf(vehicle, rate_hz or None)
+        self.pairing = Pairing(rate_hz=rate_hz)
+        self.monitors = Monitors({"model": Monitor(model, vehicle, None)})
+        self._rate = self.pairing.rate
         self._newest_ns = _NEVER
         self._paired: list[PairedSamples] = []
         self._out: list[tuple[Predictions, Alarms, list[AlarmEvent]]] = []
@@ -209,7 +210,11 @@ class Onboard:
 
     def _advance(self) -> None:
         samples = self.pairing.take()
-        if samples is not None:
+        if self.pairing.rate is not self._rate:
+            self._judge()
+            self._rate = self.pairing.rate
+            assert not self.monitors.retune(self._rate)
+        if samples is not None and not self._rate.begins:
             self._paired.append(samples)
 
     def _judge(self) -> None:

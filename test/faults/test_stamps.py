@@ -9,9 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.flight import Recording
+from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.monitor.alarm import BAD_DATA
+from quadpi_core.monitor.replay import replay
+from quadpi_core.paths import bags_directory
 from quadpi_core.signals.ekf_kernels import EstimatorStatus
-from test.faults.onboard import deviation
+from quadpi_core.simulation.faults import Sent
+from test.faults.onboard import deviation, sent_by
 
 AT_S = 3.0
 FOR_S = 0.5
@@ -20,6 +25,7 @@ CLEARED_S = 0.62
 STARTED_ANEW_S = 1.01
 # Once started, biases and velocity have to become known.
 SETTLED_S = 1.5
+STREAMS = {"imu": "imu", "pose": "mocap/pose", "rotor_speeds": "rotor_speeds"}
 YEAR_NS = 365 * 86_400 * 10**9
 INITIALISING, DEGRADED, OK = EstimatorStatus.INITIALISING, EstimatorStatus.DEGRADED, EstimatorStatus.OK
 
@@ -184,3 +190,60 @@ def test_bag_that_starts_over(sensors, fly_onboard, back_s):
     np.testing.assert_array_equal(np.diff(again), 2_000_000)
     assert flown.seconds(again[0]) + back_s < AT_S + STARTED_ANEW_S
     assert again[-1] == flown.imu_ns[-1]
+
+
+def every_third(sent, from_s):
+    """What the sensors sent, of the IMU every third sample from then on."""
+    imu = sent["imu"]
+    index = np.arange(len(imu.taken_ns))
+    kept = (imu.taken_ns < imu.taken_ns[0] + round(1e9 * from_s)) | (index % 3 == 0)
+    part = type(imu.stream)(**{name: column[kept] for name, column in vars(imu.stream).items()})
+    return {**sent, "imu": Sent(part, imu.taken_ns[kept], imu.arrival_ns[kept])}
+
+
+def test_imu_whose_rate_changes(sensors, fly_onboard):
+    """Without a pause: filters of the old rate predict for 0.3 s at most, then those of the new one."""
+    flown = fly_onboard(every_third(sensors(), AT_S))
+    assert flown.health["imu"].refused == {"RESET": 1}
+    assert_said_at_once(flown, AT_S + 0.3)
+    seconds = flown.seconds(flown.predictions.time_ns)
+    assert not ((seconds > AT_S + 0.3) & (seconds < AT_S + 1.2)).any()
+    again = seconds[seconds > AT_S + 0.3]
+    assert again[0] < AT_S + 0.3 + STARTED_ANEW_S
+    np.testing.assert_allclose(np.diff(again), 3.0 / 500.0)
+    assert again[-1] == flown.seconds(flown.imu_ns[-1])
+
+
+@pytest.mark.parametrize("given_hz", [500.0, 100.0])
+def test_imu_rate_that_is_given_wrong(sensors, fly_onboard, given_hz):
+    """Nothing is predicted from the first sample to the last, and the alarm says why."""
+    flown = fly_onboard(every_third(sensors(4.0), 0.0), rate_hz=given_hz)
+    assert len(flown.predictions.time_ns) == 0
+    assert flown.words(BAD_DATA) == {"imu rate is not imu_rate_hz"}
+    assert flown.raised(BAD_DATA) == [pytest.approx(1.05, abs=0.02)]
+    assert flown.standing() == {BAD_DATA}
+
+
+def test_imu_rate_that_is_measured_is_as_good_as_one_that_is_given(sensors, fly_onboard):
+    sent = every_third(sensors(), 0.0)
+    measured, given = fly_onboard(sent), fly_onboard(sent, rate_hz=500.0 / 3.0)
+    assert len(measured.predictions.time_ns) > 1000
+    np.testing.assert_array_equal(measured.predictions.time_ns, given.predictions.time_ns)
+    np.testing.assert_allclose(
+        measured.predictions.predicted, given.predictions.predicted, rtol=1e-5, atol=1e-6
+    )
+
+
+def test_replay_follows_a_rate_that_changes_as_the_nodes_do(fly_onboard, bebop2, tmp_path):
+    vehicle, model = bebop2
+    recording = replace(read_bag(bags_directory() / "interpolation.mcap", vehicle), arrivals={})
+    sent = every_third(sent_by(recording, 6.0), AT_S)
+    flown = fly_onboard(sent)
+    streams = {name: sent[topic].stream for name, topic in STREAMS.items()}
+    write_bag(tmp_path / "bag.mcap", Recording("bag", vehicle.name, "bag", **streams))
+    replay(model, vehicle, tmp_path / "bag.mcap", tmp_path / "out.mcap")
+    predictions, alarms = read_outputs(tmp_path / "out.mcap")
+    np.testing.assert_array_equal(predictions.time_ns, flown.predictions.time_ns)
+    np.testing.assert_allclose(predictions.measured, flown.predictions.measured, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(alarms.time_ns, flown.alarms.time_ns)
+    np.testing.assert_array_equal(alarms.cause_level, flown.alarms.cause_level)
