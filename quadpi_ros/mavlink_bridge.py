@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import threading
 import time
-import traceback
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -48,6 +48,8 @@ _STOP_TIMEOUT_S = 5.0
 _SUBSCRIBER_WAIT_S, _SUBSCRIBER_POLL_S = 10.0, 1.0
 # Time for the last messages to leave before the participant closes.
 _FLUSH_S = 0.2
+# Anybody can send in the name of many systems; the diagnostics name those that send most.
+_OTHERS_NAMED = 8
 _WIDTHS = {"imu": 6, "rotor_speeds": 4, "mocap/pose": 7, "odometry": 13}
 _LEVEL_ROW = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
@@ -83,6 +85,14 @@ class BridgeParameters:
     world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of the world, east-north-up")
 
 
+class _Reported(NamedTuple):
+    """When the diagnostics were last published, and what counts they saw."""
+
+    at_s: float
+    samples: dict[str, int]
+    rivals: dict[str, int]
+
+
 class MavlinkBridge(GuardedNode):
     """Publishes `imu`, `rotor_speeds`, `mocap/pose` and `mocap/odometry` as far as the autopilot sends them.
 
@@ -116,7 +126,7 @@ class MavlinkBridge(GuardedNode):
         self._stop = threading.Event()
         self._problem: str | None = "not connected yet"
         self._connections = 0
-        self._reported: tuple[float, dict[str, int]] = (time.monotonic(), {})
+        self._reported = _Reported(time.monotonic(), {}, {})
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._thread = threading.Thread(target=self._serve, name="mavlink", daemon=True)
@@ -157,7 +167,7 @@ class MavlinkBridge(GuardedNode):
                     self._await_subscriber()
                 try:
                     while not self._stop.is_set():
-                        heard = self._exchange(link) or heard
+                        heard = self._exchange_guarded(link) or heard
                 finally:
                     link.close()
             except EOFError:
@@ -171,7 +181,7 @@ class MavlinkBridge(GuardedNode):
                 self.get_logger().warning(f"{self._problem}; next attempt in {wait_s:g} s")
             except Exception as error:  # a thread that ends without a word would look like a silent autopilot
                 self._problem = f"error in the program: {one_line(error)}"
-                self.get_logger().error(traceback.format_exc())
+                self.exceptions.take("link", error)
             if heard:
                 wait_s = _BACK_OFF_S[0]
             self._stop.wait(wait_s)
@@ -191,31 +201,43 @@ class MavlinkBridge(GuardedNode):
                     break
         self._problem = None
 
+    def _exchange_guarded(self, link: Link) -> bool:
+        """Exchange; an error in the program costs what was read, not the link."""
+        try:
+            return self._exchange(link)
+        except (QuadpiError, OSError, EOFError):
+            raise
+        except Exception as error:
+            self.exceptions.take("link", error)
+            return True
+
     def _exchange(self, link: Link) -> bool:
         """Read once, publish what came, send what is due; whether anything came."""
         chunk = link.read(_READ_TIMEOUT_S)
         with self._lock:
             received = []
             if chunk is not None:
-                received = self._session.take(chunk.data, chunk.arrival_ns, complete=chunk.complete)
-            packets = self._session.due(time.time_ns())
+                received = self._session.take(
+                    chunk.data, chunk.arrival_ns, complete=chunk.complete, address=chunk.address
+                )
+            packets, address = self._session.due(time.time_ns()), self._session.address
         for sample in received:
             self._publish[sample.topic](self._packed(sample.topic, sample.time_ns, sample.values))
         for packet in packets:
-            link.write(packet)
+            link.write(packet, address)
         return chunk is not None
 
     def _diagnose(self) -> None:
         now_s = time.monotonic()
         with self._lock:
             report = self._session.report(time.time_ns())
-        then_s, before = self._reported
-        self._reported = (now_s, report.samples)
+        before, self._reported = self._reported, _Reported(now_s, report.samples, report.rivals)
         rates = {
-            f"{topic}_hz": (count - before.get(topic, 0)) / (now_s - then_s)
+            f"{topic}_hz": (count - before.samples.get(topic, 0)) / (now_s - before.at_s)
             for topic, count in report.samples.items()
         }
-        level, text = self._judged(report, rates)
+        rivals = [name for name, count in report.rivals.items() if count > before.rivals.get(name, 0)]
+        level, text = self._judged(report, rates, rivals)
         values: dict[str, Any] = {
             "connection": self._given.connection,
             "connections": self._connections,
@@ -223,6 +245,10 @@ class MavlinkBridge(GuardedNode):
             **rates,
             **{f"{topic}_from": source for topic, source in report.sources.items()},
             **asdict(report.frames),
+            **{
+                f"not used: {name}": count
+                for name, count in Counter(report.others).most_common(_OTHERS_NAMED)
+            },
             **_clock_values(report),
             **{f"refused: {reason}": count for reason, count in report.refused.items()},
         }
@@ -230,11 +256,12 @@ class MavlinkBridge(GuardedNode):
         statuses += self.exceptions.statuses()
         self._diagnostics.publish(diagnostics.array(self, statuses))
 
-    def _judged(self, report: SessionReport, rates: dict[str, float]) -> tuple[bytes, str]:
+    def _judged(self, report: SessionReport, rates: dict[str, float], rivals: list[str]) -> tuple[bytes, str]:
         if self._problem is not None:
             return diagnostics.ERROR, self._problem
         if report.system is None:
-            return diagnostics.ERROR, "connected, but no autopilot is heard"
+            others = f", but packets of {', '.join(sorted(report.others))}" if report.others else ""
+            return diagnostics.ERROR, f"connected, but no heartbeat of an autopilot is heard{others}"
         if report.silent_s > _SILENT_S and not self._is_replay:
             return diagnostics.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
         lacking = [topic for topic in ("imu", "rotor_speeds") if rates[f"{topic}_hz"] == 0.0]
@@ -242,6 +269,11 @@ class MavlinkBridge(GuardedNode):
             lacking.append("pose or velocity")
         if lacking:
             return diagnostics.ERROR, f"the autopilot sends no {', no '.join(lacking)}"
+        if rivals:
+            return diagnostics.WARN, (
+                f"{', '.join(sorted(rivals))} sends heartbeats of an autopilot too; "
+                f"system {report.system} is used, as it came first"
+            )
         if report.clock is None or not report.clock.exchanged:
             return diagnostics.WARN, "the autopilot answers no TIMESYNC: stamps are late by the link's delay"
         return diagnostics.OK, f"system {report.system}: imu at {rates['imu_hz']:.0f} Hz"

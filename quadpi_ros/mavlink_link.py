@@ -27,11 +27,16 @@ class LinkError(QuadpiError):
 
 
 class Chunk(NamedTuple):
-    """Bytes, when they arrived (ns since 1970), and whether no packet goes on beyond them."""
+    """Bytes, when they arrived (ns since 1970), and whether no packet goes on beyond them.
+
+    Attributes:
+        address: where they come from; None if the link has one other end only.
+    """
 
     data: bytes
     arrival_ns: int
     complete: bool
+    address: object = None
 
 
 class Link(Protocol):
@@ -40,44 +45,48 @@ class Link(Protocol):
     def read(self, timeout_s: float) -> Chunk | None:
         """What arrives within a time; None if nothing does."""
 
-    def write(self, data: bytes) -> None:
-        """Send, if there is anyone to send to."""
+    def write(self, data: bytes, address: object, /) -> None:
+        """Send to the address of a chunk, or to the only other end; None: it is not known yet."""
 
     def close(self) -> None:
         """Free the port."""
 
 
 class UdpLink:
-    """A UDP port: as listener it answers whoever sent last."""
+    """A UDP port that listens to anyone, or one that sends first and hears nobody else."""
 
     def __init__(self, host: str, port: int, *, listens: bool) -> None:
-        self._peer: tuple[str, int] | None = None if listens else (host, port)
+        self._listens = listens
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         _widen(self._socket)
-        if listens:
-            try:
+        try:
+            if listens:
                 self._socket.bind((host, port))
-            except OSError:
-                self._socket.close()
-                raise
+            else:
+                self._socket.connect((host, port))
+        except OSError:
+            self._socket.close()
+            raise
 
     def read(self, timeout_s: float) -> Chunk | None:
         """See :class:`Link`; one datagram."""
         self._socket.settimeout(timeout_s)
         try:
-            data, self._peer = self._socket.recvfrom(_READ_BYTES)
+            data, address = self._socket.recvfrom(_READ_BYTES)
         except (TimeoutError, ConnectionRefusedError):
             # Refused is what Linux says of a datagram that nobody took; the peer may come.
             return None
-        return Chunk(data, time.time_ns(), complete=True)
+        return Chunk(data, time.time_ns(), complete=True, address=address)
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, address: object) -> None:
         """See :class:`Link`."""
-        if self._peer is not None:
-            try:
-                self._socket.sendto(data, self._peer)
-            except ConnectionRefusedError:
-                return
+        try:
+            if not self._listens:
+                self._socket.send(data)
+            elif isinstance(address, tuple):
+                self._socket.sendto(data, address)
+        except ConnectionRefusedError:
+            return
 
     def close(self) -> None:
         """See :class:`Link`."""
@@ -110,7 +119,7 @@ class TcpLink:
             raise LinkError("the other side closed the connection")
         return Chunk(data, time.time_ns(), complete=False)
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, _: object) -> None:
         """See :class:`Link`."""
         self._socket.sendall(data)
 
@@ -132,7 +141,7 @@ class SerialLink:
         data = self._port.read(max(1, self._port.in_waiting))
         return Chunk(data, time.time_ns(), complete=False) if data else None
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, _: object) -> None:
         """See :class:`Link`."""
         self._port.write(data)
 
@@ -169,7 +178,7 @@ class ReplayLink:
         self._next += 1
         return Chunk(record.frame.data, record.arrival_ns, complete=True)
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, _: object) -> None:
         """A log does not listen."""
 
     def close(self) -> None:

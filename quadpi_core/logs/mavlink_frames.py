@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import re
 import struct
 import time
 from collections import namedtuple
@@ -22,6 +23,8 @@ from quadpi_core.logs.mavlink_dialect import load_dialect
 
 MARKERS = (0xFD, 0xFE)
 _V2_MARKER = 0xFD
+# What may begin a packet: of version 2 with flags that are known, as far as they are there.
+_BEGIN = re.compile(rb"\xfd(?:.?\Z|.[\x00\x01])|\xfe", re.DOTALL)
 _V2_HEADER, _V1_HEADER = 10, 6
 _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED = 0x01
@@ -116,6 +119,7 @@ class Framer:
         dialect = load_dialect()
         self._checksum = dialect.x25crc
         self._extra = {number: kind.crc_extra for number, kind in dialect.mavlink_map.items()}
+        self._sizes = {number: kind.unpacker.size for number, kind in dialect.mavlink_map.items()}
 
     def feed(self, data: bytes, *, complete: bool = False) -> list[Frame]:
         """The packets that are complete now.
@@ -132,7 +136,7 @@ class Framer:
             is_whole = length is not None and position + length <= len(buffer)
             if not is_whole and not complete:
                 break
-            frame = self._frame(position, length) if length and is_whole else None
+            frame = self._frame(buffer, position, length) if length and is_whole else None
             if frame is None:
                 position = self._skip(position)
                 continue
@@ -142,31 +146,50 @@ class Framer:
         del buffer[:position]
         return frames
 
+    def packet(self, data: bytes) -> Frame | None:
+        """The packet that these bytes are, from the first to the last; None if they are none, or refused.
+
+        What is inside them is not looked for, as :meth:`feed` does.
+        """
+        frame = self._frame(data, 0, len(data)) if frame_length(data, 0) == len(data) else None
+        return frame if frame is not None and self._is_welcome(frame) else None
+
     def _skip(self, position: int) -> int:
-        """The next place at which a packet may begin."""
-        found = [at for marker in MARKERS if (at := self._buffer.find(marker, position + 1)) >= 0]
-        following = min(found, default=len(self._buffer))
+        """The next place at which a packet may begin.
+
+        The search ends at the first one, of either version: one search for each would walk through the whole
+        rest again and again.
+        """
+        found = _BEGIN.search(self._buffer, position + 1)
+        following = found.start() if found else len(self._buffer)
         self.counts.noise_bytes += following - position
         return following
 
-    def _frame(self, position: int, length: int) -> Frame | None:
+    def _frame(self, buffer: bytes | bytearray, position: int, length: int) -> Frame | None:
         """The packet at a position, or None if its checksum says that it is none."""
-        data = bytes(self._buffer[position : position + length])
-        frame, header, signed = _parts(data)
-        extra = self._extra.get(frame.message_id)
+        is_v2 = buffer[position] == _V2_MARKER
+        at, width = (position + 7, 3) if is_v2 else (position + 5, 1)
+        message_id = int.from_bytes(buffer[at : at + width], "little")
+        extra = self._extra.get(message_id)
+        if extra is not None and not is_v2 and buffer[position + 1] > self._sizes[message_id]:
+            # Only in version 2 may later fields follow. A row of markers looks like such packets.
+            return None
+        data = bytes(buffer[position : position + length])
+        system, component = (data[5], data[6]) if is_v2 else (data[3], data[4])
+        frame = Frame(message_id, system, component, data)
         if extra is None:
             # Nothing tells the checksum of an unknown message: it is one if another packet follows.
             follows = position + length
-            if follows < len(self._buffer) and self._buffer[follows] not in MARKERS:
+            if follows < len(buffer) and buffer[follows] not in MARKERS:
                 return None
             self.counts.unknown += 1
             return frame
-        end = length - (_SIGNATURE if signed else 0)
+        end = length - (_SIGNATURE if is_v2 and data[2] & _SIGNED else 0)
         checksum = self._checksum(data[1 : end - _CHECKSUM] + bytes((extra,))).crc
         if checksum != int.from_bytes(data[end - _CHECKSUM : end], "little"):
             self.counts.checksum_errors += 1
             return None
-        self._count(frame, data[4 if header == _V2_HEADER else 2])
+        self._count(frame, data[4 if is_v2 else 2])
         return frame
 
     def _count(self, frame: Frame, sequence: int) -> None:
@@ -191,6 +214,8 @@ class Framer:
 
 def frame_length(buffer: bytes | bytearray, position: int) -> int | None:
     """Length of the packet at a position; 0 if none begins there, None if too few bytes are there to say."""
+    if position >= len(buffer):
+        return None
     marker = buffer[position]
     if marker not in MARKERS:
         return 0
@@ -202,14 +227,6 @@ def frame_length(buffer: bytes | bytearray, position: int) -> int | None:
     if flags & ~_SIGNED:
         return 0
     return _V2_HEADER + buffer[position + 1] + _CHECKSUM + (_SIGNATURE if flags & _SIGNED else 0)
-
-
-def _parts(data: bytes) -> tuple[Frame, int, bool]:
-    """A packet by its header, the length of the header, and whether it is signed."""
-    if data[0] != _V2_MARKER:
-        return Frame(data[5], data[3], data[4], data), _V1_HEADER, False
-    message_id = int.from_bytes(data[7:10], "little")
-    return Frame(message_id, data[5], data[6], data), _V2_HEADER, bool(data[2] & _SIGNED)
 
 
 class MessageDecoder:

@@ -39,12 +39,11 @@ SOURCES = {
     "mocap/pose": ("ATT_POS_MOCAP", "VISION_POSITION_ESTIMATE", "ODOMETRY pose"),
     "odometry": ("ODOMETRY", "LOCAL_POSITION_NED"),
 }
-# Of these messages, what other components send counts too: motion capture comes from a companion computer.
-FROM_ANY_SYSTEM = frozenset({"ATT_POS_MOCAP", "VISION_POSITION_ESTIMATE"})
 
 _EPOCH_US = 10**15
 # A later stamp, past the year 2090, is none.
-_LATEST_US = 4 * 10**15
+LATEST_US = 4 * 10**15
+_NOT_FINITE = "values that are not finite"
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _ACCELEROMETER_AND_GYRO = 0x3F
 _ESCS_PER_MESSAGE = 4
@@ -92,6 +91,8 @@ def is_epoch(clock_us: int) -> bool:
 
 class MavlinkSamples:
     """Turns the messages of one vehicle into samples, one message at a time; what it refuses is counted.
+
+    Any payload is taken or refused; none raises an exception.
 
     Args:
         vehicle: gives the pole pairs where speeds are electrical; may be None where they are not.
@@ -149,11 +150,12 @@ class MavlinkSamples:
         decoder = self._decoders.get(name)
         if decoder is None:
             return None
+        # A decoder may keep the stamp for later samples.
+        if getattr(message, "time_usec", 0) > LATEST_US or getattr(message, "usec", 0) > LATEST_US:
+            return self._refuse(name, "an impossible stamp")
         sample = decoder(message, arrival_s)
         if sample is not None and not np.isfinite(sample.values).all():
-            return self._refuse(name, "values that are not finite")
-        if sample is not None and sample.clock_us is not None and sample.clock_us > _LATEST_US:
-            return self._refuse(name, "an impossible stamp")
+            return self._refuse(name, _NOT_FINITE)
         return sample
 
     def _refuse(self, name: str, reason: str) -> Sample | None:
@@ -185,14 +187,15 @@ class MavlinkSamples:
 
     def _take_quaternion(self, m: Any, _: float) -> None:
         attitude = self._unit("ATTITUDE_QUATERNION", (m.q1, m.q2, m.q3, m.q4))
-        if attitude is not None:
-            rates = np.array((m.rollspeed, m.pitchspeed, m.yawspeed))
+        rates = self._finite("ATTITUDE_QUATERNION", (m.rollspeed, m.pitchspeed, m.yawspeed))
+        if attitude is not None and rates is not None:
             self._attitude = (m.time_boot_ms * 1e-3, attitude, rates)
 
     def _take_angles(self, m: Any, _: float) -> None:
-        attitude = quaternion_from_roll_pitch_yaw(np.array((m.roll, m.pitch, m.yaw)))
-        rates = np.array((m.rollspeed, m.pitchspeed, m.yawspeed))
-        self._attitude = (m.time_boot_ms * 1e-3, attitude, rates)
+        angles = self._finite("ATTITUDE", (m.roll, m.pitch, m.yaw))
+        rates = self._finite("ATTITUDE", (m.rollspeed, m.pitchspeed, m.yawspeed))
+        if angles is not None and rates is not None:
+            self._attitude = (m.time_boot_ms * 1e-3, quaternion_from_roll_pitch_yaw(angles), rates)
 
     def _local_position(self, m: Any, _: float) -> Sample | None:
         if self._attitude is None:
@@ -201,8 +204,11 @@ class MavlinkSamples:
         ahead_s = m.time_boot_ms * 1e-3 - time_s
         if abs(ahead_s) > _ATTITUDE_AGE_S:
             return self._refuse("LOCAL_POSITION_NED", f"no attitude within {_ATTITUDE_AGE_S} s")
+        velocity = self._finite("LOCAL_POSITION_NED", (m.vx, m.vy, m.vz))
+        if velocity is None:
+            return None
         attitude = _carried_on(attitude, rates, ahead_s)
-        velocity = rotate_world_to_body(attitude, np.array((m.vx, m.vy, m.vz)))
+        velocity = rotate_world_to_body(attitude, velocity)
         row = np.concatenate(((m.x, m.y, m.z), attitude, velocity, rates))
         return Sample("odometry", "LOCAL_POSITION_NED", m.time_boot_ms * 1000, row)
 
@@ -225,7 +231,7 @@ class MavlinkSamples:
             position, attitude = body_flu_to_frd(position), _half_turn_about_x(attitude)
         elif m.frame_id not in {_LOCAL_NED, _LOCAL_FRD}:
             return self._refuse("ODOMETRY", f"frame_id {m.frame_id} is not known")
-        if not np.isfinite(np.concatenate((velocity, rates))).all():
+        if np.isnan(np.concatenate((velocity, rates))).any():
             # What comes from motion capture alone has no velocity.
             return Sample("mocap/pose", "ODOMETRY pose", m.time_usec, np.concatenate((position, attitude)))
         row = np.concatenate((position, attitude, velocity, rates))
@@ -238,9 +244,19 @@ class MavlinkSamples:
         return Sample("mocap/pose", "ATT_POS_MOCAP", m.time_usec, np.concatenate(((m.x, m.y, m.z), attitude)))
 
     def _vision(self, m: Any, _: float) -> Sample | None:
-        attitude = quaternion_from_roll_pitch_yaw(np.array((m.roll, m.pitch, m.yaw)))
-        row = np.concatenate(((m.x, m.y, m.z), attitude))
+        angles = self._finite("VISION_POSITION_ESTIMATE", (m.roll, m.pitch, m.yaw))
+        if angles is None:
+            return None
+        row = np.concatenate(((m.x, m.y, m.z), quaternion_from_roll_pitch_yaw(angles)))
         return Sample("mocap/pose", "VISION_POSITION_ESTIMATE", m.usec, row)
+
+    def _finite(self, name: str, values: Sequence[float]) -> Array | None:
+        """Values that go into a calculation; None, and the message is refused, if one is not finite."""
+        finite = np.array(values, dtype=np.float64)
+        if np.isfinite(finite).all():
+            return finite
+        self._refuse(name, _NOT_FINITE)
+        return None
 
     def _unit(self, name: str, quaternion: Sequence[float]) -> Array | None:
         attitude = np.array(quaternion, dtype=np.float64)

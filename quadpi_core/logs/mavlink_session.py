@@ -19,7 +19,7 @@ from quadpi_core.logs.mavlink_frames import Frame, FrameCounts, Framer, MessageD
 from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
     AUTOPILOT_INVALID,
-    FROM_ANY_SYSTEM,
+    LATEST_US,
     PX4,
     SOURCES,
     MavlinkSamples,
@@ -38,9 +38,17 @@ _REQUEST_NS = 5 * _SECOND
 _ENOUGH = 0.8
 # A kind of message that has been silent for so long gives way to a worse one.
 _SILENT_NS = _SECOND
+# Three heartbeats: a vehicle that has been silent for longer may come back from another address.
+_GONE_NS = 3 * _SECOND
+# A stamp that is older at its arrival, or a second ahead of it, is wrong: no link by which a vehicle flies
+# delays by so much.
+_DELAY_MAX_NS = 10 * _SECOND
 _COMPANION = 191
 _OWN_SYSTEM = 255
-_ONBOARD_CONTROLLER, _ACTIVE, _PROTOCOL = 18, 4, 3
+_HEARTBEAT = 0
+_GROUND_STATION, _ONBOARD_CONTROLLER, _ACTIVE, _PROTOCOL = 6, 18, 4, 3
+# Some of these call themselves an autopilot of no kind.
+_NO_VEHICLES = (_GROUND_STATION, _ONBOARD_CONTROLLER)
 _SET_MESSAGE_INTERVAL = 511
 _ESC_TELEMETRY = (11030, 11031, 11032)
 
@@ -50,7 +58,7 @@ class SessionSettings:
     """What is asked of the autopilot.
 
     Attributes:
-        system: its system id; 0 takes the first that is heard.
+        system: its system id; 0 takes the first that sends an autopilot's heartbeat.
         rates_hz: wanted per topic; the states' rate is that of "odometry".
         imu_source: name of the only IMU message to use, or "auto".
         key: 32 bytes to verify signatures by, and to sign with.
@@ -74,12 +82,22 @@ class Received(NamedTuple):
     values: Array
 
 
+class Peer(NamedTuple):
+    """The autopilot that a session is with; `address` is whatever the link calls the place it sends from."""
+
+    system: int
+    component: int
+    address: object
+
+
 class SessionReport(NamedTuple):
     """The state of a session; counts since its begin.
 
     Attributes:
-        system: of the autopilot, None before it was heard.
+        system: of the autopilot, None before its first heartbeat.
         silent_s: since the last packet of it.
+        others: packets of other senders, by sender; they are not used.
+        rivals: those of them that were the heartbeat of an autopilot, unless another was asked for.
         samples: per topic.
         sources: message that each topic is taken from.
         refused: per message and reason.
@@ -90,6 +108,8 @@ class SessionReport(NamedTuple):
     system: int | None
     autopilot: int | None
     silent_s: float
+    others: dict[str, int]
+    rivals: dict[str, int]
     frames: FrameCounts
     samples: dict[str, int]
     sources: dict[str, str]
@@ -99,7 +119,9 @@ class SessionReport(NamedTuple):
 
 
 class MavlinkSession:
-    """One vehicle over one link.
+    """One vehicle over one link: the first system that sends a heartbeat of an autopilot.
+
+    Only what this system sends from the same address is used, be it samples or answers that move the clock.
 
     Args:
         vehicle: see :class:`MavlinkSamples`.
@@ -122,9 +144,10 @@ class MavlinkSession:
             for number, kind in self._dialect.mavlink_map.items()
             if kind.msgname in {*self._samples.names, "TIMESYNC"}
         }
-        self._system = settings.system or None
-        self._component = 1
+        self._peer: Peer | None = None
         self._heard_ns = 0
+        self._others: Counter[str] = Counter()
+        self._rivals: Counter[str] = Counter()
         self._clocks: dict[tuple[int, int, bool], ClockOffset] = {}
         self._sources: dict[str, tuple[str, int]] = {}
         self._last_ns: dict[str, int] = {}
@@ -132,7 +155,7 @@ class MavlinkSession:
         self._seen: Counter[int] = Counter()
         self._seen_before: Counter[int] = Counter()
         self._pending: deque[int] = deque(maxlen=_PENDING)
-        self._answers: list[bytes] = []
+        self._answers: deque[bytes] = deque(maxlen=_PENDING)
         self._next_ns = {"heartbeat": 0, "timesync": 0, "requests": 0}
         self._first_ns = 0
         self._out = self._dialect.MAVLink(None, _OWN_SYSTEM, _COMPANION)
@@ -140,22 +163,33 @@ class MavlinkSession:
             self._out.signing.secret_key = settings.key
             self._out.signing.sign_outgoing = True
 
-    def take(self, data: bytes, arrival_ns: int, *, complete: bool) -> list[Received]:
+    @property
+    def address(self) -> object:
+        """Where the autopilot sends from, as `take` was told; None before its first heartbeat."""
+        return self._peer.address if self._peer else None
+
+    def take(self, data: bytes, arrival_ns: int, *, complete: bool, address: object = None) -> list[Received]:
         """The samples in what arrived.
 
         Args:
             data: bytes of the link.
             arrival_ns: when they arrived.
             complete: whether no packet goes on beyond them, as in a datagram.
+            address: where they come from; None if the link has one other end only.
         """
         received = []
         for frame in self._framer.feed(data, complete=complete):
+            if frame.message_id == _HEARTBEAT:
+                self._meet(frame, arrival_ns, address)
+            sender = self._stranger(frame, address)
+            if sender is not None:
+                self._others[sender] += 1
+                continue
+            self._heard_ns = arrival_ns
             self._seen[frame.message_id] += 1
             if frame.message_id not in self._wanted:
                 continue
             message = self._decoder.decode(frame)
-            if not self._is_ours(frame, message, arrival_ns):
-                continue
             if type(message).__name__ == "TIMESYNC":
                 self._timesync(frame, message, arrival_ns)
                 continue
@@ -164,25 +198,42 @@ class MavlinkSession:
                 received.append(stamped)
         return received
 
-    def _is_ours(self, frame: Frame, message: Any, arrival_ns: int) -> bool:
-        """Whether a message comes from the autopilot, or may come from anyone; finds the autopilot."""
-        name = type(message).__name__
-        is_autopilot = name == "HEARTBEAT" and message.autopilot != AUTOPILOT_INVALID
-        if self._system is None and (is_autopilot or name in SOURCES["imu"]):
-            self._system = frame.system
-        if frame.system != self._system:
-            return name in FROM_ANY_SYSTEM
-        if is_autopilot:
-            self._component = frame.component
-        self._first_ns = self._first_ns or arrival_ns
-        self._heard_ns = arrival_ns
-        return True
+    def _meet(self, frame: Frame, arrival_ns: int, address: object) -> None:
+        """Take the sender of a heartbeat as the autopilot, or count one that comes too late for it."""
+        heartbeat = self._decoder.decode(frame)
+        if heartbeat.autopilot == AUTOPILOT_INVALID or heartbeat.type in _NO_VEHICLES:
+            return
+        wanted = self._settings.system
+        if self._peer is None and wanted in (0, frame.system):
+            self._first_ns = arrival_ns
+        elif self._peer is None or self._peer.system != frame.system or not self._is_gone(arrival_ns):
+            sender = self._stranger(frame, address)
+            if sender is not None and (not wanted or wanted == frame.system):
+                self._rivals[sender] += 1
+            return
+        self._peer = Peer(frame.system, frame.component, address)
+
+    def _is_gone(self, now_ns: int) -> bool:
+        # In both directions, as this computer's clock may be set back.
+        return abs(now_ns - self._heard_ns) > _GONE_NS
+
+    def _stranger(self, frame: Frame, address: object) -> str | None:
+        """How the diagnostics call a sender that is not the autopilot; None of the autopilot."""
+        if self._peer is None or frame.system != self._peer.system:
+            return f"system {frame.system}"
+        return None if address == self._peer.address else f"system {frame.system} at another address"
 
     def _timesync(self, frame: Frame, message: Any, arrival_ns: int) -> None:
         if message.tc1 == 0:
             self._answers.append(self._pack("timesync", arrival_ns, message.ts1))
-        elif message.ts1 in self._pending and frame.component == self._component:
-            self._clock(frame, since_1970=False).exchange(message.ts1, message.tc1, arrival_ns)
+        elif message.ts1 in self._pending and self._peer and frame.component == self._peer.component:
+            self._pending.remove(message.ts1)
+            remote_us = message.tc1 // 1000
+            if 0 < remote_us <= LATEST_US:
+                clock = self._clock(frame, since_1970=is_epoch(remote_us))
+                clock.exchange(message.ts1, message.tc1, arrival_ns)
+            else:
+                self._samples.refused["TIMESYNC: an impossible stamp"] += 1
 
     def _clock(self, frame: Frame, *, since_1970: bool) -> ClockOffset:
         return self._clocks.setdefault((frame.system, frame.component, since_1970), ClockOffset())
@@ -197,6 +248,9 @@ class MavlinkSession:
             clock = self._clock(frame, since_1970=is_epoch(sample.clock_us))
             clock.arrival(remote_ns, arrival_ns)
             time_ns = clock.to_local(remote_ns, arrival_ns)
+            if not -_DELAY_MAX_NS <= time_ns - arrival_ns <= _SECOND:
+                self._samples.refused[f"{sample.source}: the stamp is far from the arrival"] += 1
+                return None
         last_ns = self._last_ns.get(sample.topic, 0)
         if time_ns <= last_ns <= arrival_ns + _SECOND:
             self._samples.refused[f"{sample.source}: the stamp does not rise"] += 1
@@ -218,22 +272,22 @@ class MavlinkSession:
 
     def due(self, now_ns: int) -> list[bytes]:
         """What is to be sent now: heartbeat, clock exchange, answers, requests for messages that lack."""
-        answers, self._answers = self._answers, []
+        packets = list(self._answers)
+        self._answers.clear()
         if self._settings.passive:
             return []
-        packets = answers
         if self._is_due("heartbeat", now_ns, _HEARTBEAT_NS):
             packets.append(
                 self._pack("heartbeat", _ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, 0, _ACTIVE, _PROTOCOL)
             )
-        if self._system is None or not self._heard_ns:
+        if self._peer is None:
             return packets
         is_first_round = now_ns - self._first_ns < _FIRST_ROUND_NS
         if self._is_due("timesync", now_ns, _FIRST_TIMESYNC_NS if is_first_round else _TIMESYNC_NS):
             self._pending.append(now_ns)
             packets.append(self._pack("timesync", 0, now_ns))
         if self._is_due("requests", now_ns, _REQUEST_NS):
-            packets += self._requests()
+            packets += self._requests(self._peer)
         return packets
 
     def _is_due(self, what: str, now_ns: int, period_ns: int) -> bool:
@@ -242,7 +296,7 @@ class MavlinkSession:
         self._next_ns[what] = now_ns + period_ns
         return True
 
-    def _requests(self) -> list[bytes]:
+    def _requests(self, peer: Peer) -> list[bytes]:
         """Ask again for every message that came more slowly than wanted since the last time."""
         recent = self._seen - self._seen_before
         packets = []
@@ -250,7 +304,7 @@ class MavlinkSession:
             if rate_hz > 0.0 and recent[number] < _ENOUGH * rate_hz * (_REQUEST_NS / _SECOND):
                 interval_us = round(1e6 / rate_hz)
                 command = (_SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0)
-                packets.append(self._pack("command_long", self._system, self._component, *command))
+                packets.append(self._pack("command_long", peer.system, peer.component, *command))
         self._seen_before = Counter(self._seen)
         return packets
 
@@ -280,15 +334,22 @@ class MavlinkSession:
 
     def report(self, now_ns: int) -> SessionReport:
         """How the session stands."""
-        clock = self._clocks.get((self._system or 0, self._component, False))
+        clocks = []
+        if self._peer is not None:
+            of_peer = (self._peer.system, self._peer.component)
+            clocks = [clock for key, clock in self._clocks.items() if key[:2] == of_peer]
+        estimates = [one for clock in clocks if (one := clock.estimate(now_ns)) is not None]
         return SessionReport(
-            system=self._system,
+            system=self._peer.system if self._peer else None,
             autopilot=self._samples.autopilot,
             silent_s=(now_ns - self._heard_ns) * 1e-9 if self._heard_ns else math.inf,
+            others=dict(self._others),
+            rivals=dict(self._rivals),
             frames=self._framer.counts,
             samples={topic: self._counts[topic] for topic in SOURCES},
             sources={topic: source for topic, (source, _) in self._sources.items()},
             refused=dict(self._samples.refused),
-            clock=None if clock is None else clock.estimate(now_ns),
+            # A sender may count some stamps from its boot and others from 1970.
+            clock=max(estimates, key=lambda one: one.exchanged, default=None),
             clock_restarts=sum(known.restarts for known in self._clocks.values()),
         )

@@ -19,7 +19,6 @@ from quadpi_core.logs.autopilot import note, require_imu, usable
 from quadpi_core.logs.clocks import Line, line_below
 from quadpi_core.logs.mavlink_frames import MARKERS, Frame, FrameCounts, Framer, MessageDecoder, frame_length
 from quadpi_core.logs.mavlink_samples import (
-    FROM_ANY_SYSTEM,
     SOURCES,
     MavlinkSamples,
     Sample,
@@ -72,15 +71,14 @@ def read_records(data: bytes, counts: TlogCounts) -> Iterator[TlogRecord]:
         start = position + _STAMP_BYTES
         length = (frame_length(data, start) or 0) if _is_record(data, position) else 0
         known = counts.frames + counts.unknown
-        frames: list[Frame] = []
-        if 0 < length <= len(data) - start:
-            frames = framer.feed(data[start : start + length], complete=True)
+        frame = framer.packet(data[start : start + length])
         if counts.frames + counts.unknown == known:
             counts.damaged_bytes += 1
             position += 1
             continue
-        arrival_ns = int.from_bytes(data[position:start], "big") * 1000
-        yield from (TlogRecord(arrival_ns, frame) for frame in frames)
+        if frame is not None:
+            arrival_ns = int.from_bytes(data[position:start], "big") * 1000
+            yield TlogRecord(arrival_ns, frame)
         position = start + length
 
 
@@ -149,14 +147,18 @@ def _decode(
         note(source, f"holds {len(imus)} vehicles; read is system {imus.most_common(1)[0][0]}")
     system = imus.most_common(1)[0][0]
     arrived = []
+    others: Counter[str] = Counter()
     for record, message in messages:
-        if record.frame.system != system and type(message).__name__ not in FROM_ANY_SYSTEM:
+        if record.frame.system != system:
+            others[type(message).__name__] += 1
             continue
         sample = samples.decode(message, record.arrival_ns * 1e-9)
         if sample is not None:
             since_1970 = sample.clock_us is not None and is_epoch(sample.clock_us)
             sender = (record.frame.system, record.frame.component, since_1970)
             arrived.append(_Arrived(sample, record.arrival_ns, sender))
+    for name in sorted(others.keys() & samples.names - {"HEARTBEAT"}):
+        note(source, f"{others[name]} {name} of other systems not used")
     return _longest_run(source, arrived), samples
 
 

@@ -32,6 +32,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import Imu
 
 from quadpi_core.logs import messages
+from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_ros.mavlink_bridge import BridgeParameters, MavlinkBridge
 from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
 from quadpi_ros.parameters import ParameterError
@@ -70,6 +71,7 @@ class Listener:
         self.node = rclpy.create_node("listener")
         self.payloads: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
         self.statuses: list[dict[str, str]] = []
+        self.callbacks: list[str] = []
         subscriptions = [
             self.node.create_subscription(kind, topic, self.payloads[topic].append, LONG_QUEUE, raw=True)
             for topic, kind in TOPICS.items()
@@ -81,7 +83,8 @@ class Listener:
         self.until(lambda: all(one.get_publisher_count() for one in subscriptions))
 
     def _diagnose(self, array: Any) -> None:
-        (status,) = array.status
+        status, *others = array.status
+        self.callbacks += [one.message for one in others if one.name == "mavlink_bridge: callbacks"]
         values = {item.key: item.value for item in status.values}
         self.statuses.append(values | {"message": status.message, "level": str(status.level[0])})
 
@@ -230,6 +233,88 @@ def test_a_broken_tcp_connection_is_made_again() -> None:
             assert int(heard.statuses[-1]["connections"]) == attempt
 
 
+class Sender:
+    """Packets by UDP from a port of its own."""
+
+    def __init__(self, port: int, system: int) -> None:
+        self.dialect = load_dialect()
+        self._mav = self.dialect.MAVLink(None, system, 1)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.connect(("127.0.0.1", port))
+
+    def send(self, name: str, *values: Any) -> None:
+        kind = getattr(self.dialect, f"MAVLink_{name.lower()}_message")
+        self.socket.send(bytes(kind(*values).pack(self._mav)))
+
+
+def test_nobody_takes_the_place_of_the_vehicle() -> None:
+    """Neither another system, nor a sender that calls itself the same from another port."""
+    port = free_port()
+    with (
+        listening(connection=f"udp:127.0.0.1:{port}") as heard,
+        flying(port, "--seconds", "30", "--rate", "100") as (_, epoch_ns),
+    ):
+        heard.until(lambda: heard.count() > 100)
+        forgers = [Sender(port, system) for system in (1, 7)]
+        for forger in forgers:
+            forger.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
+            for _ in range(50):
+                forger.send("HIGHRES_IMU", 10**9, *[9.0] * 13, 63, 0)
+                forger.send("ATT_POS_MOCAP", 10**9, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+                forger.send("TIMESYNC", 0, 5)
+        heard.until(lambda: "sends heartbeats of an autopilot too" in heard.message())
+        assert "system 1 at another address, system 7" in heard.message()
+        before = heard.count()
+        heard.until(lambda: heard.count() > before + 100)
+        status = heard.statuses[-1]
+        assert status["not used: system 7"] == status["not used: system 1 at another address"] == "151"
+        assert status["system"] == "1"
+        assert heard.count("mocap/pose") == 0
+        assert (np.diff(heard.samples()) == 1).all()
+        error_ms = abs(float(status["clock_offset_ms"]) - epoch_ns * 1e-6)
+        assert error_ms <= float(status["clock_uncertainty_ms"]) + 0.01
+        for forger in forgers:
+            forger.socket.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                forger.socket.recv(1)
+
+
+def test_numbers_that_are_none_do_not_break_the_link() -> None:
+    port = free_port()
+    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
+        vehicle, infinite = Sender(port, 1), float("inf")
+        vehicle.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
+        for number in range(1, 100):
+            vehicle.send("ATTITUDE", number, 0.0, 0.0, infinite, infinite, -infinite, float("nan"))
+            vehicle.send("ATTITUDE_QUATERNION", number, 1.0, 0.0, 0.0, 0.0, infinite, 0.0, 0.0)
+            vehicle.send("LOCAL_POSITION_NED", number, 1.0, 2.0, 3.0, infinite, 0.0, 0.0)
+        refused = "refused: ATTITUDE: values that are not finite"
+        heard.until(lambda: bool(heard.statuses) and refused in heard.statuses[-1])
+        vehicle.send("ATTITUDE", 1000, *[0.1] * 6)
+        vehicle.send("LOCAL_POSITION_NED", 1000, *[1.0] * 6)
+        heard.until(lambda: heard.count("mocap/odometry") == 1)
+        assert heard.statuses[-1]["connections"] == "1"
+        assert not heard.bridge.exceptions.counts
+
+
+def test_an_error_in_the_program_costs_a_packet_and_not_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = free_port()
+    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
+        bridge = heard.bridge
+
+        def fail(*_: Any) -> bytes:
+            raise ValueError("of the test")
+
+        with monkeypatch.context() as patch, flying(port, "--seconds", "20", "--rate", "100"):
+            patch.setattr(bridge, "_packed", fail)
+            heard.until(lambda: bridge.exceptions.counts["link"] > 50)
+            patch.undo()
+            heard.until(lambda: heard.count() > 50)
+            heard.until(lambda: bool(heard.callbacks))
+        assert heard.statuses[-1]["connections"] == "1"
+        assert "ValueError: of the test" in heard.callbacks[0]
+
+
 def test_signatures(tmp_path: Path) -> None:
     (tmp_path / "key.txt").write_text("open sesame\n")
     port = free_port()
@@ -255,14 +340,13 @@ def test_signed_packets_are_read_without_a_key() -> None:
 
 def test_serial_port() -> None:
     """A pseudo-terminal stands for the port."""
-    from quadpi_core.logs.mavlink_dialect import load_dialect
-
     pytest.importorskip("serial", reason="pyserial is not installed")
     here, there = os.openpty()
     dialect = load_dialect()
     mav = dialect.MAVLink(None, 1, 1)
     with listening(connection=f"serial:{os.ttyname(there)}:921600", passive=True) as heard:
         heard.until(lambda: bool(heard.statuses))
+        os.write(here, bytes(dialect.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3).pack(mav)))
         for number in range(20):
             imu = dialect.MAVLink_highres_imu_message(1000 * number, *[0.0] * 13, 0x3F, 0)
             packet = bytes(imu.pack(mav))
@@ -303,6 +387,53 @@ def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Pa
     assert process.returncode == 0
     assert len(stamps) >= 10
     assert all(records[0].arrival_ns - 1e9 < stamp <= part[-1].arrival_ns for stamp in stamps)
+
+
+def test_two_vehicles_in_their_namespaces(tmp_path: Path) -> None:
+    """Each gets its parameters from the file, listens to its own vehicle, and has frames of its own."""
+    content = yaml.safe_load((ROOT / "config" / "nodes" / "mavlink.yaml").read_text())
+    content["/**/mavlink_bridge"]["ros__parameters"] |= {"vehicle": "neurobem", "imu_source": "HIGHRES_IMU"}
+    (tmp_path / "mavlink.yaml").write_text(yaml.safe_dump(content))
+    executor, listener = EventsExecutor(), rclpy.create_node("listener")
+    executor.add_node(listener)
+    frames: dict[str, set[str]] = {}
+    senders, bridges = [], []
+    for namespace, system in (("uav1", 1), ("uav2", 2)):
+        port = free_port()
+        bridges.append(
+            MavlinkBridge(
+                namespace=namespace,
+                cli_args=["--ros-args", "--params-file", str(tmp_path / "mavlink.yaml")],
+                parameter_overrides=[rclpy.parameter.Parameter("connection", value=f"udp:127.0.0.1:{port}")],
+            )
+        )
+        assert bridges[-1].get_parameter("imu_source").value == "HIGHRES_IMU"
+        frames[namespace] = set()
+        note = frames[namespace].add
+        for topic, kind in (("imu", Imu), ("mocap/odometry", Odometry)):
+            listener.create_subscription(
+                kind,
+                f"/{namespace}/{topic}",
+                lambda message, note=note: note(getattr(message, "child_frame_id", message.header.frame_id)),
+                LONG_QUEUE,
+            )
+        senders.append(Sender(port, system))
+        executor.add_node(bridges[-1])
+    deadline = time.monotonic() + PATIENCE_S
+    number = 0
+    while not all(frames.values()):
+        assert time.monotonic() < deadline, frames
+        number += 1
+        for sender in senders:
+            sender.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
+            sender.send("HIGHRES_IMU", 10_000 * number, *[0.0] * 13, 63, 0)
+            sender.send("ATTITUDE", 10 * number, *[0.0] * 6)
+            sender.send("LOCAL_POSITION_NED", 10 * number, *[0.0] * 6)
+        executor.spin_until_future_complete(Future(), timeout_sec=0.05)
+    assert frames == {"uav1": {"uav1/base_link"}, "uav2": {"uav2/base_link"}}
+    executor.shutdown()
+    for node in (*bridges, listener):
+        node.destroy_node()
 
 
 def test_parameter_file_and_node_agree() -> None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,10 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+from quadpi_core.logs import mavlink_frames
 from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, Verifier, signing_key
+from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, Verifier, frame_length, signing_key
 
 ROOT = Path(__file__).parents[3]
+LONGEST = 10 + 255 + 2 + 13
 
 
 def attitude(sender: Any, number: int, version: int = 2) -> bytes:
@@ -87,6 +90,78 @@ def test_nothing_breaks_on_any_bytes(data: bytes) -> None:
     assert framer.feed(b"", complete=True) == []
     decoded = framer.counts.frames + framer.counts.unknown
     assert decoded or framer.counts.noise_bytes == len(data)
+
+
+class Scanner:
+    """The pattern that finds where a packet may begin; counts the bytes that it walks through."""
+
+    def __init__(self, pattern: re.Pattern[bytes]) -> None:
+        self.pattern = pattern
+        self.scanned = 0
+
+    def search(self, buffer: bytearray, start: int) -> re.Match[bytes] | None:
+        found = self.pattern.search(buffer, start)
+        self.scanned += (found.end() if found else len(buffer)) - start
+        return found
+
+
+@pytest.mark.parametrize("complete", [True, False])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        bytes([0xFD]),
+        bytes([0xFE]),
+        bytes([0xFD, 0xFF, 0]),
+        bytes([0xFD, 0xFE]),
+        # Headers of ATTITUDE, version 1, and of ESC_STATUS, version 2, one upon another.
+        bytes([0xFE, 28, 0, 1, 1, 30]),
+        bytes([0xFD, 56, 0, 0, 0, 1, 1, 0x23, 1, 0]),
+        bytes(200) + bytes([0xFD]),
+    ],
+)
+def test_noise_costs_in_proportion_to_its_length(
+    noise: bytes, complete: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever it is made of: each byte is walked through once, and begins one packet at most."""
+    data = (noise * 70_000)[:65_507]
+    scanner = Scanner(mavlink_frames._BEGIN)
+    monkeypatch.setattr(mavlink_frames, "_BEGIN", scanner)
+    headers: Counter[int] = Counter()
+
+    def counted(buffer: bytearray, position: int) -> int | None:
+        headers[position] += 1
+        return frame_length(buffer, position)
+
+    monkeypatch.setattr(mavlink_frames, "frame_length", counted)
+    framer = Framer()
+    framer.feed(data, complete=complete)
+    assert headers.total() <= len(data)
+    assert set(headers.values()) == {1}
+    # The pattern looks up to three bytes ahead.
+    assert scanner.scanned <= 3 * len(data)
+    left = len(framer._buffer)
+    assert left <= (0 if complete else LONGEST)
+    counts = framer.counts
+    assert counts.unknown or counts.noise_bytes + left == len(data)
+
+
+def test_a_row_of_markers_looks_like_no_packet() -> None:
+    framer = Framer()
+    for marker in mavlink_frames.MARKERS:
+        assert framer.feed(bytes([marker]) * 65_507, complete=True) == []
+    assert framer.counts.checksum_errors == 0
+    assert framer.counts.noise_bytes == 2 * 65_507
+
+
+def test_a_packet_by_itself_is_read_from_end_to_end(mavlink_sender: Any) -> None:
+    """As in a telemetry log, where the place of each is known."""
+    whole, framer = attitude(mavlink_sender(), 7), Framer()
+    frame = framer.packet(whole)
+    assert frame
+    assert MessageDecoder().decode(frame).time_boot_ms == 7
+    for wrong in (b"", whole[:-1], whole + b"\0", b"\xfd" + whole, whole[:20] + b"?" + whole[21:]):
+        assert framer.packet(wrong) is None
+    assert framer.counts.frames == 1
 
 
 def test_lost_packets_are_counted_and_a_restart_is_none(mavlink_sender: Any) -> None:

@@ -245,7 +245,57 @@ def test_values_that_are_not_finite_and_impossible_stamps_are_refused(
     ]
 
 
-@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning", "ignore:overflow:RuntimeWarning")
+INFINITE = float("inf")
+
+
+@pytest.mark.parametrize("value", [INFINITE, -INFINITE, float("nan")])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_an_attitude_that_is_not_finite_is_not_kept(
+    value: float, samples: MavlinkSamples, mavlink_message: Callable[..., Any]
+) -> None:
+    """A position after it would be turned and carried on by it."""
+    local = mavlink_message("LOCAL_POSITION_NED", 1000, *[1.0] * 6)
+    for place in range(6):
+        fields = [0.1] * 6
+        fields[place] = value
+        assert samples.decode(mavlink_message("ATTITUDE", 1000, *fields), 0.0) is None
+        assert samples.decode(local, 0.0) is None
+    for place in range(4, 7):
+        fields = [1.0, *[0.0] * 6]
+        fields[place] = value
+        assert samples.decode(mavlink_message("ATTITUDE_QUATERNION", 1000, *fields), 0.0) is None
+        assert samples.decode(local, 0.0) is None
+    assert samples.refused["ATTITUDE: values that are not finite"] == 6
+    assert samples.refused["ATTITUDE_QUATERNION: values that are not finite"] == 3
+    samples.decode(mavlink_message("ATTITUDE", 1000, *[0.1] * 6), 0.0)
+    for place in range(3, 6):
+        fields = [1.0] * 6
+        fields[place] = value
+        assert samples.decode(mavlink_message("LOCAL_POSITION_NED", 1000, *fields), 0.0) is None
+    assert samples.decode(local, 0.0)
+
+
+def test_an_infinite_velocity_is_not_a_missing_one(
+    samples: MavlinkSamples, mavlink_message: Callable[..., Any]
+) -> None:
+    """Motion capture sends NaN where it has none."""
+    assert samples.decode(odometry(mavlink_message, vx=INFINITE), 0.0) is None
+    assert samples.decode(odometry(mavlink_message, vx=float("nan")), 0.0).topic == "mocap/pose"
+
+
+def test_an_impossible_stamp_leaves_the_speeds_of_before(mavlink_message: Callable[..., Any]) -> None:
+    samples = MavlinkSamples(None, RotorOrder((0, 1, 4, 5), "rpm"))
+
+    def status(first: int, time_us: int) -> Sample | None:
+        values = (first, time_us, [1000] * 4, [0.0] * 4, [0.0] * 4)
+        return samples.decode(mavlink_message("ESC_STATUS", *values), 0.0)
+
+    assert status(0, 1000) is None
+    assert status(4, 2**63) is None
+    assert status(4, 2000)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @settings(max_examples=300, deadline=None)
 @given(data=st.data())
 def test_no_payload_breaks_the_decoder(mavlink_sender: Any, data: st.DataObject) -> None:

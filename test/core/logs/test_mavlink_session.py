@@ -123,6 +123,7 @@ def test_the_autopilot_s_own_timesync_is_answered(mavlink_sender: Any) -> None:
 
 def test_the_best_imu_message_is_used_while_it_comes(mavlink_sender: Any) -> None:
     autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
     assert autopilot.imu(START, "SCALED_IMU2")
     assert autopilot.imu(START + 10 * MS)
     assert not autopilot.imu(START + 20 * MS, "SCALED_IMU2")
@@ -132,23 +133,125 @@ def test_the_best_imu_message_is_used_while_it_comes(mavlink_sender: Any) -> Non
 
 def test_only_the_chosen_imu_message_is_used(mavlink_sender: Any) -> None:
     autopilot = Autopilot(mavlink_sender(), SessionSettings(imu_source="SCALED_IMU2"))
+    autopilot.heartbeat(START)
     assert not autopilot.imu(START)
     assert autopilot.imu(START + 10 * MS, "SCALED_IMU2")
 
 
-def test_other_vehicles_are_not_mixed_in_but_motion_capture_is(mavlink_sender: Any) -> None:
+def test_the_peer_is_the_first_that_sends_a_heartbeat(mavlink_sender: Any) -> None:
+    """Nothing that another sends is used, samples and motion capture alike, nor moves the clock."""
     autopilot = Autopilot(mavlink_sender())
+    assert not autopilot.imu(START)
+    assert autopilot.session.report(START).system is None
     autopilot.heartbeat(START)
     assert autopilot.imu(START)
-    other = mavlink_sender(system=2)
-    autopilot.sender = other
-    assert not autopilot.imu(START + 10 * MS)
+    autopilot.listen(START + S)
+    offset_ns = autopilot.session.report(START + S).clock
+    other = autopilot.sender = mavlink_sender(system=2)
+    autopilot.heartbeat(START + S)
+    assert not autopilot.imu(START + S)
     mocap = other.packet("ATT_POS_MOCAP", 5_000, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+    assert not autopilot.deliver(mocap, START + S)
+    # It answers a clock exchange, and asks for one.
+    for step in range(20):
+        now_ns = START + 2 * S + step * 500 * MS
+        for packet in autopilot.session.due(now_ns):
+            message = autopilot.decoder.decode(autopilot.framer.feed(packet)[0])
+            assert getattr(message, "target_system", 1) == 1
+            if type(message).__name__ == "TIMESYNC":
+                assert message.tc1 == 0
+                autopilot.deliver(other.packet("TIMESYNC", 12345, message.ts1), now_ns)
+                autopilot.deliver(other.packet("TIMESYNC", 0, 99), now_ns)
+    report = autopilot.session.report(START + S)
+    assert report.system == 1
+    assert report.clock == offset_ns
+    assert report.others == {"system 1": 1, "system 2": 43}
+    assert report.rivals == {"system 2": 1}
+
+
+def test_motion_capture_of_the_vehicle_s_own_system_is_used(mavlink_sender: Any) -> None:
+    """From whatever component: a companion computer on board sends it through the autopilot."""
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    autopilot.sender.mav.srcComponent = 197
+    mocap = autopilot.sender.packet("ATT_POS_MOCAP", 5_000, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
     assert [one.topic for one in autopilot.deliver(mocap, START)] == ["mocap/pose"]
+
+
+def test_nobody_takes_the_place_of_the_peer_by_its_number(mavlink_sender: Any) -> None:
+    session = MavlinkSession(None, ORDER, SessionSettings())
+    sender = mavlink_sender()
+
+    def send(name: str, at_ns: int, address: str, *values: Any) -> list[Received]:
+        stamp = () if name == "HEARTBEAT" else ((at_ns - START) // 1000 + 1,)
+        return session.take(sender.packet(name, *stamp, *values), at_ns, complete=True, address=address)
+
+    beat, imu = (2, PX4, 0, 0, 4, 3), (*[0.0] * 13, 0x3F, 0)
+    send("HEARTBEAT", START, "here", *beat)
+    assert session.address == "here"
+    send("HEARTBEAT", START + S, "there", *beat)
+    assert not send("HIGHRES_IMU", START + S, "there", *imu)
+    assert session.address == "here"
+    assert send("HIGHRES_IMU", START + S, "here", *imu)
+    assert session.report(START).rivals == {"system 1 at another address": 1}
+    # A vehicle that starts again has another port, and its old one is silent.
+    send("HEARTBEAT", START + 6 * S, "there", *beat)
+    assert session.address == "there"
+    assert send("HIGHRES_IMU", START + 6 * S, "there", *imu)
+    assert not send("HIGHRES_IMU", START + 7 * S, "here", *imu)
+
+
+@pytest.mark.parametrize(("kind", "autopilot"), [(6, 0), (18, 0), (26, 8), (2, 8)])
+def test_a_ground_station_or_companion_is_no_peer(kind: int, autopilot: int, mavlink_sender: Any) -> None:
+    session = MavlinkSession(None, ORDER, SessionSettings())
+    session.take(
+        mavlink_sender(system=255).packet("HEARTBEAT", kind, autopilot, 0, 0, 4, 3), START, complete=True
+    )
+    report = session.report(START)
+    assert (report.system, report.others, report.rivals) == (None, {"system 255": 1}, {})
+
+
+def test_the_system_that_is_asked_for_is_the_peer(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender(system=1), SessionSettings(system=2))
+    autopilot.heartbeat(START)
+    assert autopilot.session.report(START).system is None
+    autopilot.sender = mavlink_sender(system=2)
+    autopilot.heartbeat(START)
+    report = autopilot.session.report(START)
+    assert (report.system, report.others, report.rivals) == (2, {"system 1": 1}, {})
+
+
+@pytest.mark.parametrize("remote_ns", [-1, -(2**63), 1, 2**63 - 1, 4 * 10**18 + 10**9, 3 * 10**18])
+def test_a_clock_exchange_may_claim_anything(remote_ns: int, mavlink_sender: Any) -> None:
+    """No stamp is far from its arrival, and the first true answer puts the clock right."""
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    for step in range(3000):
+        now_ns = START + step * 10 * MS
+        for packet in autopilot.session.due(now_ns):
+            message = autopilot.decoder.decode(autopilot.framer.feed(packet)[0])
+            if type(message).__name__ == "TIMESYNC":
+                claimed = remote_ns if step < 200 else now_ns - START
+                autopilot.deliver(autopilot.sender.packet("TIMESYNC", claimed, message.ts1), now_ns)
+        for sample in autopilot.imu(now_ns):
+            assert abs(sample.time_ns - now_ns) < 11 * S
+    assert autopilot.imu(START + 30 * S)[0].time_ns == pytest.approx(START + 30 * S, abs=4 * MS)
+
+
+def test_an_answer_counts_once(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    (asked,) = [m for m in autopilot.listen(START, answers=False) if type(m).__name__ == "TIMESYNC"]
+    for claimed in (1 * S, 5 * S):
+        autopilot.deliver(autopilot.sender.packet("TIMESYNC", claimed, asked.ts1), START)
+    clock = autopilot.session.report(START).clock
+    assert clock
+    assert abs(clock.offset_ns - (START - S)) < 5 * MS
 
 
 def test_a_repeated_stamp_is_refused(mavlink_sender: Any) -> None:
     autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
     assert autopilot.imu(START + S)
     assert not autopilot.imu(START + S)
     assert autopilot.session.report(START).refused == {"HIGHRES_IMU: the stamp does not rise": 1}

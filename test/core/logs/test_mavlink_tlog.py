@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Telemetry logs: whose packets count, and what damage costs."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+from quadpi_core.logs.mavlink_frames import frame_length
+from quadpi_core.logs.mavlink_tlog import TlogCounts, read_records, read_tlog
+
+START_US = 1_700_000_000_000_000
+
+
+def record(packet: bytes, number: int) -> bytes:
+    return (START_US + 10_000 * number).to_bytes(8, "big") + packet
+
+
+def test_motion_capture_of_another_system_is_not_used(
+    mavlink_sender: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    vehicle, other = mavlink_sender(system=1), mavlink_sender(system=9)
+    log = b""
+    for number in range(200):
+        log += record(vehicle.packet("HIGHRES_IMU", 10_000 * number, *[0.1] * 13, 0x3F, 0), number)
+        pose = (10_000 * number, [1.0, 0.0, 0.0, 0.0], 0.1 * number, 0.0, 0.0)
+        log += record(other.packet("ATT_POS_MOCAP", *pose), number)
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(log)
+    with caplog.at_level(logging.INFO):
+        recording = read_tlog(path, None)
+    assert recording.pose is None
+    assert "200 ATT_POS_MOCAP of other systems not used" in caplog.text
+
+
+def test_a_damaged_log_costs_in_proportion_to_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each place may begin one record; what would be inside it is not looked for."""
+    header = bytes([0xFD, 255, 0, 0, 0, 1, 1, 131, 0, 0])
+    stamp = START_US.to_bytes(8, "big")
+    log = (stamp + header) * 1000
+    looked: list[int] = []
+
+    def counted(buffer: bytes, position: int) -> int | None:
+        looked.append(position)
+        return frame_length(buffer, position)
+
+    for module in ("mavlink_tlog", "mavlink_frames"):
+        monkeypatch.setattr(f"quadpi_core.logs.{module}.frame_length", counted)
+    counts = TlogCounts()
+    assert not list(read_records(log, counts))
+    assert counts.damaged_bytes == len(log)
+    assert counts.checksum_errors <= 1000
+    assert len(looked) <= len(log) + 1000
