@@ -172,6 +172,12 @@ class BagRecording:
             _FIELDS_OF_KINDS[kind] for kind in self._adapted
         }
 
+    @property
+    def sources(self) -> dict[str, str]:
+        """Of each field of the recording, the topic of the bag that it comes from."""
+        fields = {field: name for topic, name in self._names.items() for field in _FIELDS[topic]}
+        return fields | {_FIELDS_OF_KINDS[kind]: topic.name for kind, topic in self._adapted.items()}
+
     def imu_stamps(self) -> Stamps:
         """Header stamps (N,) of the topic `imu`, which the bag must have."""
         return _stamps(self._bag, [self._names["imu"]])[self._names["imu"]]

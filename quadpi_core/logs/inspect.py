@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +100,29 @@ def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> I
     )
 
 
+def with_names_of_bag(inspection: Inspection, names: Mapping[str, str]) -> Inspection:
+    """Call topics what they are called in the bag, instead of the streams that their messages become.
+
+    Args:
+        inspection: of a recording that was read from a bag.
+        names: topics of the bag by those of the streams; one may become several streams.
+    """
+    topics: dict[str, TopicReport] = {}
+    for report in inspection.topics:
+        name = names.get(report.topic, report.topic)
+        first = topics.get(name)
+        not_finite = report.not_finite + (first.not_finite if first else 0)
+        topics[name] = replace(first or report, topic=name, not_finite=not_finite)
+
+    def renamed(finding: str) -> str:
+        about, colon, rest = finding.partition(":")
+        stream = about.removeprefix("topic ")
+        return f"topic {names[stream]}{colon}{rest}" if stream != about and stream in names else finding
+
+    findings = tuple(dict.fromkeys(map(renamed, inspection.findings)))
+    return replace(inspection, topics=tuple(topics.values()), findings=findings)
+
+
 def inspect_topics(bag: Path) -> Inspection:
     """Describe the timing of every topic of a bag without `imu`, such as one that `quadpi replay` wrote.
 
@@ -143,9 +166,9 @@ def _timing(topic: str, time_ns: Stamps, not_finite: int = 0) -> TopicReport:
 
 
 def _columns(stream: Stream) -> dict[str, Array]:
-    return {
-        column.name: getattr(stream, column.name) for column in fields(stream) if column.name != "time_ns"
-    }
+    """What was measured (N, C), by the name of the field; neither stamps nor the axes that a sample is in."""
+    columns = {column.name: getattr(stream, column.name) for column in fields(stream)}
+    return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
 
 
 def _timing_findings(topic: TopicReport) -> Iterator[str]:

@@ -15,10 +15,12 @@ from rich.table import Table
 from rich.text import Text
 
 from quadpi_core.errors import VehicleError
+from quadpi_core.flight import Recording
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import FORMATS, decode_recording, identify_format
-from quadpi_core.logs.bags import bag_vehicle, has_topic
-from quadpi_core.logs.inspect import Inspection, inspect_recording, inspect_topics
+from quadpi_core.logs.adapters import AdapterSettings
+from quadpi_core.logs.bags import bag_vehicle, has_topic, open_recording
+from quadpi_core.logs.inspect import Inspection, inspect_recording, inspect_topics, with_names_of_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.storage import MODEL_FILE
 from quadpi_core.report.style import number, percent
@@ -47,7 +49,23 @@ def describe(
     known = Vehicle.load(vehicle) if vehicle else _named_vehicle(bag_vehicle(path) if is_bag else "")
     recording = decode_recording(path, known, mapping)
     inspection = inspect_recording(recording, known)
+    if is_bag:
+        inspection = with_names_of_bag(inspection, _names_in_bag(path, recording, known, mapping))
     return inspection_tables(inspection), _inspection_json(inspection)
+
+
+def _names_in_bag(
+    path: Path, recording: Recording, vehicle: Vehicle | None, mapping: str | None
+) -> dict[str, str]:
+    """Topics of a bag, relative to its root, by those of the streams of its recording."""
+    adapters = None if mapping is None else AdapterSettings.load(mapping)
+    with open_recording(path, vehicle, adapters) as opened:
+        streams = {field: getattr(recording, field) for field in opened.sources}
+        return {
+            streams[field].topic: name.lstrip("/")
+            for field, name in opened.sources.items()
+            if streams[field] is not None
+        }
 
 
 def _inspection_json(inspection: Inspection) -> dict[str, Any]:

@@ -14,8 +14,12 @@ import pytest
 from rich.console import Console
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, Recording
+from quadpi_core.flight import ImuStream, OdometryStream, Recording
+from quadpi_core.logs.bags import output_topic
 from quadpi_core.logs.inspect import inspect_recording
+from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.logs.messages import pack_imu, pack_odometry
+from quadpi_core.paths import bags_directory
 from quadpi_core.report.info import describe, inspection_tables
 
 
@@ -69,3 +73,23 @@ def test_what_is_no_log_is_one_error(tmp_path: Path):
     (tmp_path / "notes.txt").write_text("not a log")
     with pytest.raises(LogError, match=r"notes\.txt: not a known log format"):
         describe(tmp_path / "notes.txt", None, None)
+
+
+def test_topics_are_named_as_in_the_bag(tmp_path: Path):
+    _, data = describe(bags_directory() / "interpolation.mcap", None, None)
+    assert [topic["topic"] for topic in data["topics"]] == ["imu", "erpm", "mocap/pose"]
+
+    time_ns = np.arange(200, dtype=np.int64) * 2_000_000
+    force = np.tile([0.0, 0.0, -9.81], (200, 1))
+    odometry = pack_odometry(
+        OdometryStream(time_ns, np.zeros((200, 3)), np.tile([1.0, 0, 0, 0], (200, 1)), force, force)
+    )
+    imu = pack_imu(ImuStream(time_ns, np.zeros((200, 3)), force))
+    topics = [
+        replace(output_topic("imu", time_ns, imu), name="/uav/imu"),
+        replace(output_topic("mocap/odometry", time_ns, odometry), name="/uav/mocap/odometry"),
+    ]
+    write_mcap(tmp_path / "uav.mcap", topics, {})
+    _, data = describe(tmp_path / "uav.mcap", None, None)
+    assert [topic["topic"] for topic in data["topics"]] == ["uav/imu", "uav/mocap/odometry"]
+    assert any(finding.startswith("topic uav/mocap/odometry: ") for finding in data["findings"])
