@@ -113,6 +113,9 @@ class ParameterServer(Generic[Parameters]):
         # rclpy declares that it gives values; it gives parameters.
         overrides: Mapping[str, Any] = node.get_parameters_by_prefix("")
         given = {name: override.value for name, override in overrides.items()}
+        for name in _RCLPY_PARAMETERS & given.keys():
+            # rclpy itself would go on without it.
+            _coerced(f"{self._where}: parameter `{name}`", bool, given[name])
         self._pass_over(node, given.keys() - self._fields.keys() - _RCLPY_PARAMETERS)
         self.values = parameters(**{name: self._declare(node, name, given) for name in self._fields})
         node.add_pre_set_parameters_callback(self._coerce)

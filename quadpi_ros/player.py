@@ -19,7 +19,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, RotorSpeeds
-from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import Imu
 
@@ -31,6 +31,7 @@ from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.messages import unpack_stamps
 from quadpi_core.paths import whole_output
 from quadpi_ros.adapters import AdapterError, message_class
+from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.discovery import DiscoveryError, await_listeners
 from quadpi_ros.runtime import SENSOR_QOS, run
 from quadpi_ros.sources import adapters_of
@@ -280,9 +281,15 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
+def player_node() -> GuardedNode:
+    """A node without services: it publishes in a loop, so that nobody would answer them."""
+    silent = Parameter("start_type_description_service", value=False)
+    return GuardedNode("player", start_parameter_services=False, parameter_overrides=[silent])
+
+
 def _play(options: argparse.Namespace) -> None:
     playlist = Playlist.read(options.bag, options.topics or playable(options.bag) or tuple(SENSOR_TYPES))
-    node = Node("player", start_parameter_services=False)
+    node = player_node()
     publishers = [node.create_publisher(*_announcement(name), SENSOR_QOS) for name in playlist.names]
     if options.wait > 0.0:
         try:

@@ -27,6 +27,7 @@ from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.mavlink_bridge import BridgeParameters
 from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.parameters import ParameterError, parameter, read_parameters
+from quadpi_ros.player import player_node
 from quadpi_ros.qos_overrides import QosOverrideError
 from quadpi_ros.runtime import SENSOR_QOS
 
@@ -193,6 +194,25 @@ def test_standard_parameters_do_what_rclpy_says(ros_domain: int, tmp_path: Path)
         assert not result.successful
         assert "only when the node starts" in result.reason
         node.destroy_node()
+
+
+def test_the_player_takes_overrides_and_offers_no_service_that_it_cannot_answer(ros_domain: int) -> None:
+    override = "qos_overrides./uav1/imu.publisher.reliability:=reliable"
+    with ros(ros_domain, "-r", "__ns:=/uav1", "-p", override, "-p", "start_type_description_service:=true"):
+        node = player_node()
+        assert not list(node.services)
+        publisher = node.create_publisher(Imu, "imu", SENSOR_QOS)
+        assert publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        node.destroy_node()
+
+
+@pytest.mark.parametrize("name", ["use_sim_time", "start_type_description_service"])
+def test_standard_parameters_of_a_wrong_type_are_refused(ros_domain: int, name: str) -> None:
+    with (
+        ros(ros_domain, *ASLEEP, "-p", f"{name}:=maybe"),
+        pytest.raises(ParameterError, match=f"parameter `{name}` must be a bool, found 'maybe'"),
+    ):
+        EstimatorNode()
 
 
 @pytest.mark.parametrize(
