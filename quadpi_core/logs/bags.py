@@ -17,14 +17,25 @@ from rosbags.interfaces import Connection
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError, SampleError, VehicleError
-from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.flight import (
+    ImuStream,
+    OdometryStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+    Stream,
+    TwistStream,
+    WindStream,
+    WrenchStream,
+)
 from quadpi_core.logs import messages
 from quadpi_core.logs.adapters.bags import AdaptedReading, AdaptedTopic, find_adapted
 from quadpi_core.logs.adapters.settings import AdapterSettings
-from quadpi_core.logs.blocks import join_blocks
+from quadpi_core.logs.blocks import join_blocks, split_by_stamp
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import Bag, Topic
-from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.logs.result_messages import ReportedAlarms, unpack_alarms, unpack_predictions
 from quadpi_core.monitor.output import Predictions
@@ -74,6 +85,7 @@ _FIELDS = {
     "simulation/wrench": ("simulated",),
 }
 _FIELDS_OF_KINDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
+_READ_AT_ONCE = 1 << 20
 _NO_IMU = ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
 _STARTS_WITH_HEADER = re.compile(
     r"(?:\s*(?:#[^\n]*|\w+\s+[A-Z_0-9]+\s*=[^\n]*)?\n)*\s*std_msgs/(?:msg/)?Header\s"
@@ -307,30 +319,42 @@ def write_bag(
         LogError: if the path does not end in .mcap.
     """
     entries = {"vehicle": recording.vehicle, "version": __version__, **_provenance(Path(recording.source))}
-    write_mcap(Path(path), [*recording_topics(recording), *extra], {**entries, **(metadata or {})})
+    with mcap_writer(Path(path), {**entries, **(metadata or {})}) as writer:
+        names = [stream.topic for stream in recording.streams()]
+        writer.announce({f"/{name}": TOPIC_TYPES[name] for name in names})
+        writer.announce({topic.name: topic.type_name for topic in extra})
+        for topic in extra:
+            writer.add(topic)
+        for part, end_ns in split_by_stamp(recording):
+            for topic in recording_topics(part):
+                writer.add(topic)
+            writer.flush(end_ns - 1)
 
 
-def recording_topics(recording: Recording) -> list[Topic]:
-    """The standard topics that hold a recording, or a block of one."""
-    topics = [output_topic("imu", recording.imu.time_ns, messages.pack_imu(recording.imu))]
-    if recording.rotor_speeds is not None:
-        stream = recording.rotor_speeds
-        topics.append(output_topic("rotor_speeds", stream.time_ns, messages.pack_rotor_speeds(stream)))
-    if recording.pose is not None:
-        topics.append(output_topic("mocap/pose", recording.pose.time_ns, messages.pack_pose(recording.pose)))
-    if recording.twist is not None:
-        twist = recording.twist
-        topics.append(output_topic("mocap/twist", twist.time_ns, messages.pack_twist(twist)))
-    if recording.odometry is not None:
-        odometry = recording.odometry
-        topics.append(output_topic("odometry", odometry.time_ns, messages.pack_odometry(odometry)))
-    if recording.wind is not None:
-        topics.append(output_topic("wind", recording.wind.time_ns, messages.pack_wind(recording.wind)))
-    if recording.simulated is not None:
-        simulated = recording.simulated
-        payloads = messages.pack_body_vectors(simulated.time_ns, simulated.wrench, messages.WRENCH)
-        topics.append(output_topic("simulation/wrench", simulated.time_ns, payloads))
-    return topics
+def recording_topics(recording: Recording) -> Iterator[Topic]:
+    """The standard topics that hold a recording, or a part of one; none for a stream without samples."""
+    for stream in recording.streams():
+        if len(stream):
+            yield output_topic(stream.topic, stream.time_ns, _packed(stream))
+
+
+def _packed(stream: Stream) -> Payloads:
+    match stream:
+        case ImuStream():
+            return messages.pack_imu(stream)
+        case RotorSpeedStream():
+            return messages.pack_rotor_speeds(stream)
+        case PoseStream():
+            return messages.pack_pose(stream)
+        case TwistStream():
+            return messages.pack_twist(stream)
+        case OdometryStream():
+            return messages.pack_odometry(stream)
+        case WindStream():
+            return messages.pack_wind(stream)
+        case WrenchStream():
+            return messages.pack_body_vectors(stream.time_ns, stream.wrench, messages.WRENCH)
+    raise TypeError(f"no standard topic holds a {type(stream).__name__}")
 
 
 def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:
@@ -460,4 +484,8 @@ def _vehicle_name(bag: Bag, vehicle: Vehicle | None) -> str:
 def _provenance(source: Path) -> dict[str, str]:
     if not source.is_file():
         return {"source": source.name}
-    return {"source": source.name, "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
+    digest = hashlib.sha256()
+    with source.open("rb") as stream:
+        while part := stream.read(_READ_AT_ONCE):
+            digest.update(part)
+    return {"source": source.name, "source_sha256": digest.hexdigest()}

@@ -8,17 +8,20 @@ are in each of its blocks, if need be without samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import Recording, Stamps, Stream
+from quadpi_core.flight import Recording, Stream
 
 # IMU samples in a block that is cut from a whole recording: 8 s at 500 Hz.
 BLOCK_SAMPLES = 4096
+_END_NS = 2**63 - 1
+# A column that is joined of parts has room for this share more, so that it need not grow with each.
+_ROOM_SHARE = 16
 
 _Some = TypeVar("_Some", bound=Stream)
 
@@ -30,23 +33,52 @@ def join_blocks(blocks: Iterable[Recording]) -> Recording:
         ValueError: if there is no block.
     """
     first: Recording | None = None
-    parts: dict[str, list[Stream]] = {}
-    arrivals: dict[str, list[Stamps]] = {}
+    columns: dict[str, list[_Column]] = {}
+    arrivals: dict[str, _Column] = {}
+    kinds: dict[str, type[Stream]] = {}
     before = 0
     for block in blocks:
         first = first or block
         for name, stream in _streams(block).items():
-            parts.setdefault(name, []).append(stream)
+            kinds[name] = type(stream)
+            own = columns.setdefault(name, [_Column() for _ in fields(stream)])
+            for column, of in zip(own, fields(stream), strict=True):
+                column.extend(getattr(stream, of.name))
         for topic, counts in block.arrivals.items():
-            arrivals.setdefault(topic, []).append(before + counts)
+            arrivals.setdefault(topic, _Column()).extend(before + counts)
         before += len(block.imu)
     if first is None:
         raise ValueError("a recording needs a block")
-    # Parts are let go stream by stream: beside the whole, no more is held than those of the largest.
-    whole: dict[str, Any] = {name: _joined(parts.pop(name)) for name in list(parts)}
-    return replace(
-        first, **whole, arrivals={topic: np.concatenate(counts) for topic, counts in arrivals.items()}
-    )
+    streams: dict[str, Any] = {
+        name: kinds[name](*(column.whole() for column in own)) for name, own in columns.items()
+    }
+    return replace(first, **streams, arrivals={topic: column.whole() for topic, column in arrivals.items()})
+
+
+class _Column:
+    """An array that is joined of parts, in place: what is held is hardly more than the whole."""
+
+    def __init__(self) -> None:
+        self._values: npt.NDArray[Any] | None = None
+        self._count = 0
+
+    def extend(self, part: npt.NDArray[Any]) -> None:
+        """Append rows."""
+        count = self._count + len(part)
+        if self._values is None:
+            self._values = np.array(part, order="C")
+        elif count > len(self._values):
+            # The memory grows where it is, as nobody else has seen the array.
+            room = count + count // _ROOM_SHARE
+            self._values.resize((room, *self._values.shape[1:]), refcheck=False)
+        self._values[self._count : count] = part
+        self._count = count
+
+    def whole(self) -> npt.NDArray[Any]:
+        """All rows; nothing can be appended then."""
+        assert self._values is not None  # there is a column where there is a part
+        self._values.resize((self._count, *self._values.shape[1:]), refcheck=False)
+        return self._values
 
 
 def split_recording(recording: Recording) -> Iterator[Recording]:
@@ -65,6 +97,30 @@ def split_recording(recording: Recording) -> Iterator[Recording]:
         streams: dict[str, Any] = {name: _take(others[name], orders[name][rows[name]]) for name in others}
         arrivals = {others[name].topic: counts[name][rows[name]] - start for name in others}
         yield replace(recording, imu=_take(recording.imu, slice(start, stop)), **streams, arrivals=arrivals)
+
+
+def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
+    """Parts of a recording that follow each other in time, of about :data:`BLOCK_SAMPLES` IMU samples each.
+
+    Gives each part, and the stamp before which all of its samples are stamped, and none of a later part is.
+    Samples of a stream come in the order of their stamps.
+    """
+    streams = {name: _in_order(stream) for name, stream in _streams(recording).items()}
+    starts = dict.fromkeys(streams, 0)
+    for end_ns in [*streams["imu"].time_ns[BLOCK_SAMPLES::BLOCK_SAMPLES].tolist(), _END_NS]:
+        part: dict[str, Any] = {}
+        for name, stream in streams.items():
+            stop = int(np.searchsorted(stream.time_ns, end_ns))
+            part[name] = _take(stream, slice(starts[name], stop))
+            starts[name] = stop
+        yield replace(recording, **part, arrivals={}), end_ns
+
+
+def _in_order(stream: Stream) -> Stream:
+    """The stream sorted by its stamps; itself where it is, which is the rule."""
+    if np.any(stream.time_ns[1:] < stream.time_ns[:-1]):
+        return _take(stream, np.argsort(stream.time_ns, kind="stable"))
+    return stream
 
 
 def by_arrival(blocks: Iterable[Recording]) -> Iterator[Recording]:
@@ -109,14 +165,6 @@ def _streams(recording: Recording) -> dict[str, Stream]:
         for column in fields(recording)
         if isinstance(stream := getattr(recording, column.name), Stream)
     }
-
-
-def _joined(parts: Sequence[Stream]) -> Stream:
-    if len(parts) == 1:
-        return parts[0]
-    return type(parts[0])(
-        *(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(parts[0]))
-    )
 
 
 def _take(stream: _Some, rows: slice | npt.NDArray[np.int64]) -> _Some:
