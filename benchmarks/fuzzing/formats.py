@@ -25,6 +25,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 import scipy.io
+from rich.console import Console
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.fuzzing import flight_logs
@@ -33,11 +34,10 @@ from quadpi_core import cli
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import decode_recording, messages, read_recording, result_messages
+from quadpi_core.logs import messages, read_recording, result_messages
 from quadpi_core.logs.adapters import AdapterSettings
 from quadpi_core.logs.bags import bag_topics, read_outputs, write_bag
 from quadpi_core.logs.definitions import codec, typestore
-from quadpi_core.logs.inspect import inspect_recording
 from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
 from quadpi_core.logs.mcap import CHUNK, MAGIC, METADATA, SCHEMA, find_records
@@ -48,6 +48,7 @@ from quadpi_core.logs.unpacking import unlz4
 from quadpi_core.models import AerodynamicModel, load_pools
 from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.paths import config_directory
+from quadpi_core.report.info import describe
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.vehicle import SimulatedVehicle
@@ -123,9 +124,9 @@ def _require_sane(recording: Recording) -> None:
 
 
 def _read_log(path: Path, number: int, mapping: str | None = None) -> None:
-    """As `import` does, and every fourth time as `info` does."""
-    if number % 4 == 0:
-        inspect_recording(decode_recording(path, _vehicle(), mapping), _vehicle())
+    """As `import` does, and every eighth time as `info` does."""
+    if number % 8 == 0:
+        Console(file=io.StringIO(), markup=False).print(*describe(path, "hdbeetle", mapping)[0])
         return
     recording = read_recording(path, _vehicle(), mapping)
     check_plausible(recording, _vehicle())
@@ -549,11 +550,15 @@ def _damaged_model(rng: random.Random) -> bytes:
     return mutate_json(rng, content) + _BORDER + arrays
 
 
-def _read_model(path: Path, _: int) -> None:
+def _read_model(path: Path, number: int) -> None:
+    """As every command does, and every eighth time as `info` does."""
     folder = _beside(path)
     text, _, arrays = path.read_bytes().partition(_BORDER)
     (folder / MODEL_FILE).write_bytes(text)
     (folder / ARRAYS_FILE).write_bytes(arrays)
+    if number % 8 == 0:
+        Console(file=io.StringIO(), markup=False).print(*describe(folder, None, None)[0])
+        return
     model = AerodynamicModel.load(folder)
     model.evaluate(np.zeros((2, len(INPUT_NAMES))))
     model.calibration()

@@ -123,14 +123,38 @@ def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identit
         fitted={axis: _axis(content["method"], axis, entry, arrays) for axis, entry in axes.items()},
         envelope=Envelope.from_json(content["envelope"]),
         training_range={axis: float(entry["training_range"]) for axis, entry in axes.items()},
-        flights=tuple(TrainingFlight(**flight) for flight in content["flights"]),
-        selection={axis: entry["selection"] for axis, entry in axes.items()},
+        flights=tuple(_training_flight(flight) for flight in content["flights"]),
+        selection={axis: [_step(row) for row in entry["selection"]] for axis, entry in axes.items()},
         held_out_coverage={
             axis: [float(c) for c in entry["held_out_coverage"]] for axis, entry in axes.items()
         },
         identity=identity,
         alarm_limits=AlarmLimits.from_json(content["alarm"]),
     )
+
+
+def _training_flight(entry: dict[str, Any]) -> TrainingFlight:
+    flight = TrainingFlight(**entry)
+    if not _are(str, flight.name, flight.sha256) or not _are(int, flight.samples):
+        raise ModelError(f"{MODEL_FILE}: a flight is {entry}")
+    return flight
+
+
+def _step(row: dict[str, Any]) -> dict[str, Any]:
+    """A step of the selection, see :meth:`quadpi_core.models.polynomial.StepwisePolynomial.selection_log`."""
+    numbers = [row[name] for name in ("coefficient", "r2")] + [row.get(name) for name in ("sse", "criterion")]
+    if (
+        not _are(str, row["term"], *row.get("removed", []))
+        or not _are(bool, row["fixed"])
+        or not _are((int, float), *(number for number in numbers if number is not None))
+    ):
+        raise ModelError(f"{MODEL_FILE}: a step of the selection is {row}")
+    return row
+
+
+def _are(kind: type | tuple[type, ...], *values: Any) -> bool:
+    """Whether all values are of a kind; true and false are no numbers."""
+    return all(isinstance(value, kind) and (kind is bool or not isinstance(value, bool)) for value in values)
 
 
 def _axis(method: str, axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedAxis:
