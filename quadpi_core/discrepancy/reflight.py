@@ -7,7 +7,6 @@ Each flight is judged by what all other flights showed.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,10 +21,11 @@ from quadpi_core.discrepancy.discovery import Discovery
 from quadpi_core.discrepancy.rollout import HORIZON_S, RolloutError, rollout, rollout_floor
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.discrepancy.simulations.model import ModelSimulation
-from quadpi_core.errors import LogError, SimulationError
+from quadpi_core.errors import LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
 from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.logs.mcap import Bag
+from quadpi_core.reading import parse_json
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.simulation.bags import read_truth
 from quadpi_core.simulation.flying import simulate_flight
@@ -194,7 +194,12 @@ def _plan(flight: Flight) -> FlightPlan | None:
             text = bag.metadata.get("plan")
     except LogError:
         return None
-    return None if text is None else FlightPlan.from_dict(json.loads(text), str(path))
+    if text is None:
+        return None
+    try:
+        return FlightPlan.from_dict(parse_json(text), str(path))
+    except ValueError as error:
+        raise LogError(f"{path}: `plan` in its metadata: {one_line(error)}") from error
 
 
 def _true_track(flight: Flight) -> Track:

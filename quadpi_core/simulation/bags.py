@@ -14,7 +14,7 @@ import numpy as np
 
 from quadpi_core import __version__
 from quadpi_core.compiled import njit
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
 from quadpi_core.frames import Array, rotate_body_to_world, rotation_matrix
 from quadpi_core.logs import messages
@@ -22,9 +22,11 @@ from quadpi_core.logs.bags import TOPIC_TYPES, find_topic, output_topic, unpacke
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.logs.payloads import Payloads
+from quadpi_core.reading import parse_json
 from quadpi_core.signals.rotations import from_rotation_vector
 from quadpi_core.simulation.sensors import Sensed
 from quadpi_core.simulation.truth import Truth
+from quadpi_core.vehicle import is_rigid_body
 
 if TYPE_CHECKING:
     from quadpi_core.simulation.plan import FlightPlan
@@ -176,9 +178,10 @@ def read_truth(path: Path | str) -> RecordedTruth:
                 raise LogError(f"{path}: topic {topic}: missing: no flight of quadpi's simulation")
             names[topic] = connection.topic
         topics = bag.read(names.values())
-        vehicle = json.loads(bag.metadata.get("truth", "null"))
-    if vehicle is None:
+        text = bag.metadata.get("truth")
+    if text is None:
         raise LogError(f"{path}: no `truth` in its metadata: no flight of quadpi's simulation")
+    mass, gravity, inertia = _body(f"{path}: `truth` in its metadata", text)
 
     def unpacked(name: str, unpack: Callable[[Payloads], _Content]) -> _Content:
         return unpacked_topic(path, topics[names[f"truth/{name}"]], unpack)
@@ -189,9 +192,9 @@ def read_truth(path: Path | str) -> RecordedTruth:
         "acceleration", lambda found: messages.unpack_body_vectors(found, messages.ACCELERATION)
     )
     return RecordedTruth(
-        mass=vehicle["mass_kg"],
-        gravity=vehicle["gravity_m_s2"],
-        inertia=np.array(vehicle["inertia_kg_m2"]),
+        mass=mass,
+        gravity=gravity,
+        inertia=inertia,
         odometry=odometry,
         acceleration=rotate_body_to_world(odometry.attitude, accelerations[:, :3]),
         angular_acceleration=accelerations[:, 3:],
@@ -200,3 +203,16 @@ def read_truth(path: Path | str) -> RecordedTruth:
         wind=unpacked("wind", messages.unpack_wind).velocity,
         reference=unpacked("reference", messages.unpack_pose),
     )
+
+
+def _body(where: str, text: str) -> tuple[float, float, Array]:
+    """Mass kg, gravity m/s² and inertia (3, 3) kg m² out of the metadata of a bag."""
+    try:
+        vehicle = parse_json(text)
+        mass, gravity = float(vehicle["mass_kg"]), float(vehicle["gravity_m_s2"])
+        inertia = np.array(vehicle["inertia_kg_m2"], dtype=float)
+    except (ValueError, KeyError, TypeError) as error:
+        raise LogError(f"{where}: {type(error).__name__} {one_line(error)}") from error
+    if not (mass > 0.0 and gravity > 0.0 and inertia.shape == (3, 3) and is_rigid_body(inertia)):
+        raise LogError(f"{where}: mass, gravity and inertia are not those of a vehicle")
+    return mass, gravity, inertia

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.paths import write_json
 from quadpi_core.prepared import PreparedFlight
+from quadpi_core.reading import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.vehicle import Vehicle
 
 # Parts of the package that no model depends on.
@@ -102,7 +102,7 @@ def _keep(model: AerodynamicModel, folder: Path, origin: dict[str, object]) -> A
 def _kept(folder: Path, origin: dict[str, object]) -> AerodynamicModel | None:
     try:
         model = AerodynamicModel.load(folder)
-        kept = json.loads(_origin_file(folder).read_text())
+        kept = parse_json(read_bounded(_origin_file(folder), JSON_BYTES_MAX))
     except (ModelError, OSError, ValueError):
         return None
     return model if kept == origin | {"model": model.identity} else None

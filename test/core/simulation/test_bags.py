@@ -222,3 +222,21 @@ def test_bag_without_truth(tmp_path, fly):
         LogError, match=r"real\.mcap: topic truth/odometry: missing: no flight of quadpi's sim"
     ):
         read_truth(tmp_path / "real.mcap")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "none",
+        "{}",
+        '{"mass_kg": 1e999, "gravity_m_s2": 9.8, "inertia_kg_m2": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}',
+        '{"mass_kg": 0.4, "gravity_m_s2": 9.8, "inertia_kg_m2": [1, 2]}',
+        '{"mass_kg": -1, "gravity_m_s2": 9.8, "inertia_kg_m2": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}',
+        "[" * 5000,
+    ],
+)
+def test_a_damaged_truth_is_refused_in_one_line(monkeypatch, bag, text):
+    metadata = Bag(bag).metadata | {"truth": text}
+    monkeypatch.setattr(Bag, "metadata", metadata)
+    with pytest.raises(LogError, match=r"swing\.mcap: `truth` in its metadata: "):
+        read_truth(bag)
