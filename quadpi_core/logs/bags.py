@@ -190,10 +190,6 @@ class BagRecording:
         fields = {field: name for topic, name in self._names.items() for field in _FIELDS[topic]}
         return fields | {_FIELDS_OF_KINDS[kind]: topic.name for kind, topic in self._adapted.items()}
 
-    def imu_stamps(self) -> Stamps:
-        """Header stamps (N,) of the topic `imu`, which the bag must have."""
-        return _stamps(self._bag, [self._names["imu"]])[self._names["imu"]]
-
     def blocks(self) -> Iterator[Recording]:
         """The recording in blocks; see :mod:`quadpi_core.logs.blocks`.
 

@@ -38,7 +38,6 @@ from quadpi_core.signals import ekf_kernels
 from quadpi_core.signals.ekf import Ekf, EkfTrace, Spans, never_started
 from quadpi_core.signals.imu_rate import ImuRate
 from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
-from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -104,7 +103,7 @@ def replay(
     if Path(output).resolve() == Path(bag).resolve():
         raise LogError(f"{bag}: the output would replace the flight; choose another file")
     with open_flight(bag, vehicle) as flight:
-        monitor = Monitor(model, vehicle, flight.rate_hz, confidence, settings)
+        monitor = Monitor(model, vehicle, None, confidence, settings)
         return _write(flight, monitor, vehicle, Path(output))
 
 
@@ -172,14 +171,12 @@ class RecordedFlight:
 
     Attributes:
         name, source: see :class:`Recording`.
-        rate_hz: of the IMU over the whole flight; what is made of samples goes by the rate as live knows it.
         has_mocap: whether the state comes from the EKF; else from the flight's odometry.
         blocks: the flight, as :func:`quadpi_core.logs.blocks.by_arrival` gives it.
     """
 
     name: str
     source: str
-    rate_hz: float
     has_mocap: bool
     blocks: Iterator[Recording]
 
@@ -195,7 +192,7 @@ def open_flight(path: Path | str, vehicle: Vehicle) -> Iterator[RecordedFlight]:
         yield recorded_flight(decode_recording(path, vehicle))
         return
     with open_recording(path, vehicle) as bag:
-        yield _flight(bag.name, bag.source, bag.streams, bag.imu_stamps(), by_arrival(bag.blocks()))
+        yield _flight(bag.name, bag.source, bag.streams, by_arrival(bag.blocks()))
 
 
 def recorded_flight(recording: Recording) -> RecordedFlight:
@@ -208,20 +205,16 @@ def recorded_flight(recording: Recording) -> RecordedFlight:
         stream.require_samples(recording.source)
     fields = {name for name in vars(recording) if getattr(recording, name) is not None}
     blocks = split_recording(recording)
-    return _flight(recording.name, recording.source, fields, recording.imu.time_ns, blocks)
+    return _flight(recording.name, recording.source, fields, blocks)
 
 
-def _flight(
-    name: str, source: str, streams: Collection[str], imu_ns: Stamps, blocks: Iterator[Recording]
-) -> RecordedFlight:
-    if len(imu_ns) < 2:
-        raise LogError(f"{source}: topic imu: one sample is too few")
+def _flight(name: str, source: str, streams: Collection[str], blocks: Iterator[Recording]) -> RecordedFlight:
     has_mocap = "pose" in streams or "twist" in streams
     if not has_mocap and "odometry" not in streams:
         raise LogError(f"{source}: topics mocap/pose and odometry are missing: one is needed")
     if "rotor_speeds" not in streams:
         raise LogError(f"{source}: topic rotor_speeds (or erpm) is missing")
-    return RecordedFlight(name, source, nominal_rate(imu_ns), has_mocap, blocks)
+    return RecordedFlight(name, source, has_mocap, blocks)
 
 
 class Followed(NamedTuple):
