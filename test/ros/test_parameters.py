@@ -21,7 +21,7 @@ from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
-from quadpi_ros import estimator_node, mavlink_bridge, monitor_node, parameters
+from quadpi_ros import diagnostics, estimator_node, mavlink_bridge, monitor_node, parameters
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.mavlink_bridge import BridgeParameters
@@ -194,6 +194,15 @@ def test_standard_parameters_do_what_rclpy_says(ros_domain: int, tmp_path: Path)
         assert not result.successful
         assert "only when the node starts" in result.reason
         node.destroy_node()
+
+
+def test_diagnostics_name_the_vehicle_and_whose_it_is(ros_domain: int) -> None:
+    with ros(ros_domain, "-r", "__ns:=/uav1", "-p", "autostart:=false", "-p", "vehicle:=some/my-quad.yaml"):
+        node = EstimatorNode()
+        status = diagnostics.status(diagnostics.full_name(node, "state"), diagnostics.OK, "", {})
+        (told,) = diagnostics.array(node, [status]).status
+        node.destroy_node()
+    assert (told.name, told.hardware_id) == ("uav1/estimator: state", "uav1/my-quad")
 
 
 def test_the_player_takes_overrides_and_offers_no_service_that_it_cannot_answer(ros_domain: int) -> None:
