@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from quadpi_core.consistency.check import checked
 from quadpi_core.flight import Flight, Recording
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
-from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.monitor.live import LiveSamples, live_samples
 from quadpi_core.parallel import map_files
 from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
@@ -114,9 +114,7 @@ def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
 
 
 def _read(path: Path, vehicle: Vehicle) -> Recording:
-    recording = read_recording(path, vehicle)
-    check_plausible(recording, vehicle)
-    return recording
+    return checked(read_recording(path, vehicle), vehicle)
 
 
 def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight, str]:

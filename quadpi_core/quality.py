@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is to be said of the data of a flight: samples that were left out. It goes along with the flight."""
+"""What is to be said of the data of a flight: samples that were left out, mistakes that it looks like.
+
+It goes along with the flight.
+"""
 
 from __future__ import annotations
 
@@ -37,18 +40,42 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Finding:
+    """Something in a recording, or in it and its vehicle, that contradicts itself.
+
+    Attributes:
+        mistake: that explains it best, by its name in docs/mistakes.md.
+        topic: that it shows in.
+        text: what it looks like and the remedy, with numbers.
+        certain: whether nothing else can explain it.
+    """
+
+    mistake: str
+    topic: str
+    text: str
+    certain: bool = False
+
+    def __str__(self) -> str:
+        return f"topic {self.topic}: {self.text}"
+
+
+@dataclass(frozen=True)
 class DataQuality:
     """What is to be said of the data of one flight."""
 
     left_out: tuple[LeftOut, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def sentences(self) -> Iterator[str]:
         """In plain words, the topic first."""
-        yield from map(str, self.left_out)
+        yield from map(str, (*self.left_out, *self.findings))
 
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
-        return {"left_out": [asdict(samples) for samples in self.left_out]}
+        return {
+            "left_out": [asdict(samples) for samples in self.left_out],
+            "findings": [asdict(finding) for finding in self.findings],
+        }
 
 
 NOTHING_TO_SAY = DataQuality()

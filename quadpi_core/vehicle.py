@@ -18,6 +18,8 @@ from quadpi_core.frames import Array
 
 ROTORS = 4
 _SPIKE_MARGIN = 1.1
+# About z, over mass times squared distance of the rotors; quadrotors from 27 g to 0.8 kg have 0.29 to 0.7.
+_YAW_INERTIA = (0.02, 10.0)
 SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
 
 
@@ -51,6 +53,8 @@ class Vehicle:
         rotor_spins: (4,), +1 where the rotor turns clockwise seen from above, else -1.
         pole_pairs: mechanical speed = electrical speed / pole_pairs; None where the source of the
             vehicle does not say, and then electrical speeds are refused.
+        thrust_coefficient: C_T = thrust / (ρ π R⁴ ω²) of a rotor in still air, where it is known, to hold the
+            flights against.
     """
 
     name: str
@@ -64,6 +68,7 @@ class Vehicle:
     air_density_kg_m3: float = 1.225
     gravity_m_s2: float = 9.80665
     noise: SensorNoise = field(default_factory=SensorNoise)
+    thrust_coefficient: float | None = None
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Vehicle:
@@ -113,7 +118,7 @@ class Vehicle:
 
 
 _REQUIRED = ("mass_kg", "inertia_kg_m2", "rotor_radius_m", "rotors", "pole_pairs")
-_OPTIONAL_NUMBERS = ("rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2")
+_OPTIONAL_NUMBERS = ("rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2", "thrust_coefficient")
 # What `simulation` holds is read by quadpi_core.simulation.
 _KNOWN = (*_REQUIRED, *_OPTIONAL_NUMBERS, "noise", "simulation", "source")
 
@@ -132,13 +137,16 @@ def _parse(path: Path, data: Any) -> Vehicle:
         raise VehicleError(f"{path}: `rotors` must list {ROTORS} rotors")
     positions = np.array([_rotor_position(path, i, rotor) for i, rotor in enumerate(rotors)])
     spins = np.array([_rotor_spin(path, i, rotor) for i, rotor in enumerate(rotors)])
+    inertia, mass = _inertia(path, data["inertia_kg_m2"]), _positive(path, data, "mass_kg")
+    _require_quadrotor(path, positions, spins)
+    _require_inertia_of(path, inertia, mass, positions)
     pole_pairs = data["pole_pairs"]
     if pole_pairs is not None and (not isinstance(pole_pairs, int) or pole_pairs < 1):
         raise VehicleError(f"{path}: `pole_pairs` must be a positive integer or null")
     return Vehicle(
         name=path.stem,
-        mass_kg=_positive(path, data, "mass_kg"),
-        inertia=_inertia(path, data["inertia_kg_m2"]),
+        mass_kg=mass,
+        inertia=inertia,
         rotor_radius_m=_positive(path, data, "rotor_radius_m"),
         rotor_positions=positions,
         rotor_spins=spins,
@@ -153,6 +161,30 @@ def _positive(path: Path, data: dict[str, Any], key: str) -> float:
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 < value < np.inf:
         raise VehicleError(f"{path}: `{key}` must be a positive number, found {value!r}")
     return float(value)
+
+
+def _require_quadrotor(path: Path, positions: Array, spins: Array) -> None:
+    """Refuse rotors that cannot hold a quadrotor: one in each quadrant, opposite ones of the same spin."""
+    if len({tuple(signs) for signs in np.sign(positions[:, :2]).tolist()}) < ROTORS:
+        raise VehicleError(
+            f"{path}: `rotors` must lie one in each quadrant: front left, front right, rear left, rear right"
+        )
+    along = np.sign(positions[:, 0] * positions[:, 1])
+    if abs(float(np.sum(along * spins))) < ROTORS:
+        raise VehicleError(
+            f"{path}: `rotors`: opposite rotors must turn the same way and neighbours the other way, or "
+            "nothing holds the yaw"
+        )
+
+
+def _require_inertia_of(path: Path, inertia: Array, mass: float, positions: Array) -> None:
+    """Refuse an inertia that no vehicle of this mass and size has, such as one in g m²."""
+    ratio = float(inertia[2, 2] / (mass * np.mean(np.sum(positions[:, :2] ** 2, axis=1))))
+    if not _YAW_INERTIA[0] < ratio < _YAW_INERTIA[1]:
+        raise VehicleError(
+            f"{path}: `inertia_kg_m2`: about z it is {ratio:.3g} times mass times squared distance of the "
+            "rotors from the centre, expected 0.2 to 1: wrong unit?"
+        )
 
 
 def is_rigid_body(inertia: Array) -> bool:

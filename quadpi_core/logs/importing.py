@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from quadpi_core.config import is_config_path
+from quadpi_core.consistency.check import checked
 from quadpi_core.errors import LogError
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.missing import missing
-from quadpi_core.logs.plausibility import check_plausible
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
@@ -109,8 +109,7 @@ class _Conversion:
 
 def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
     """The bag of a log in the temporary folder, and the hash of the flight."""
-    recording = read_recording(log, task.vehicle, task.mapping)
-    check_plausible(recording, task.vehicle)
+    recording = checked(read_recording(log, task.vehicle, task.mapping), task.vehicle)
     sha256 = recording_hash(recording)
     alignment = None
     if task.align:

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.consistency.check import findings as inconsistencies
+from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.bags import bag_topics
@@ -22,7 +24,7 @@ from quadpi_core.logs.plausibility import (
     implausibilities,
     thrust_coefficient,
 )
-from quadpi_core.logs.screening import left_out
+from quadpi_core.logs.screening import left_out, screened
 from quadpi_core.vehicle import Vehicle
 
 GAP_INTERVALS = 5.0
@@ -87,6 +89,7 @@ def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> I
         *(f"{samples}; `import` and `identify` do" for samples in left_out(recording, vehicle)),
         *(finding for stream in recording.streams() for finding in _frozen_findings(stream)),
         *_rotor_findings(recording, vehicle),
+        *_inconsistencies(recording, vehicle),
         *_battery_findings(recording),
         *missing(recording),
     )
@@ -121,6 +124,16 @@ def with_names_of_bag(inspection: Inspection, names: Mapping[str, str]) -> Inspe
 
     findings = tuple(dict.fromkeys(map(renamed, inspection.findings)))
     return replace(inspection, topics=tuple(topics.values()), findings=findings)
+
+
+def _inconsistencies(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+    """What the consistency check says; it takes what `import` would have made of the recording."""
+    used = screened(recording, vehicle)
+    try:
+        used.check()
+    except LogError:
+        return
+    yield from map(str, inconsistencies(used, vehicle))
 
 
 def inspect_topics(bag: Path) -> Inspection:

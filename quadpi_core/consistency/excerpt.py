@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Short windows spread over a recording, every sensor on one grid: what the consistency check looks at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.flight import MAX_GAP_NS, OdometryStream, PoseStream, Recording, Stamps, Stream
+from quadpi_core.frames import Array
+
+# Windows are spread over the flight, so that the cost does not grow with its length.
+WINDOWS, WINDOW_S = 24, 2.5
+# Bodies of this size turn and accelerate below 20 Hz.
+STEP_S = 0.01
+# The least that tells anything.
+_FEWEST_CELLS = 100
+# Poses farther apart than this say nothing of the motion in between.
+_POSE_GAP_NS = 300_000_000
+# Rotor speeds may come late by as much; samples around a window are kept for it.
+_MARGIN_S = 0.4
+
+Pose: TypeAlias = PoseStream | OdometryStream
+
+
+@dataclass(frozen=True)
+class Excerpt:
+    """W windows of K cells of STEP_S; a state belongs to the borders of cells, other sensors to the cells.
+
+    Attributes:
+        topic: of the state.
+        step_s: width of a cell.
+        attitude: (W, K + 1, 4) body to world.
+        position: (W, K + 1, 3) m, world.
+        rates: (W, K, 3) rad/s, means over the cells.
+        force: (W, K, 3) specific force m/s², means over the cells.
+    """
+
+    topic: str
+    step_s: float
+    attitude: Array
+    position: Array
+    rates: Array
+    force: Array
+
+
+@dataclass(frozen=True)
+class RotorExcerpt:
+    """Windows with rotor speeds; L cells of margin on both sides of the K cells of a window.
+
+    Attributes:
+        step_s: width of a cell.
+        rates: (W, K, 3) rad/s.
+        force: (W, K, 3) m/s².
+        squares: (W, K + 2 L, 4) squared rotor speeds, rad²/s².
+        margin: L.
+    """
+
+    step_s: float
+    rates: Array
+    force: Array
+    squares: Array
+    margin: int
+
+
+def excerpt(recording: Recording, state: Pose) -> Excerpt | None:
+    """Windows in which the IMU and a state have samples without a pause; None if there are none."""
+    parts = []
+    for grid in _grids([recording.imu, state]):
+        inertial = _imu_means(recording, grid)
+        if inertial is None or _pauses(state.time_ns, grid, _POSE_GAP_NS):
+            continue
+        near = _near(state.time_ns, grid)
+        time_s = _seconds(state.time_ns[near], grid)
+        at_s = (grid - grid[0]) * 1e-9
+        attitude = _at(time_s, _continuous(state.attitude[near]), at_s)
+        attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+        parts.append((attitude, _at(time_s, state.position[near], at_s), *inertial))
+    if not parts:
+        return None
+    attitude, position, rates, force = (np.stack(columns) for columns in zip(*parts, strict=True))
+    return Excerpt(state.topic, STEP_S, attitude, position, rates, force)
+
+
+def rotor_excerpt(recording: Recording) -> RotorExcerpt | None:
+    """Windows in which the IMU and the rotor speeds have samples without a pause; None if there are none."""
+    rotors = recording.rotor_speeds
+    if rotors is None:
+        return None
+    margin = round(_MARGIN_S / STEP_S)
+    parts = []
+    for grid in _grids([recording.imu, rotors], _MARGIN_S):
+        inertial = _imu_means(recording, grid)
+        wide = np.arange(-margin, len(grid) + margin) * round(STEP_S * 1e9) + grid[0]
+        if inertial is None or _pauses(rotors.time_ns, wide, MAX_GAP_NS):
+            continue
+        near = _near(rotors.time_ns, wide)
+        squares = _means(_seconds(rotors.time_ns[near], grid), rotors.speeds[near] ** 2, wide - grid[0])
+        parts.append((*inertial, squares))
+    if not parts:
+        return None
+    rates, force, squares = (np.stack(columns) for columns in zip(*parts, strict=True))
+    return RotorExcerpt(STEP_S, rates, force, squares, margin)
+
+
+def _grids(streams: list[Stream], margin_s: float = 0.0) -> list[Stamps]:
+    """Borders (K + 1,) of the cells of each window, in ns."""
+    if any(len(stream) < 2 for stream in streams):
+        return []
+    first = max(int(stream.time_ns[0]) for stream in streams) + round(margin_s * 1e9)
+    last = min(int(stream.time_ns[-1]) for stream in streams) - round(margin_s * 1e9)
+    step = round(STEP_S * 1e9)
+    cells = min((last - first) // step, round(WINDOW_S / STEP_S))
+    if cells < _FEWEST_CELLS:
+        return []
+    count = min(WINDOWS, max(1, (last - first) // (cells * step)))
+    starts = np.linspace(first, last - cells * step, count).astype(np.int64)
+    return [start + step * np.arange(cells + 1) for start in starts]
+
+
+def _imu_means(recording: Recording, grid: Stamps) -> tuple[Array, Array] | None:
+    imu = recording.imu
+    if _pauses(imu.time_ns, grid, MAX_GAP_NS):
+        return None
+    near = _near(imu.time_ns, grid)
+    time_s = _seconds(imu.time_ns[near], grid)
+    return (
+        _means(time_s, imu.angular_velocity[near], grid - grid[0]),
+        _means(time_s, imu.specific_force[near], grid - grid[0]),
+    )
+
+
+def _near(time_ns: Stamps, grid: Stamps) -> slice:
+    """The samples in a window, and one on each side."""
+    first, last = np.searchsorted(time_ns, grid[0], "right"), np.searchsorted(time_ns, grid[-1])
+    return slice(max(int(first) - 1, 0), int(last) + 1)
+
+
+def _pauses(time_ns: Stamps, grid: Stamps, longest_ns: int) -> bool:
+    """Whether a topic pauses in a window, or does not cover it, or its stamps do not rise."""
+    stamps = time_ns[_near(time_ns, grid)]
+    steps = np.diff(stamps)
+    return bool(
+        len(stamps) < 2
+        or stamps[0] > grid[0]
+        or stamps[-1] < grid[-1]
+        or steps.max() > longest_ns
+        or steps.min() <= 0
+    )
+
+
+def _seconds(time_ns: Stamps, grid: Stamps) -> Array:
+    seconds: Array = (time_ns - grid[0]) * 1e-9
+    return seconds
+
+
+def _continuous(attitude: Array) -> Array:
+    """The same rotations, each of the sign that is nearest to the one before."""
+    opposite = np.sum(attitude[1:] * attitude[:-1], axis=1) < 0.0
+    signs = np.cumprod(np.concatenate(([1.0], np.where(opposite, -1.0, 1.0))))
+    return np.asarray(attitude * signs[:, np.newaxis])
+
+
+def _at(time_s: Array, values: Array, at_s: Array) -> Array:
+    """Values (M, C) at times (M,), linear in between."""
+    return np.stack([np.interp(at_s, time_s, column) for column in values.T], axis=1)
+
+
+def _means(time_s: Array, values: Array, grid_ns: npt.NDArray[np.int64]) -> Array:
+    """Means (K, C) over cells of values (N, C) that are linear between samples."""
+    integral = np.zeros_like(values)
+    integral[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, np.newaxis], axis=0)
+    grid_s = grid_ns.astype(np.float64) * 1e-9
+    return np.asarray(np.diff(_at(time_s, integral, grid_s), axis=0) / np.diff(grid_s)[:, np.newaxis])
