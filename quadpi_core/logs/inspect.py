@@ -82,6 +82,12 @@ class Inspection:
 
 def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> Inspection:
     """Describe a recording; without a vehicle, what depends on its limits is not judged."""
+    # Of numbers without bound: what overflows shows as such.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return _inspect(recording, vehicle)
+
+
+def _inspect(recording: Recording, vehicle: Vehicle | None) -> Inspection:
     topics = tuple(_describe(stream) for stream in recording.streams())
     findings = (
         *(finding for topic in topics for finding in _timing_findings(topic)),
