@@ -18,6 +18,7 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.logs import messages
+from quadpi_core.logs.frame_ids import BodyFrames, Framed
 from quadpi_core.signals.ekf import Ekf
 from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.signals.odometry import FusedSamples, fused_sample, with_gyro_faults
@@ -25,12 +26,12 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, SensorNode
+from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, FRAMES, STRICT, WARN, SensorNode
 from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
 # Of several in a bag, the first is used.
 MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
-IMU = Source(Imu, "imu", messages.unpack_imu)
+IMU_TOPIC = "imu"
 
 # Nothing of a quadrotor needs a faster one.
 FASTEST_IMU_HZ = 5000.0
@@ -71,6 +72,7 @@ class EstimatorParameters:
         "child_frame_id of odometry: forward-left-up; empty: base_link behind the namespace",
         empty_means=namespaced_body_frame,
     )
+    frames: str = parameter(WARN, FRAMES, choices=(WARN, STRICT))
     autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
 
 
@@ -102,7 +104,8 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._frames = (parameters.world_frame, parameters.body_frame)
         self._gyro_noise = vehicle.noise.gyro_noise_rad_s
         adapted = AdaptedSources(self.get_name(), parameters.adapters, vehicle)
-        self._imu = adapted.instead_of(IMU, "imu")
+        self._body = self.frames_of(parameters.body_frame, parameters.frames)
+        self._imu = adapted.instead_of(framed_imu(self._body), "imu")
         self._mocap, self._take_mocap = self._motion_capture(adapted)
         _warm_up(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
@@ -111,6 +114,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def activate(self) -> None:
         """Start anew from what comes now."""
         self._ekf.reset()
+        self.hear_transforms(self._body)
         self._imu_health = self.listen(
             *self._imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz or None
         )
@@ -122,12 +126,15 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         """The topic that the parameters name, and what takes its samples."""
         topic = self.parameters.mocap_topic
         if topic == "mocap/pose":
-            return Source(PoseStamped, topic, messages.unpack_pose), self._take_pose
+            pose = Framed(messages.unpack_pose, self._body.world, self._body)
+            return Source(PoseStamped, topic, pose), self._take_pose
         if topic == "mocap/odometry":
-            return Source(Odometry, topic, messages.unpack_odometry), self._take_odometry
+            odometry = Framed(messages.unpack_odometry, self._body.world, self._body, texts=2)
+            return Source(Odometry, topic, odometry), self._take_odometry
         if topic == "mocap/twist":
             unpack = partial(messages.unpack_twist, body_frame=self.parameters.body_frame)
-            return Source(TwistStamped, topic, unpack), self._take_twist
+            twist = Framed(unpack, self._body.world, self._body)
+            return Source(TwistStamped, topic, twist), self._take_twist
         return adapted.named(topic), self._take_pose
 
     def problem(self) -> str | None:
@@ -216,6 +223,11 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
     def _take_twist(self, twist: TwistStream) -> None:
         self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))
+
+
+def framed_imu(frames: BodyFrames) -> Source:
+    """The topic imu, its samples moved to the body."""
+    return Source(Imu, IMU_TOPIC, Framed(messages.unpack_imu, frames.imu, frames))
 
 
 def _reason(outcome: Outcome) -> str:

@@ -24,6 +24,7 @@ from rclpy.timer import Timer
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, RotorSpeedStream, WindStream
 from quadpi_core.logs import messages
+from quadpi_core.logs.frame_ids import Framed
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
@@ -35,17 +36,16 @@ from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import guarded
-from quadpi_ros.estimator_node import FASTEST_IMU_HZ, IMU, IMU_RATE, EstimatorNode
+from quadpi_ros.estimator_node import FASTEST_IMU_HZ, IMU_RATE, IMU_TOPIC, EstimatorNode, framed_imu
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.results import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import STEADY, SensorNode
+from quadpi_ros.sensor_node import FRAMES, STEADY, STRICT, WARN, SensorNode
 from quadpi_ros.slow_service import SlowService
 from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
 _SETTINGS = MonitorSettings()
 _LONG_AGO_NS = -(2**63)
-_ODOMETRY = Source(Odometry, "odometry", messages.unpack_odometry)
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,7 @@ class MonitorParameters:
         "frame_id of what is published: forward-left-up; empty: base_link behind the namespace",
         empty_means=namespaced_body_frame,
     )
+    frames: str = parameter(WARN, FRAMES, choices=(WARN, STRICT))
     autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
 
 
@@ -136,9 +137,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._vehicle = Vehicle.load(parameters.vehicle)
         adapted = AdaptedSources(self.get_name(), parameters.adapters, self._vehicle)
         self._rotors = self._rotor_source(adapted)
+        self._body = self.frames_of(parameters.body_frame, parameters.frames)
         if self._estimator is None:
-            self._imu = adapted.instead_of(IMU, "imu")
-            self._odometry = adapted.instead_of(_ODOMETRY, "odometry")
+            self._imu = adapted.instead_of(framed_imu(self._body), "imu")
+            odometry = Framed(messages.unpack_odometry, self._body.world, self._body, texts=2)
+            self._odometry = adapted.instead_of(Source(Odometry, "odometry", odometry), "odometry")
         monitors = named(self._load(path) for path in parameters.model)
         self._results = Results(self, monitors, parameters.body_frame)
 
@@ -146,11 +149,13 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Start anew from what comes now."""
         self._restart()
         if self._estimator is None:
+            self.hear_transforms(self._body)
             self.listen(*self._imu, self._take_raw_imu, rate_hz=self.parameters.imu_rate_hz or None)
             self.listen(*self._odometry, self.take_odometry)
         else:
             self._estimator.listener = self
-        self.listen(Vector3Stamped, "wind", messages.unpack_wind, self._take_wind, required=False)
+        wind = Framed(messages.unpack_wind, self._body.world, self._body)
+        self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds)
         self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
         self._watch = self.create_timer(WATCH_S, self._watch_inputs, clock=STEADY)
@@ -279,7 +284,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def _follow_rate(self) -> None:
         """Make the filters for the rate that the IMU's stamps tell; nothing is predicted without one."""
         rate = self._rate = self._pairing.rate
-        problems = [f"topic {IMU.topic}: {rate}: set it to 0"] if rate.differs else []
+        problems = [f"topic {IMU_TOPIC}: {rate}: set it to 0"] if rate.differs else []
         problems += self._results.monitors.retune(rate)
         self._rate_problem = "; ".join(problems)
         if problems:

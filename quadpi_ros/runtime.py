@@ -33,6 +33,11 @@ def _profile(offered: qos.Qos) -> QoSProfile:
 
 SENSOR_QOS, OUTPUT_QOS, LOG_QOS = (_profile(offered) for offered in (qos.SENSOR, qos.OUTPUT, qos.LOG))
 
+# As tf2 offers and hears static transforms.
+TRANSFORMS_QOS = QoSProfile(
+    depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
 # EventsExecutor does not wake on a signal; this is how long a shutdown may go unnoticed.
 _SHUTDOWN_POLL_S = 0.2
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -18,16 +19,27 @@ from rclpy.subscription import Subscription
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stream
+from quadpi_core.logs.frame_ids import BodyFrames
+from quadpi_core.logs.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.monitor.health import TopicHealth
+from quadpi_core.signals.mounting import Mounting
 from quadpi_ros import diagnostics
+from quadpi_ros.adapters import AdapterError, message_class
 from quadpi_ros.lifecycle import ManagedNode
 from quadpi_ros.parameters import Parameters
-from quadpi_ros.runtime import OUTPUT_QOS, SENSOR_QOS
+from quadpi_ros.runtime import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
 
 Sample = TypeVar("Sample", bound=Stream)
 
 # No clock of a sensor or a simulation stops it.
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+# What the parameter `frames` may be.
+WARN, STRICT = "warn", "strict"
+FRAMES = (
+    "an IMU in another frame without a static transform: `warn` takes it as the body's, `strict` refuses it"
+)
+# After the first sample that needs one.
+_TRANSFORMS_COME_S = 1.0
 _WARNING_PERIOD_S = 5.0
 DIAGNOSTICS_PERIOD_S = 1.0
 # How often in a row a problem is seen before it is logged.
@@ -77,6 +89,7 @@ class SensorNode(ManagedNode[Parameters]):
         self._inputs: dict[str, _Input] = {}
         self._outputs: dict[str, _Output] = {}
         self._problem = _Problem()
+        self._transforms: Subscription | None = None
         self.silent: set[str] = set()
         self._diagnosed_s = time.monotonic()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -119,6 +132,42 @@ class SensorNode(ManagedNode[Parameters]):
         self._inputs[topic] = _Input(subscription, health, required)
         return health
 
+    def frames_of(self, body_frame: str, frames: str) -> BodyFrames:
+        """Frames as the parameters `body_frame` and `frames` say, with the static transforms that come.
+
+        Those are heard from the next :meth:`hear_transforms` on.
+        """
+        Mounting(np.eye(3), np.zeros(3))  # compiled before the flight
+        try:
+            message_class(TF_TYPE)
+            patience_s, hint = _TRANSFORMS_COME_S, ""
+        except AdapterError as error:
+            patience_s, hint = 0.0, f" (/{TF_TOPIC} is not heard: {error})"
+        return BodyFrames(
+            body_frame,
+            strict=frames == STRICT,
+            patience_s=patience_s,
+            hint=hint,
+            warn=lambda text: self.warn("frames", text),
+        )
+
+    def hear_transforms(self, frames: BodyFrames) -> None:
+        """Listen to static transforms, where their message type is installed."""
+        try:
+            message_type = message_class(TF_TYPE)
+        except AdapterError:
+            return
+
+        def receive(payload: bytes) -> None:
+            try:
+                frames.transforms.take(payload)
+            except LogError as error:
+                self.warn(f"topic /{TF_TOPIC}", f"message refused: {error}")
+
+        self._transforms = self.create_subscription(
+            message_type, f"/{TF_TOPIC}", receive, TRANSFORMS_QOS, raw=True
+        )
+
     def announce(
         self, message_type: type, topic: str, qos: QoSProfile = OUTPUT_QOS
     ) -> Callable[[bytes], None]:
@@ -138,6 +187,9 @@ class SensorNode(ManagedNode[Parameters]):
         for topic in self._inputs.values():
             self.destroy_subscription(topic.subscription)
         self._inputs.clear()
+        if self._transforms is not None:
+            self.destroy_subscription(self._transforms)
+            self._transforms = None
 
     def cleanup(self) -> None:
         """Stop publishing."""

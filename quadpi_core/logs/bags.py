@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -34,12 +36,16 @@ from quadpi_core.logs.adapters.bags import AdaptedReading, AdaptedTopic, find_ad
 from quadpi_core.logs.adapters.settings import AdapterSettings
 from quadpi_core.logs.blocks import join_blocks, split_by_stamp
 from quadpi_core.logs.definitions import typestore
+from quadpi_core.logs.frame_ids import BodyFrames, Framed
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.logs.result_messages import ReportedAlarms, unpack_alarms, unpack_predictions
+from quadpi_core.logs.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.monitor.output import Predictions
 from quadpi_core.vehicle import Vehicle
+
+_log = logging.getLogger(__name__)
 
 TOPIC_TYPES = {
     "imu": messages.IMU,
@@ -163,6 +169,7 @@ class BagRecording:
         self._bag = bag
         self._adapters = adapters
         self._known_vehicle = vehicle
+        self._frames = _frames_of(bag)
         names = {}
         for topic in _RECORDED:
             connection = find_topic(bag, topic)
@@ -197,7 +204,7 @@ class BagRecording:
         has none of them, and when it arrived is not known.
         """
         unpacking = _Unpacking(
-            self._bag.path, self._names, self._adapted, self._adapters, self._known_vehicle
+            self._bag.path, self._names, self._adapted, self._adapters, self._known_vehicle, self._frames
         )
         for topics in self._bag.blocks(unpacking.topics):
             streams, arrivals = unpacking.unpack(topics)
@@ -221,18 +228,19 @@ class _Unpacking:
         adapted: Mapping[str, AdaptedTopic],
         adapters: AdapterSettings | None,
         vehicle: Vehicle | None,
+        frames: BodyFrames,
     ) -> None:
         self._path = path
         self._names = names
         self._unpackers: dict[str, Callable[[Payloads], Any]] = {
-            "imu": messages.unpack_imu,
+            "imu": Framed(messages.unpack_imu, frames.imu, frames),
             "rotor_speeds": messages.unpack_rotor_speeds,
             "erpm": lambda payloads: _unpack_erpm(payloads, vehicle),
-            "mocap/pose": messages.unpack_pose,
-            "mocap/twist": messages.unpack_twist,
-            "mocap/odometry": messages.unpack_mocap_odometry,
-            "odometry": messages.unpack_odometry,
-            "wind": messages.unpack_wind,
+            "mocap/pose": Framed(messages.unpack_pose, frames.world, frames),
+            "mocap/twist": Framed(messages.unpack_twist, frames.world, frames),
+            "mocap/odometry": Framed(messages.unpack_mocap_odometry, frames.world, frames, texts=2),
+            "odometry": Framed(messages.unpack_odometry, frames.world, frames, texts=2),
+            "wind": Framed(messages.unpack_wind, frames.world, frames),
             "simulation/wrench": messages.unpack_simulated,
         }
         self._adapted = {
@@ -270,6 +278,23 @@ class _Unpacking:
         """Say what messages of other packages did not give; see :meth:`AdaptedReading.finish`."""
         for reading in self._adapted.values():
             reading.finish(self._read[reading.name])
+
+
+def _frames_of(bag: Bag) -> BodyFrames:
+    """Frames by the static transforms of a bag."""
+    frames = BodyFrames(warn=partial(_log.warning, "%s: topic imu: %s", bag.path))
+    names = {
+        connection.topic
+        for connection in bag.connections
+        if connection.msgtype == TF_TYPE and connection.topic.rpartition("/")[2] == TF_TOPIC
+    }
+    for topic in bag.read(names).values():
+        for message in topic.payloads:
+            try:
+                frames.transforms.take(message)
+            except LogError as error:
+                raise LogError(f"{bag.path}: topic {topic.name}: {error}") from error
+    return frames
 
 
 def _unpack_erpm(payloads: Payloads, vehicle: Vehicle | None) -> RotorSpeedStream:
