@@ -45,6 +45,13 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
         os.close(lock)
 
 
+def is_being_replaced(path: Path) -> bool:
+    """Whether a run has moved away what stood at `path`, or may do so any moment, to put its own there."""
+    with suppress(OSError):
+        return any((folder / MADE / path.name).exists() for folder in _scratch_folders(path.parent))
+    return False
+
+
 def _locked(place: Path) -> tuple[Path, int]:
     """A new folder and its lock, held."""
     _clear(place)
@@ -82,12 +89,17 @@ def _clear(place: Path) -> None:
     if resolved in _cleared:
         return
     _cleared.add(resolved)
-    with suppress(OSError), os.scandir(resolved) as entries:
-        left = [entry.name for entry in entries if _NAME.fullmatch(entry.name)]
-        for name in left:
+    with suppress(OSError):
+        for folder in _scratch_folders(resolved):
             # What is another user's, or gone meanwhile, is not ours to remove.
             with suppress(OSError):
-                _remove_if_left(resolved / name)
+                _remove_if_left(folder)
+
+
+def _scratch_folders(place: Path) -> list[Path]:
+    """Those in a folder, of runs that live or were killed, and what only has such a name."""
+    with os.scandir(place) as entries:
+        return [place / entry.name for entry in entries if _NAME.fullmatch(entry.name)]
 
 
 def _remove_if_left(folder: Path) -> None:

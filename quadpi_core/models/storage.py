@@ -8,7 +8,6 @@ change of either shows. Both are data: reading them executes nothing.
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import json
 import platform
@@ -31,6 +30,7 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.paths import require_folder, whole_output
 from quadpi_core.reading import JSON_BYTES_MAX, parse_json, read_bounded
+from quadpi_core.scratch import is_being_replaced
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
@@ -206,7 +206,7 @@ def _read_files(folder: Path) -> tuple[str, bytes]:
             if _number(folder) == before:
                 return text, array_bytes
             missing = False
-        if missing and not any(folder.parent.glob(f".{glob.escape(folder.name)}.*")):
+        if missing and not is_being_replaced(folder):
             _read(folder / MODEL_FILE)
         time.sleep(_READ_AGAIN_S)
     raise ModelError(f"{folder}: replaced while it was read, {_READS_MAX} times")

@@ -3,7 +3,7 @@
 """Several processes that write one model folder: who reads it gets one model or the other, whole."""
 
 import shutil
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, TimeoutError
 from dataclasses import replace
 
 import pytest
@@ -11,6 +11,7 @@ import pytest
 from quadpi_core import paths
 from quadpi_core.errors import ModelError
 from quadpi_core.models import AerodynamicModel
+from quadpi_core.scratch import MADE, REPLACED, scratch_folder
 
 from .conftest import GOLDEN_MODEL
 
@@ -54,6 +55,20 @@ def test_the_first_of_two_writers_makes_the_folder(tmp_path):
 def test_a_folder_that_is_not_there_is_not_waited_for(tmp_path):
     with pytest.raises(ModelError, match=r"model\.json: cannot be read: No such file"):
         AerodynamicModel.load(tmp_path / "model")
+
+
+def test_a_folder_that_is_moved_away_is_waited_for(tmp_path):
+    folder = tmp_path / "model"
+    identity = AerodynamicModel.load(GOLDEN_MODEL).save(folder).identity
+    with ThreadPoolExecutor(1) as pool, scratch_folder(tmp_path) as scratch:
+        made = scratch / MADE / folder.name
+        shutil.copytree(folder, made)
+        folder.rename(scratch / REPLACED)
+        reader = pool.submit(AerodynamicModel.load, folder)
+        with pytest.raises(TimeoutError):
+            reader.result(timeout=0.1)
+        made.rename(folder)
+        assert reader.result().identity == identity
 
 
 def test_without_an_exchange_the_folder_is_moved_away_first(monkeypatch, tmp_path):
