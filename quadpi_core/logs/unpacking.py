@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import zlib
+from collections.abc import Iterator
 
 from backports import zstd
 from lz4 import frame as lz4
@@ -55,18 +56,11 @@ def unzstd(data: bytes | memoryview, size: int) -> bytes:
     """The content of one Zstandard frame or several, which must be `size` bytes.
 
     Raises:
-        LogError: if it is of another size; no more than one byte beyond it is unpacked.
+        LogError: if it is of another size, of which no more than one byte beyond it is unpacked, or of more
+            frames than anybody writes.
         zstd.ZstdError: if the bytes are damaged.
     """
-    parts, room = [], size
-    while data and room >= 0:
-        unpacker = zstd.ZstdDecompressor()
-        parts.append(unpacker.decompress(data, max_length=room + 1))
-        room -= len(parts[-1])
-        if not unpacker.eof:
-            break
-        data = unpacker.unused_data
-    return _of_size(b"".join(parts), size)
+    return _of_size(b"".join(_unzstd(data, size)), size)
 
 
 def unlz4(data: bytes, size: int) -> bytes:
@@ -95,25 +89,41 @@ def unzlib(data: bytes | memoryview, most: int) -> bytes:
 
 
 def zstd_size(data: bytes | memoryview, most: int) -> int:
-    """How many bytes Zstandard frames unpack to: counted, not kept, and not much beyond `most`.
+    """How many bytes Zstandard frames unpack to: counted, not kept, and at most one beyond `most`.
 
     Raises:
+        LogError: if there are more frames than anybody writes.
         zstd.ZstdError: if the bytes are damaged.
     """
-    size = 0
-    while data and size <= most:
+    return sum(map(len, _unzstd(data, most)))
+
+
+def _unzstd(data: bytes | memoryview, most: int) -> Iterator[bytes]:
+    """The content of Zstandard frames block by block, up to one byte beyond `most` or to where they are cut."""
+    unread = memoryview(data)
+    frames = _FRAMES_MAX + len(data) // _FRAME_BYTES
+    for _ in range(frames):
         unpacker = zstd.ZstdDecompressor()
-        while not unpacker.eof and size <= most:
-            count = len(unpacker.decompress(data, max_length=_BLOCK))
-            data = b""
-            if not count and unpacker.needs_input:
-                return size
-            size += count
-        data = unpacker.unused_data if unpacker.eof else b""
-    return size
+        while not unpacker.eof:
+            # Not all at once: what a frame leaves unread is copied for the next one.
+            given = unread[:_BLOCK] if unpacker.needs_input else unread[:0]
+            if unpacker.needs_input and not given:
+                return
+            unread = unread[len(given) :]
+            part = unpacker.decompress(given, max_length=min(_BLOCK, most + 1))
+            most -= len(part)
+            yield part
+            if most < 0:
+                return
+        position = len(data) - len(unread) - len(unpacker.unused_data)
+        unread = memoryview(data)[position:]
+    if unread:
+        raise LogError(f"damaged: more than {frames} frames of Zstandard in {len(data)} bytes")
 
 
 _BLOCK = 2**20
+# Frames of Zstandard: to begin one takes 50 µs, and packers write one in all or for each MB.
+_FRAMES_MAX, _FRAME_BYTES = 10, 1000
 _LZ4_RATIO = 256
 
 

@@ -190,3 +190,12 @@ def test_frames_of_zstandard_follow_each_other():
     assert unzstd(packed, 5) == b"abcde"
     assert zstd_size(packed, 2**20) == 5
     assert zstd_size(packed[:-2], 2**20) <= 5
+
+
+@pytest.mark.parametrize("frame", [struct.pack("<II", 0x184D2A50, 0), zstd.compress(b"")])
+def test_frames_of_nothing(frame):
+    """Each takes far longer to begin than its few bytes to read, and left the rest to be copied for the next."""
+    with pytest.raises(LogError, match=r"more than \d+ frames of Zstandard in"):
+        unzstd(frame * 2**16, 0)
+    with pytest.raises(LogError, match=r"more than \d+ frames of Zstandard in"):
+        zstd_size(frame * 2**16, 2**20)
