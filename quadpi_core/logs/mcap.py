@@ -10,6 +10,7 @@ in memory, only the chunks whose messages belong to one block.
 from __future__ import annotations
 
 import heapq
+import re
 import sqlite3
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -63,6 +64,9 @@ BLOCK_MESSAGES = 12_000
 _WINDOW, _WINDOW_MAX = 1 << 16, 1 << 20
 _MESSAGES_AT_ONCE = 1000
 _END_NS = 2**63 - 1
+# What rosbags reads of a database.
+_TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
+_TABLE = re.compile(r"CREATE TABLE\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -399,13 +403,14 @@ def _check_database(file: Path) -> None:
     """Refuse tables that make up their rows, or multiply them: what they yield has no bound."""
     place = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
     with closing(sqlite3.connect(place, uri=True)) as database:
-        for table in ("topics", "messages"):
-            made = database.execute("SELECT sql FROM sqlite_master WHERE name = ?", (table,)).fetchall()
+        made = database.execute("SELECT lower(name), sql FROM sqlite_master").fetchall()
+        for table in _TABLES:
             columns = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
             is_plain = all(column[-1] == 0 for column in columns)
-            if not is_plain or any("VIRTUAL" in str(text).upper() for (text,) in made):
+            # Not a view or virtual table, which says so where this says "TABLE".
+            if not is_plain or any(not _TABLE.match(str(text)) for name, text in made if name == table):
                 raise LogError(f"damaged: its table `{table}` computes what it holds")
-        if made:
+        if any(name == "topics" for name, _ in made):
             total, different = database.execute("SELECT COUNT(*), COUNT(DISTINCT id) FROM topics").fetchone()
             if total != different:
                 raise LogError("damaged: topics of the same number")

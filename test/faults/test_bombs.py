@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small files that unpack to gigabytes are refused in one line, before memory is taken for them."""
 
+import sqlite3
 import struct
 import zlib
+from contextlib import closing
 
 import numpy as np
 import pyarrow as pa
@@ -190,6 +192,21 @@ def test_frames_of_zstandard_follow_each_other():
     assert unzstd(packed, 5) == b"abcde"
     assert zstd_size(packed, 2**20) == 5
     assert zstd_size(packed[:-2], 2**20) <= 5
+
+
+@pytest.mark.parametrize("table", ["schema", "metadata", "topics", "message_definitions", "messages"])
+def test_a_database_that_counts(tmp_path, table):
+    """A view may have no end: rows that nobody stored are counted, sorted and grouped as the bag is opened."""
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        writer.write(writer.add_connection("/imu", messages.IMU, typestore=typestore()), 1, bytes(8))
+    (path,) = folder.glob("*.db3")
+    with closing(sqlite3.connect(path)) as database:
+        database.execute(f"ALTER TABLE {table} RENAME TO other")
+        database.execute(f"CREATE VIEW {table.title()} AS SELECT * FROM other")
+        database.commit()
+    with refusing(path), pytest.raises(LogError, match=f"`{table}` computes what it holds"):
+        read_bag(path)
 
 
 @pytest.mark.parametrize("frame", [struct.pack("<II", 0x184D2A50, 0), zstd.compress(b"")])
