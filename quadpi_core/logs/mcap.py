@@ -536,11 +536,12 @@ def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
 def _in_log_order(parts: Iterable[_Part], messages: int) -> Iterator[dict[str, Topic]]:
     """Blocks of topics: all that is logged before an instant, and is not in a block before."""
     waiting: list[tuple[int, Topic]] = []
-    count = 0
+    count = kept = 0
     for place, topics, limit_ns in parts:
         waiting += [(place, topic) for topic in topics]
         count += sum(len(topic.payloads) for topic in topics)
-        if count < messages and limit_ns < _END_NS:
+        # What had to wait is not gone through again for every little that comes.
+        if count < max(messages, 2 * kept) and limit_ns < _END_NS:
             continue
         waiting.sort(key=itemgetter(0))
         due: dict[str, list[Topic]] = {}
@@ -552,36 +553,39 @@ def _in_log_order(parts: Iterable[_Part], messages: int) -> Iterator[dict[str, T
             if after is not None and len(after.payloads):
                 later.append((place_of, after))
         waiting = later
-        count = sum(len(topic.payloads) for _, topic in waiting)
+        count = kept = sum(len(topic.payloads) for _, topic in waiting)
         yield from _in_blocks({name: join_topics(own) for name, own in due.items()}, messages)
 
 
 def _in_blocks(topics: dict[str, Topic], messages: int) -> Iterator[dict[str, Topic]]:
     """The messages in blocks of that many; those of one instant stay together."""
-    while sum(len(topic.payloads) for topic in topics.values()) > messages:
-        times = np.sort(np.concatenate([topic.log_time_ns for topic in topics.values()]))
-        limit_ns = times[messages]
-        if limit_ns == times[0]:
-            later = np.searchsorted(times, limit_ns, side="right")
-            if later == len(times):
-                break
-            limit_ns = times[later]
+    if not topics:
+        return
+    times = np.sort(np.concatenate([topic.log_time_ns for topic in topics.values()]))
+    first = 0
+    while first < len(times):
+        stop = len(times)
+        if first + messages < stop:
+            stop = int(np.searchsorted(times, times[first + messages]))
+            if stop == first:
+                stop = int(np.searchsorted(times, times[first], side="right"))
         block = {}
         for name, topic in topics.items():
-            block[name], topics[name] = cut_topic(topic, int(limit_ns))
+            begin = np.searchsorted(topic.log_time_ns, times[first])
+            end = np.searchsorted(topic.log_time_ns, times[stop - 1], side="right")
+            block[name] = _rows(topic, slice(int(begin), int(end)))
         yield block
-    if any(len(topic.payloads) for topic in topics.values()):
-        yield topics
+        first = stop
 
 
 def cut_topic(topic: Topic, limit_ns: int) -> tuple[Topic, Topic]:
     """Of messages in the order of their log times, those before an instant, and the rest."""
     place = int(np.searchsorted(topic.log_time_ns, limit_ns))
-    before, after = (
-        Topic(topic.name, topic.type_name, topic.log_time_ns[rows], topic.payloads.cut(rows))
-        for rows in (slice(0, place), slice(place, None))
-    )
-    return before, after
+    return _rows(topic, slice(0, place)), _rows(topic, slice(place, None))
+
+
+def _rows(topic: Topic, rows: slice) -> Topic:
+    return Topic(topic.name, topic.type_name, topic.log_time_ns[rows], topic.payloads.cut(rows))
 
 
 def _split(

@@ -166,6 +166,32 @@ def test_chunks_that_overlap_in_time_come_in_the_order_of_log_times(tmp_path, to
     assert_blocks_are_the_whole(path, topics, 500)
 
 
+def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
+    """Whatever has to wait, or comes in one chunk: else the time would grow with the square of the flight."""
+    cut = []
+
+    def counted(payloads, rows):
+        cut.append(len(payloads.lengths[rows]))
+        return cut_payloads(payloads, rows)
+
+    cut_payloads = Payloads.cut
+    path = tmp_path / "bag.mcap"
+    with mcap_writer(path, {}) as writer:
+        # One by one, each of a time that some other may still be before.
+        for message in range(500):
+            payload = topics[1].payloads.cut(slice(message, message + 1))
+            writer.add(Topic("/wind", messages.WIND, np.array([message]), payload))
+            writer.flush()
+    with Bag(path) as bag:
+        (survey,) = bag._surveys.values()
+        early = [section._replace(first_ns=0) for section in survey.sections]
+        bag._surveys = dict.fromkeys(bag._surveys, survey._replace(sections=early))
+        monkeypatch.setattr(Payloads, "cut", counted)
+        blocks = list(bag.blocks(["/wind"], messages=2))
+    assert [len(block["/wind"].payloads) for block in blocks] == [2] * 250
+    assert sum(cut) <= 4 * 500
+
+
 def test_a_chunk_that_begins_before_it_says_is_refused(tmp_path, topics):
     path = tmp_path / "bag.mcap"
     write_mcap(path, topics, {})
