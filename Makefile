@@ -10,8 +10,8 @@ unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 .PHONY: help demo test lint format bench tables alarm discovery discovery-real golden fuzz environment clean
 
 help: ## list these targets
-	@sed -n 's/^\([a-z]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
-	    printf 'make %-12s %s\n' "$$target" "$$text"; done
+	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
+	    printf 'make %-14s %s\n' "$$target" "$$text"; done
 
 demo: environment ## identify, predict, replay through live nodes, report (DEMO_ARGS="--data FOLDER --rate 4")
 	@$(BIN)/quadpi demo $(DEMO_ARGS)
@@ -46,7 +46,7 @@ discovery: environment ## renew docs/discovery.md: searches for hidden effects, 
 	@$(BIN)/python tools/discovery.py $(DISCOVERY_ARGS)
 
 discovery-real: environment ## renew docs/discovery-real.md: searches on real flights, those of QUADPI_DATA
-	@$(BIN)/python tools/discovery_real.py
+	@$(BIN)/python tools/discovery_real.py $(DISCOVERY_ARGS)
 
 alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 2 --data FOLDER")
 	@sh tools/bootstrap.sh --train

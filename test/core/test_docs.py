@@ -7,9 +7,11 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,8 @@ import pytest
 
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.paths import bags_directory
+from quadpi_core.logs.bags import write_bag
+from quadpi_core.paths import bags_directory, config_directory
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -33,6 +36,56 @@ def commands(page: str) -> list[str]:
     indented = re.findall(r"^ {4}(.*)$", page, flags=re.MULTILINE)
     code = "\n".join([*blocks(page, "sh"), *indented])
     return re.findall(r"^quadpi (?:[^\n]*\\\n)*[^\n]*", code, flags=re.MULTILINE)
+
+
+# Commands of the documents other than `quadpi`, and where each is run; or, after a dash, why it is not.
+RUN_BY = {
+    r"make .*": "test/test_makefile.py",
+    r"ros2 launch quadpi .*": "test/ros/test_launch.py",
+    r"ros2 run quadpi mavlink_bridge .*": "test/ros/test_launch.py",
+    r"ros2 lifecycle set /monitor .*": "test/ros/test_node_services.py - by the service that it calls",
+    r"ros2 service call /monitor/load_model .*": "test/ros/test_lifecycle.py - by that service",
+    r"(rosdep|colcon) .*": "test/test_packaging.py - what they install; neither has a wheel",
+    r"python3 -m venv --system-site-packages .*": "test/test_packaging.py - on a ROS machine",
+    r"pip install .*": "test/test_packaging.py - the names in it",
+    r"source .*": "test/test_packaging.py - on a ROS machine",
+    r"(ros2 security|export ROS_SECURITY|ros2 run quadpi live --ros-args --enclave).*": (
+        "- needs Fast DDS with its security plugins, which the wheels may lack"
+    ),
+}
+PROGRAMS = re.compile(
+    r"(?:make|ros2|rosdep|colcon|python3?|pip|source|export|sh|bash|cmake|cd|apt|\.venv/\S+) .*"
+)
+
+
+def test_every_command_is_run_somewhere():
+    """A closed list: a new command needs a test that runs it, or a reason why none does."""
+    documents = [ROOT / "README.md", ROOT / "bags" / "README.md", *PAGES]
+    found = set()
+    for page in documents:
+        text = page.read_text()
+        lines = re.findall(r"^ {4}(.*)$", text, flags=re.MULTILINE)
+        lines += "\n".join(blocks(text, "sh")).splitlines()
+        found |= {line.partition("  #")[0].strip() for line in lines if PROGRAMS.fullmatch(line)}
+        found |= set(re.findall(r"`(make [^`]+)`", text))
+    unknown = {line for line in found if not any(re.fullmatch(pattern, line) for pattern in RUN_BY)}
+    assert not unknown
+    for pattern, place in RUN_BY.items():
+        assert any(re.fullmatch(pattern, line) for line in found), pattern
+        where, _, reason = place.partition("- ")
+        assert (ROOT / where.strip()).is_file() or reason, place
+
+
+@pytest.mark.slow
+def test_commands_of_the_readme_run(fly, tmp_path):
+    """The first is that of the guide to data sets; the others run on flights of its vehicle."""
+    first, *others = commands((ROOT / "README.md").read_text())
+    assert first in commands((ROOT / "docs" / "add-a-data-set.md").read_text())
+    shutil.copy(config_directory() / "vehicles" / "neurobem.yaml", tmp_path / "my-quad.yaml")
+    for seed, name in enumerate("abc"):
+        write_bag(tmp_path / "bags" / f"{name}.mcap", replace(fly(seed), vehicle="my-quad"))
+    run_all([["bash", "-c", QUADPI + command] for command in others], tmp_path)
+    assert (tmp_path / "replayed.mcap").is_file()
 
 
 def test_commands_are_found():
@@ -62,10 +115,15 @@ def test_commands_run(page, request, tmp_path):
             (tmp_path / named[1]).write_text(content)
     ran = [["bash", "-c", QUADPI + command] for command in commands(text)]
     ran += [[sys.executable, "-c", code] for code in blocks(text, "python")]
+    run_all(ran, tmp_path)
+
+
+def run_all(ran: list[list[str]], folder: Path) -> None:
+    """One after the other, each to success."""
     environment = os.environ | {"PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
     for command in ran:
         result = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
         )
         assert result.returncode == 0, f"{command[-1]}\n{result.stderr}"
 

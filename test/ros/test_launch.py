@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -41,13 +42,13 @@ Launch = Callable[..., AbstractContextManager["Launched"]]
 NOT_INSTALLED = re.compile(r"the package (\w+) that defines it is not installed")
 
 
-def launch_lines() -> list[str]:
-    """Every `ros2 launch quadpi …` of the documents, without that beginning."""
-    lines = []
+def lines(command: str) -> list[str]:
+    """What follows `ros2 launch quadpi` or another command in the documents."""
+    found = set()
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         text = page.read_text().replace("\\\n", " ")
-        lines += re.findall(r"^ *ros2 launch quadpi (.+)$", text, flags=re.MULTILINE)
-    return sorted(set(lines))
+        found |= set(re.findall(rf"^ *{command} (.+)$", text, flags=re.MULTILINE))
+    return sorted(found)
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +63,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def launch(place: Path, ros_domain: int, tmp_path: Path) -> Launch:
-    """launch("monitor.launch.py", "vehicle:=bebop2", …) → the process that does what `ros2 launch` does."""
+def run(place: Path, ros_domain: int, tmp_path: Path) -> Launch:
+    """run(command, …) → the process, in that folder; it ends with the block."""
     del ros_domain
 
     @contextmanager
-    def started(*arguments: str) -> Iterator[Launched]:
-        command = [sys.executable, launch_child.__file__, "quadpi", *arguments]
+    def started(*command: str) -> Iterator[Launched]:
         with (tmp_path / "said.txt").open("w") as output:
             process = subprocess.Popen(
                 command, cwd=place, stdout=output, stderr=output, env={**os.environ, "PYTHONUNBUFFERED": "1"}
@@ -83,8 +83,14 @@ def launch(place: Path, ros_domain: int, tmp_path: Path) -> Launch:
     return started
 
 
+@pytest.fixture
+def launch(run: Launch) -> Launch:
+    """launch("monitor.launch.py", "vehicle:=bebop2", …) → the process that does what `ros2 launch` does."""
+    return partial(run, sys.executable, launch_child.__file__, "quadpi")
+
+
 class Launched:
-    """A launch under way."""
+    """A process under way."""
 
     def __init__(self, process: subprocess.Popen[bytes], said: Path) -> None:
         self._process, self._said = process, said
@@ -117,7 +123,7 @@ class Launched:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", launch_lines())
+@pytest.mark.parametrize("line", lines("ros2 launch quadpi"))
 def test_lines_of_the_documents(line: str, place: Path, launch: Launch) -> None:
     file, *arguments = shlex.split(line)
     vehicle = Vehicle.load(str(place / "my-quad.yaml") if "vehicle:=my-quad.yaml" in arguments else "bebop2")
@@ -143,8 +149,22 @@ def test_lines_of_the_documents(line: str, place: Path, launch: Launch) -> None:
             assert launched.interrupt() == 0, launched.said
 
 
+@pytest.mark.parametrize("line", [line for line in lines("ros2 run quadpi") if "--enclave" not in line])
+def test_programs_of_the_documents(line: str, run: Launch) -> None:
+    program, *arguments = shlex.split(line)
+    installed = Path(sys.prefix, "lib", "quadpi", program)
+    heard: list[bytes] = []
+    with (
+        Listener("test_launch", [(DiagnosticArray, "/diagnostics", heard.append)]) as listener,
+        run(str(installed), *arguments) as running,
+    ):
+        running.wait_until(lambda: listener.spin_until(lambda: bool(heard), 0.1))
+        assert running.interrupt() == 0, running.said
+
+
 def test_lines_are_found() -> None:
-    assert {line.split()[0] for line in launch_lines()} == {
+    assert lines("ros2 run quadpi")
+    assert {line.split()[0] for line in lines("ros2 launch quadpi")} == {
         file.name for file in (ROOT / "launch").glob("*.launch.py")
     }
 
