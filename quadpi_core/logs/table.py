@@ -40,6 +40,7 @@ from quadpi_core.frames import (
 )
 from quadpi_core.logs.conversion import STANDARD_GRAVITY, stamps_ns, unit_attitude
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, UNITS, Mapping
+from quadpi_core.logs.parquet_pages import unpacked_bytes
 from quadpi_core.logs.unpacking import require_unpackable
 from quadpi_core.vehicle import Vehicle
 
@@ -222,11 +223,10 @@ def _read_parquet(path: Path) -> pa.Table:
         metadata = file.metadata
         groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
         rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
-        size = max(
-            rows * metadata.num_columns * _NUMBER_BYTES, sum(group.total_byte_size for group in groups)
-        )
+        content = np.memmap(path, dtype=np.uint8, mode="r")
         try:
-            require_unpackable(path.stat().st_size, size)
+            size = max(rows * metadata.num_columns * _NUMBER_BYTES, unpacked_bytes(content.data, metadata))
+            require_unpackable(len(content), size)
         except LogError as error:
             raise LogError(f"{path}: {error}") from error
         return file.read()
