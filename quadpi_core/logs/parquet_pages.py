@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much the pages of a Parquet file unpack to, by what each page says of itself.
+"""How much a Parquet file unpacks to, by its footer and by what each page says of itself.
 
-A reader takes memory for a page as large as its own header says, whatever the footer of the file says.
+A reader takes memory for a page as large as its own header says, whatever the footer says. Both are read
+here and not through pyarrow, which ends the process on some damaged footers when it is asked for a column.
 
-Source: parquet.thrift (PageHeader: field 2 is the size unpacked, 3 the size in the file), Thrift's compact
-protocol.
+Source: parquet.thrift, by whose numbers fields are named here; Thrift's compact protocol.
 """
 
 from __future__ import annotations
@@ -14,52 +14,59 @@ from typing import Any
 
 from quadpi_core.errors import LogError
 
+_MAGIC = b"PAR1"
+_ENDING = 8
+# FileMetaData, RowGroup, ColumnChunk, ColumnMetaData, PageHeader.
+_ROW_GROUPS = 4
+_COLUMNS, _ROWS = 1, 3
+_COLUMN = 3
+_PACKED_COLUMN, _DATA_PAGE, _DICTIONARY_PAGE = 7, 9, 11
 _UNPACKED, _PACKED = 2, 3
 _TRUE, _FALSE, _BYTE, _I16, _I64, _DOUBLE, _BINARY, _LIST, _SET, _STRUCT = 1, 2, 3, 4, 6, 7, 8, 9, 10, 12
-_DEPTH_MAX = 8
+_DEPTH_MAX = 12
+_NUMBER_BYTES = 8
 # Bytes of the shortest header of a page that holds something.
 _HEADER_MIN = 10
 
 
-def unpacked_bytes(data: memoryview, metadata: Any) -> int:
-    """Bytes that all pages of all columns unpack to.
-
-    Args:
-        data: of the file.
-        metadata: as pyarrow reads it.
+def unpacked_bytes(data: memoryview) -> int:
+    """Bytes that a table takes: of its pages, or of its rows as numbers, whichever is more.
 
     Raises:
-        LogError: naming the byte, for a page header that is none.
+        LogError: naming the byte, for a footer or page header that is none.
     """
-    total, pages = 0, 0
-    for group in range(metadata.num_row_groups):
-        for place in range(metadata.num_columns):
-            column = metadata.row_group(group).column(place)
-            start = column.data_page_offset
-            if column.has_dictionary_page and column.dictionary_page_offset > 0:
-                start = min(start, column.dictionary_page_offset)
-            end = start + column.total_compressed_size
-            if not 0 <= start <= end <= len(data):
-                raise LogError(f"damaged: a column from byte {start} to {end} of {len(data)}")
-            while start < end:
-                try:
-                    sizes, stop = _sizes(data, start)
-                    unpacked, packed = sizes[_UNPACKED], sizes[_PACKED]
-                except (IndexError, KeyError):
-                    raise LogError(f"damaged: the page header at byte {start} is none") from None
-                if unpacked < 0 or packed < 0:
-                    raise LogError(f"damaged: the page header at byte {start} names a negative size")
-                total += unpacked
-                start = stop + packed
-                pages += 1
-                if pages * _HEADER_MIN > len(data):
-                    raise LogError("damaged: its columns overlap")
-    return total
+    if len(data) < _ENDING or bytes(data[-len(_MAGIC) :]) != _MAGIC:
+        raise LogError("cut off, or no Parquet file: it has no footer")
+    start = len(data) - _ENDING - int.from_bytes(data[-_ENDING : -len(_MAGIC)], "little")
+    numbers, pages, count = 0, 0, 0
+    try:
+        for group in _struct(data, max(start, 0), 0)[0][_ROW_GROUPS]:
+            numbers += max(group[_ROWS], 0) * len(group[_COLUMNS]) * _NUMBER_BYTES
+            for chunk in group[_COLUMNS]:
+                column = chunk[_COLUMN]
+                start = column[_DATA_PAGE]
+                if column.get(_DICTIONARY_PAGE, 0) > 0:
+                    start = min(start, column[_DICTIONARY_PAGE])
+                end = start + column[_PACKED_COLUMN]
+                if not 0 <= start <= end <= len(data):
+                    raise LogError(f"damaged: a column from byte {start} to {end} of {len(data)}")
+                while start < end:
+                    header, stop = _struct(data, start, 0)
+                    if min(header[_UNPACKED], header[_PACKED]) < 0:
+                        raise LogError(f"damaged: the page header at byte {start} names a negative size")
+                    pages += header[_UNPACKED]
+                    count += 1
+                    if count * _HEADER_MIN > len(data):
+                        raise LogError("damaged: its columns overlap")
+                    start = stop + header[_PACKED]
+    except (IndexError, KeyError, TypeError, AttributeError):
+        raise LogError(f"damaged: the footer or page header at byte {start} is none") from None
+    return max(numbers, pages)
 
 
-def _sizes(data: memoryview, position: int) -> tuple[dict[int, int], int]:
-    """Whole numbers of a struct by their field, and where it ends."""
-    numbers: dict[int, int] = {}
+def _struct(data: memoryview, position: int, depth: int) -> tuple[dict[int, Any], int]:
+    """The values of a struct by the numbers of their fields, and where it ends."""
+    values: dict[int, Any] = {}
     field = 0
     while head := data[position]:
         position += 1
@@ -67,44 +74,41 @@ def _sizes(data: memoryview, position: int) -> tuple[dict[int, int], int]:
         field += step
         if not step:
             field, position = _number(data, position)
-        if _I16 <= kind <= _I64:
-            numbers[field], position = _number(data, position)
+        if kind in {_TRUE, _FALSE}:
+            values[field] = kind == _TRUE
         else:
-            position = _skip(data, position, kind, 0)
-    return numbers, position + 1
+            values[field], position = _value(data, position, kind, depth + 1)
+    return values, position + 1
 
 
-def _skip(data: memoryview, position: int, kind: int, depth: int) -> int:
-    """Where a value of a field ends."""
+def _value(data: memoryview, position: int, kind: int, depth: int) -> tuple[Any, int]:
+    """A value, and where it ends; of text only its length."""
     if depth > _DEPTH_MAX:
         raise IndexError
-    if kind in {_TRUE, _FALSE}:
-        return position
-    if kind == _BYTE:
-        return position + 1
+    if kind in {_TRUE, _FALSE, _BYTE}:
+        return data[position], position + 1
     if _I16 <= kind <= _I64:
-        return _number(data, position)[1]
+        return _number(data, position)
     if kind == _DOUBLE:
-        return position + 8
+        return None, position + 8
     if kind == _BINARY:
         length, position = _varint(data, position)
-        return position + length
-    if kind in {_LIST, _SET}:
-        head, position = data[position], position + 1
-        count = head >> 4
-        if count == 0xF:
-            count, position = _varint(data, position)
-        for _ in range(min(count, len(data))):
-            position = _skip(data, position, head & 0xF if head & 0xF > _FALSE else _BYTE, depth + 1)
-        return position
+        return length, position + length
     if kind == _STRUCT:
-        while head := data[position]:
-            position += 1
-            if not head >> 4:
-                _, position = _number(data, position)
-            position = _skip(data, position, head & 0xF, depth + 1)
-        return position + 1
-    raise IndexError
+        return _struct(data, position, depth)
+    if kind not in {_LIST, _SET}:
+        raise IndexError
+    head, position = data[position], position + 1
+    count = head >> 4
+    if count == 0xF:
+        count, position = _varint(data, position)
+    if count > len(data) - position:
+        raise IndexError
+    values = []
+    for _ in range(count):
+        value, position = _value(data, position, head & 0xF, depth + 1)
+        values.append(value)
+    return values, position
 
 
 def _varint(data: memoryview, position: int) -> tuple[int, int]:

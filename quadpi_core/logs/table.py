@@ -44,7 +44,6 @@ from quadpi_core.logs.parquet_pages import unpacked_bytes
 from quadpi_core.logs.unpacking import require_unpackable
 from quadpi_core.vehicle import Vehicle
 
-_NUMBER_BYTES = 8
 _GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 _log = logging.getLogger(__name__)
@@ -219,17 +218,12 @@ class _TableReader:
 
 def _read_parquet(path: Path) -> pa.Table:
     """A Parquet table, unless it unpacks to too much: one value can stand for any number of rows."""
-    with pyarrow.parquet.ParquetFile(path) as file:
-        metadata = file.metadata
-        groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
-        rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
-        content = np.memmap(path, dtype=np.uint8, mode="r")
-        try:
-            size = max(rows * metadata.num_columns * _NUMBER_BYTES, unpacked_bytes(content.data, metadata))
-            require_unpackable(len(content), size)
-        except LogError as error:
-            raise LogError(f"{path}: {error}") from error
-        return file.read()
+    content = np.memmap(path, dtype=np.uint8, mode="r")
+    try:
+        require_unpackable(len(content), unpacked_bytes(content.data))
+    except LogError as error:
+        raise LogError(f"{path}: not a readable parquet table: {error}") from error
+    return pyarrow.parquet.read_table(path)
 
 
 def _load_table(path: Path) -> pa.Table:
