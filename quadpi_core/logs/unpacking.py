@@ -99,7 +99,7 @@ def zstd_size(data: bytes | memoryview, most: int) -> int:
 
 
 def _unzstd(data: bytes | memoryview, most: int) -> Iterator[bytes]:
-    """The content of Zstandard frames block by block, up to one byte beyond `most` or to where they are cut."""
+    """The content of Zstandard frames by blocks, up to one byte beyond `most` or to where they are cut."""
     unread = memoryview(data)
     frames = _FRAMES_MAX + len(data) // _FRAME_BYTES
     for _ in range(frames):

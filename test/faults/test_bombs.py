@@ -196,7 +196,7 @@ def test_frames_of_zstandard_follow_each_other():
 
 @pytest.mark.parametrize("table", ["schema", "metadata", "topics", "message_definitions", "messages"])
 def test_a_database_that_counts(tmp_path, table):
-    """A view may have no end: rows that nobody stored are counted, sorted and grouped as the bag is opened."""
+    """A view may have no end: rows that nobody stored are counted and grouped as the bag is opened."""
     folder = tmp_path / "bag"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         writer.write(writer.add_connection("/imu", messages.IMU, typestore=typestore()), 1, bytes(8))
@@ -211,7 +211,7 @@ def test_a_database_that_counts(tmp_path, table):
 
 @pytest.mark.parametrize("frame", [struct.pack("<II", 0x184D2A50, 0), zstd.compress(b"")])
 def test_frames_of_nothing(frame):
-    """Each takes far longer to begin than its few bytes to read, and left the rest to be copied for the next."""
+    """Each takes far longer to begin than its few bytes to read, and left the rest to be copied."""
     with pytest.raises(LogError, match=r"more than \d+ frames of Zstandard in"):
         unzstd(frame * 2**16, 0)
     with pytest.raises(LogError, match=r"more than \d+ frames of Zstandard in"):
