@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +14,44 @@ import pytest
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+from std_msgs.msg import String
 
 from quadpi_core.flight import ImuStream, PoseStream, Recording
 from quadpi_core.logs import messages
+from quadpi_ros import sensor_node
+from quadpi_ros.lifecycle import start
+from quadpi_ros.parameters import parameter
 from quadpi_ros.processes import Child
+from quadpi_ros.runtime import TRANSFORMS_QOS
+from quadpi_ros.sensor_node import SensorNode
 
+from ..core.logs.test_frame_ids import BACKWARD, PLACE, transforms
 from .rig import Rig, arguments, values_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """As the nodes have them."""
+
+    autostart: bool = parameter(True, "at the start")
+
+
+class Hearing(SensorNode[Parameters]):
+    """Hears static transforms."""
+
+    def configure(self) -> None:
+        """As the estimator does."""
+        self.body = self.frames_of("base_link", "warn")
+
+    def activate(self) -> None:
+        """As the estimator does."""
+        self.hear_transforms(self.body)
+
 
 LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]])
 
@@ -45,3 +77,38 @@ def test_other_frames_are_refused_with_their_reason(folder: Path, hover: Recordi
         finally:
             rig.close()
         assert not nodes.finished()
+
+
+@pytest.mark.usefixtures("ros")
+def test_static_transforms_that_were_sent_before_are_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their package is pretended by another type: what travels is the bytes."""
+    monkeypatch.setattr(sensor_node, "message_class", lambda _: String)
+    sender = Node("sender")
+    sent = transforms(("base_link", "imu_link", BACKWARD, PLACE))
+    sender.create_publisher(String, "/tf_static", TRANSFORMS_QOS).publish(sent)
+    node = Hearing("hearing", Parameters)
+    start([node])
+    deadline = time.monotonic() + 20.0
+    while not node.body.transforms.changes:
+        assert time.monotonic() < deadline
+        rclpy.spin_once(node, timeout_sec=0.1)
+    moved = node.body.imu(("imu_link",))
+    assert moved is not None
+    np.testing.assert_allclose(moved.arm, np.array(PLACE) * [1.0, -1.0, -1.0])
+    for one in (node, sender):
+        one.destroy_node()
+
+
+def test_without_the_package_of_static_transforms_the_reason_is_said(
+    ros: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del ros
+    if importlib.util.find_spec("tf2_msgs"):
+        pytest.skip("tf2_msgs is installed")
+    node = Hearing("hearing", Parameters)
+    start([node])
+    told: list[str] = []
+    monkeypatch.setattr(node, "warn", lambda _, text: told.append(text))
+    assert node.body.imu(("imu_link",)) is None
+    assert "/tf_static is not heard: tf2_msgs/msg/TFMessage: the package tf2_msgs" in told[0]
+    node.destroy_node()
