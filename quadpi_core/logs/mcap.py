@@ -10,6 +10,7 @@ in memory, only the chunks whose messages belong to one block.
 from __future__ import annotations
 
 import heapq
+import os
 import re
 import sqlite3
 import zlib
@@ -56,6 +57,7 @@ _LENGTH_64 = np.dtype("<u8")
 _METADATA_FILE = "metadata.yaml"
 # What a message takes beside its bytes.
 _ENTRY_BYTES = 100
+_NO_RECORDS: Indices = np.empty((0, 3), dtype=np.int64)
 # That of a recording of a day, split every minute, is smaller.
 _METADATA_BYTES_MAX = 2**20
 # So many messages of all topics make a block: 10 s of a flight at 500 Hz, a few MB in all that is made of it.
@@ -287,11 +289,13 @@ class Bag:
         order = sorted(range(len(sections)), key=lambda place: sections[place][0].first_ns)
         limits = [*(sections[place][0].first_ns for place in order[1:]), _END_NS][: len(order)]
         with ExitStack() as stack:
-            files = {section.file: stack.enter_context(section.file.open("rb")) for section, _ in sections}
+            files = {
+                file: _Sections(stack.enter_context(file.open("rb")))
+                for file in {section.file for section, _ in sections}
+            }
             for place, limit_ns in zip(order, limits, strict=True):
                 section, storage = sections[place]
-                data = _records_of(files[section.file], section)
-                records = find_records(data)
+                data, records = files[section.file].read(section)
                 _check_whole(records, data)
                 topics = list(_split(data, records, channels[id(storage)], types, head))
                 if any(topic.log_time_ns[0] < section.first_ns for topic in topics):
@@ -446,8 +450,9 @@ def _survey_mcap(file: Path) -> _Survey:
     if not {SCHEMA, STATISTICS} <= indexed:
         # Without them rosbags unpacks every chunk, whatever its size.
         with file.open("rb") as stream:
+            unread = _Sections(stream)
             for section in survey.sections:
-                _records_of(stream, section)
+                unread.read(section)
     return survey
 
 
@@ -455,16 +460,32 @@ def _whole_messages(file: Path) -> int:
     """Messages in a cut file that are whole, in chunks or not."""
     count = 0
     with file.open("rb") as stream:
+        sections = _Sections(stream)
         for section in _find_sections(file, file.stat().st_size).sections:
             with suppress(Exception):  # a damaged chunk holds no whole message
-                count += len(find_records(_records_of(stream, section)).of(MESSAGE)[0])
+                count += len(sections.read(section)[1].of(MESSAGE)[0])
     return count
 
 
-def _records_of(stream: BinaryIO, section: _Section) -> Bytes:
-    """The message records of a section, and what lies between them."""
-    data = np.frombuffer(_read_at(stream, section.start, section.length), dtype=np.uint8)
-    return _decompressed(data) if section.is_chunk else data
+class _Sections:
+    """The sections of a file to read; all their records together are held against the limit of unpacking.
+
+    A record of nothing takes nine bytes of a chunk, and many times as much where it is looked at.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._file_bytes = os.fstat(stream.fileno()).st_size
+        self._records = 0
+
+    def read(self, section: _Section) -> tuple[Bytes, Records]:
+        """The message records of a section and what lies between them: their bytes, and where each is."""
+        data = np.frombuffer(_read_at(self._stream, section.start, section.length), dtype=np.uint8)
+        if section.is_chunk:
+            data = _decompressed(data)
+        self._records += _walk(data, 0, _NO_RECORDS)[0]
+        require_unpackable(self._file_bytes, _ENTRY_BYTES * self._records)
+        return data, find_records(data)
 
 
 def _unpacked_message(message: bytes) -> bytes:
@@ -641,14 +662,18 @@ def join_topics(parts: Sequence[Topic]) -> Topic:
 
 def find_records(data: Bytes, start: int = 0) -> Records:
     """Walk over the records of `data` from `start` up to the first that is not whole."""
-    records, stop = _walk(data, start)
+    records = np.empty((_walk(data, start, _NO_RECORDS)[0], 3), dtype=np.int64)
+    _, stop = _walk(data, start, records)
     return Records(records[:, 0], records[:, 1], records[:, 2], stop)
 
 
 @njit(cache=True)
-def _walk(data: Bytes, start: int) -> tuple[Indices, int]:
-    """Opcode, start and length of each record, and the position after the last."""
-    records = np.empty((256, 3), dtype=np.int64)
+def _walk(data: Bytes, start: int, records: Indices) -> tuple[int, int]:
+    """Fill rows with opcode, start and length of each record, as many as there is room for.
+
+    Returns:
+        How many records there are, and the position after the last.
+    """
     count, position = 0, start
     while position + RECORD_PREFIX <= len(data):
         length = 0
@@ -656,16 +681,13 @@ def _walk(data: Bytes, start: int) -> tuple[Indices, int]:
             length |= int(data[position + 1 + place]) << (8 * place)
         if length < 0 or length > len(data) - position - RECORD_PREFIX:
             break
-        if count == len(records):
-            longer = np.empty((2 * count, 3), dtype=np.int64)
-            longer[:count] = records
-            records = longer
-        records[count, 0] = data[position]
-        records[count, 1] = position + RECORD_PREFIX
-        records[count, 2] = length
+        if count < len(records):
+            records[count, 0] = data[position]
+            records[count, 1] = position + RECORD_PREFIX
+            records[count, 2] = length
         count += 1
         position += RECORD_PREFIX + length
-    return records[:count], position
+    return count, position
 
 
 def _check_whole(records: Records, data: Bytes) -> None:

@@ -71,6 +71,18 @@ def test_chunk_of_a_bag(bombs, tmp_path, compression, announced):
         read_recording(path, None)
 
 
+def test_chunk_of_empty_records(tmp_path):
+    """Each takes a few bytes of a chunk, and many times as much where it is looked at."""
+    path = tmp_path / "bomb.mcap"
+    chunk = record(0, b"") * 2**22
+    path.write_bytes(bag_of(zstd.compress(chunk), "zstd", len(chunk)))
+    with (
+        refusing(path),
+        pytest.raises(LogError, match=r"unpacks to \d+ MiB or more, beyond the limit of 256"),
+    ):
+        read_bag(path)
+
+
 @pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
 def test_bag_in_a_folder(monkeypatch, tmp_path, mode):
     monkeypatch.setenv(LIMIT_VARIABLE, "32")
