@@ -111,7 +111,8 @@ class Mapping:
 
 def _signal(where: str, name: str, data: Any) -> Signal:
     choices: dict[str, tuple[str, ...]] = _CHOICES.get(name, {})
-    is_quaternion = name in _ATTITUDES and isinstance(data, dict) and data.get("form") in QUATERNION_ORDERS
+    form = data.get("form") if isinstance(data, dict) else None
+    is_quaternion = name in _ATTITUDES and isinstance(form, str) and form in QUATERNION_ORDERS
     units = () if is_quaternion else ("unit",)
     _check_keys(where, data, ("columns", *units, *choices), ("missing",))
     count = 4 if is_quaternion else _COLUMN_COUNT.get(name, 3)

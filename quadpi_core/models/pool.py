@@ -23,7 +23,9 @@ from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.models.regressors import (
     CONSTANT,
+    DEGREE_MAX,
     Regressor,
+    monomial_degree,
     monomial_product,
     parse_monomial,
     unique_regressors,
@@ -87,6 +89,9 @@ def expand_family(text: str) -> list[Regressor]:
         raise ModelError(f"candidates {text!r}: {error}") from error
     degree = int(match["degree"])
     count = len(factors) * (math.comb(len(variables) + degree, degree) - 1)
+    highest = degree * max(map(monomial_degree, variables)) + max(map(monomial_degree, factors))
+    if highest > DEGREE_MAX:
+        raise ModelError(f"candidates {text!r}: the degree of a regressor is {highest}, beyond {DEGREE_MAX}")
     if count > _FAMILY_MAX:
         raise ModelError(f"candidates {text!r}: {count} regressors; a family may have {_FAMILY_MAX}")
     return [

@@ -28,6 +28,8 @@ Monomial: TypeAlias = tuple[tuple[str, int, int], ...]
 CONSTANT: Monomial = ()
 # Samples evaluated at a time, so that the rows in between stay in the cache.
 _BLOCK = 1024
+# No number to a higher power says anything of a flight.
+DEGREE_MAX = 100
 _FACTOR = re.compile(
     r"\|(?P<absolute>\w+)\|(?:\^(?P<absolute_power>\d+))?|(?P<plain>\w+)(?:\^(?P<power>\d+))?"
 )
@@ -82,6 +84,7 @@ def parse_monomial(text: str) -> Monomial:
         ModelError: naming the text, for an unknown input or broken syntax.
     """
     factors: list[Monomial] = []
+    degree = 0
     for part in map(str.strip, re.split(r"[*·]", text)):
         if part in {"1", "bias"}:
             continue
@@ -91,12 +94,19 @@ def parse_monomial(text: str) -> Monomial:
             raise ModelError(
                 f"regressor {text.strip()!r}: unknown factor {part!r}; inputs: {', '.join(INPUT_NAMES)}"
             )
-        if match["absolute"]:
-            power = int(match["absolute_power"] or 1)
-            factors.append(monomial_product(*[((name, 0, 1),)] * power))
-        else:
-            factors.append(((name, int(match["power"] or 1), 0),))
+        digits = match["absolute_power"] or match["power"] or "1"
+        power = int(digits) if len(digits) <= len(str(DEGREE_MAX)) else DEGREE_MAX + 1
+        degree += power
+        if degree > DEGREE_MAX:
+            raise ModelError(f"regressor {text.strip()!r}: its degree is beyond {DEGREE_MAX}")
+        absolute = bool(match["absolute"])
+        factors.append(monomial_product(*[((name, 0, 1),)] * power) if absolute else ((name, power, 0),))
     return monomial_product(*factors)
+
+
+def monomial_degree(monomial: Monomial) -> int:
+    """How many factors it has."""
+    return sum(power + absolute for _, power, absolute in monomial)
 
 
 def format_monomial(monomial: Monomial) -> str:

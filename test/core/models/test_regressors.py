@@ -136,3 +136,25 @@ def test_inputs_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     program = RegressorProgram.compile([Regressor.parse("u*w")])
     with pytest.raises(ModelError, match="shape"):
         program.evaluate(np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    "text", ["u^101", "|u|^999999999", "u^60*v^60", "*".join(["w"] * 101), f"u^{'9' * 5000}"]
+)
+def test_a_degree_without_bound_is_refused(text):
+    assert Regressor.parse("u^100").parts
+    with pytest.raises(ModelError, match="its degree is beyond 100"):
+        Regressor.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("family", "message"),
+    [
+        ("P^99(u, v, w, p, q, r)", r"\d+ regressors; a family may have 20000|beyond"),
+        ("P^20(u, v, w, p, q, r)", r"\d+ regressors; a family may have 20000"),
+        ("P^50(u^3)", "the degree of a regressor is 150, beyond 100"),
+    ],
+)
+def test_a_family_without_bound_is_refused(family, message):
+    with pytest.raises(ModelError, match=message):
+        CandidatePool.parse([], [family])
