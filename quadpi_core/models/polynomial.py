@@ -17,6 +17,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.gram import Gram, flight_grams, sum_grams
 from quadpi_core.models.pool import CandidatePool
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
+from quadpi_core.models.robust import huber
 from quadpi_core.models.rules import (
     AnyRule,
     HeldOutRule,
@@ -129,7 +130,8 @@ class StepwisePolynomial:
 
     The defaults deviate from the paper because its residuals are neither independent nor from new flights:
     it stops by the predicted square error and takes σ_e² from the training residuals with N − 2 degrees of
-    freedom. :meth:`paper` gives those settings.
+    freedom, of plain least squares, where the default bounds the influence of samples far off (see
+    :func:`quadpi_core.models.robust.huber`). :meth:`paper` gives those settings.
 
     Attributes:
         fitted_: the identified :class:`FittedPolynomial`.
@@ -208,10 +210,13 @@ class StepwisePolynomial:
         grams = flight_grams(program, X, y, flights)
         active, self.steps_ = self._select(grams, self._settings)
         gram = sum_grams(grams)
-        coefficients, whitening = fit_coefficients(gram, active)
         chosen = tuple(regressors[k] for k in active)
+        Z = RegressorProgram.compile(chosen).evaluate(X)
+        coefficients, whitening = fit_coefficients(gram, active)
+        if self.noise != "residual":
+            coefficients, whitening = huber(Z, y, coefficients, whitening)
         rule: AnyRule
-        error, leverage = _errors(chosen, coefficients, whitening, X, y)
+        error, leverage = y - Z @ coefficients, leverage_of(Z, whitening)
         speed = squared_speed(X)
         if self.noise == "residual":
             freedom = float(len(y) - 2)
@@ -310,8 +315,11 @@ class StepwisePolynomial:
             rest = grams[:left_out] + grams[left_out + 1 :]
             active, _ = self._select(rest, settings)
             chosen = tuple(regressors[k] for k in active)
-            error, leverage = _errors(chosen, *fit_coefficients(sum_grams(rest), active), X, y)
             mine = flights == left_out
+            Z = RegressorProgram.compile(chosen).evaluate(X)
+            fitted = fit_coefficients(sum_grams(rest), active)
+            coefficients, whitening = huber(Z[~mine], y[~mine], *fitted)
+            error, leverage = y - Z @ coefficients, leverage_of(Z, whitening)
             inside = inside_range(X[mine], of=X[~mine])
             others = [
                 (leverage[rows], squared_speed(X[rows]))
@@ -346,14 +354,6 @@ def _finite_inputs(X: Array) -> Array:
         sample, column = np.argwhere(~np.isfinite(X))[0]
         raise ModelError(f"sample {sample}: input {INPUT_NAMES[column]} is not finite")
     return X
-
-
-def _errors(
-    regressors: tuple[Regressor, ...], coefficients: Array, whitening: Array, X: Array, y: Array
-) -> tuple[Array, Array]:
-    """Errors (N,) and leverages (N,)."""
-    Z = RegressorProgram.compile(regressors).evaluate(X)
-    return y - Z @ coefficients, leverage_of(Z, whitening)
 
 
 def _fit_columns(step: SelectionStep) -> dict[str, float]:
