@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,8 @@ FLIGHT_MAX_NS = 2 * _DAY_NS
 VALUE_MAX = 1e6
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
+_SomeStream = TypeVar("_SomeStream", bound="Stream")
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -45,6 +47,10 @@ class Stream:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def take(self: _SomeStream, rows: slice | npt.NDArray[Any]) -> _SomeStream:
+        """The samples in a range, at indices, or that a mask (N,) selects."""
+        return type(self)(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def require_samples(self, source: str) -> None:
         """Refuse an empty stream.

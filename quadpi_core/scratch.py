@@ -91,7 +91,7 @@ def _clear(place: Path) -> None:
     _cleared.add(resolved)
     with suppress(OSError):
         for folder in _scratch_folders(resolved):
-            # What is another user's, or gone meanwhile, is not ours to remove.
+            # It may be gone meanwhile.
             with suppress(OSError):
                 _remove_if_left(folder)
 
@@ -103,7 +103,9 @@ def _scratch_folders(place: Path) -> list[Path]:
 
 
 def _remove_if_left(folder: Path) -> None:
-    if folder.is_symlink() or not {path.name for path in folder.iterdir()} <= {_LOCK, MADE, REPLACED}:
+    if folder.is_symlink() or folder.stat().st_uid != os.geteuid():
+        return
+    if not {path.name for path in folder.iterdir()} <= {_LOCK, MADE, REPLACED}:
         return
     lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     try:

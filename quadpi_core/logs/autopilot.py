@@ -45,8 +45,7 @@ def usable(source: str, stream: _AnyStream) -> _AnyStream | None:
     Autopilots log a sample twice now and then, or stamp in milliseconds faster than that. None if nothing is
     left.
     """
-    columns = [getattr(stream, column.name) for column in fields(stream)]
-    finite = finite_rows(*columns)
+    finite = finite_rows(*(getattr(stream, column.name) for column in fields(stream)))
     kept = np.flatnonzero(finite)
     kept = kept[_rises(stream.time_ns[kept])]
     for dropped, reason in (
@@ -55,7 +54,7 @@ def usable(source: str, stream: _AnyStream) -> _AnyStream | None:
     ):
         if dropped:
             note(source, f"topic {stream.topic}: dropped {dropped} of {len(stream)} samples {reason}")
-    return type(stream)(*(values[kept] for values in columns)) if len(kept) else None
+    return stream.take(kept) if len(kept) else None
 
 
 def _rises(time_ns: Stamps) -> npt.NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,6 @@ BLOCK_SAMPLES = 4096
 _END_NS = 2**63 - 1
 # A column that is joined of parts has room for this share more, so that it need not grow with each.
 _ROOM_SHARE = 16
-
-_Some = TypeVar("_Some", bound=Stream)
 
 
 def join_blocks(blocks: Iterable[Recording]) -> Recording:
@@ -94,9 +92,9 @@ def split_recording(recording: Recording) -> Iterator[Recording]:
         # The last block is of what came after the last IMU sample.
         stop = min(start + BLOCK_SAMPLES, count) if start < count else count + 1
         rows = {name: slice(*np.searchsorted(counts[name], (start, stop)).tolist()) for name in others}
-        streams: dict[str, Any] = {name: _take(others[name], orders[name][rows[name]]) for name in others}
+        streams: dict[str, Any] = {name: others[name].take(orders[name][rows[name]]) for name in others}
         arrivals = {others[name].topic: counts[name][rows[name]] - start for name in others}
-        yield replace(recording, imu=_take(recording.imu, slice(start, stop)), **streams, arrivals=arrivals)
+        yield replace(recording, imu=recording.imu.take(slice(start, stop)), **streams, arrivals=arrivals)
 
 
 def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
@@ -111,7 +109,7 @@ def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
         part: dict[str, Any] = {}
         for name, stream in streams.items():
             stop = int(np.searchsorted(stream.time_ns, end_ns))
-            part[name] = _take(stream, slice(starts[name], stop))
+            part[name] = stream.take(slice(starts[name], stop))
             starts[name] = stop
         yield replace(recording, **part, arrivals={}), end_ns
 
@@ -119,7 +117,7 @@ def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
 def _in_order(stream: Stream) -> Stream:
     """The stream sorted by its stamps; itself where it is, which is the rule."""
     if np.any(stream.time_ns[1:] < stream.time_ns[:-1]):
-        return _take(stream, np.argsort(stream.time_ns, kind="stable"))
+        return stream.take(np.argsort(stream.time_ns, kind="stable"))
     return stream
 
 
@@ -145,13 +143,13 @@ def _cut(block: Recording) -> tuple[Recording, Recording]:
     others = {name: stream for name, stream in _streams(block).items() if name != "imu"}
     counts = {name: block.arrivals_of(stream) for name, stream in others.items()}
     places = {name: int(np.searchsorted(counts[name], count)) for name in others}
-    due: dict[str, Any] = {name: _take(others[name], slice(0, places[name])) for name in others}
-    rest: dict[str, Any] = {name: _take(others[name], slice(places[name], None)) for name in others}
+    due: dict[str, Any] = {name: others[name].take(slice(0, places[name])) for name in others}
+    rest: dict[str, Any] = {name: others[name].take(slice(places[name], None)) for name in others}
     return (
         replace(block, **due, arrivals={others[name].topic: counts[name][: places[name]] for name in others}),
         replace(
             block,
-            imu=_take(block.imu, slice(count, None)),
+            imu=block.imu.take(slice(count, None)),
             **rest,
             arrivals={others[name].topic: counts[name][places[name] :] - count for name in others},
         ),
@@ -165,7 +163,3 @@ def _streams(recording: Recording) -> dict[str, Stream]:
         for column in fields(recording)
         if isinstance(stream := getattr(recording, column.name), Stream)
     }
-
-
-def _take(stream: _Some, rows: slice | npt.NDArray[np.int64]) -> _Some:
-    return type(stream)(*(getattr(stream, column.name)[rows] for column in fields(stream)))

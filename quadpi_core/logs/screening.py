@@ -9,8 +9,8 @@ two samples far from those before and after them. The live path cannot know what
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,8 +49,6 @@ _SPIKE_RATE_RAD_S, _SPIKE_FORCE_M_S2 = 5.0, 20.0
 _SPIKE_POSITION_M, _SPIKE_VELOCITY_M_S = 0.5, 5.0
 _SPIKE_ROTOR_SHARE = 0.2
 _SPIKE_NOISES, _SPIKE_NOISE_PERCENTILE = 20.0, 80.0
-
-_Stream = TypeVar("_Stream", bound=Stream)
 
 
 class Beyond(NamedTuple):
@@ -91,14 +89,16 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
         vehicle: that flew; without one rotor speeds are not judged.
     """
     kept: dict[str, Any] = {}
+    said: list[LeftOut] = []
     arrivals = dict(recording.arrivals)
     for name in ("imu", "rotor_speeds", "pose", "twist", "odometry", "wind"):
         stream: Stream | None = getattr(recording, name)
-        outliers = [] if stream is None else [found for found, _ in _outliers(recording, stream, vehicle)]
+        outliers = [] if stream is None else list(_outliers(recording, stream, vehicle))
         if stream is None or not outliers:
             continue
-        usable = ~np.any([found.samples for found in outliers], axis=0)
-        kept[name] = _only(stream, usable)
+        said += (what for _, what in outliers)
+        usable = ~np.any([found.samples for found, _ in outliers], axis=0)
+        kept[name] = stream.take(usable)
         if stream.topic in arrivals and len(arrivals[stream.topic]) == len(stream):
             arrivals[stream.topic] = arrivals[stream.topic][usable]
         if stream is recording.imu:
@@ -106,7 +106,7 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
             arrivals = {topic: count - lost[count] for topic, count in arrivals.items()}
     if not kept:
         return recording
-    quality = replace(recording.quality, left_out=tuple(left_out(recording, vehicle)))
+    quality = replace(recording.quality, left_out=tuple(said))
     return replace(recording, quality=quality, arrivals=arrivals, **kept)
 
 
@@ -219,8 +219,3 @@ def _spikes(values: Array, least: float) -> npt.NDArray[np.bool_]:
         noise = np.percentile(off, _SPIKE_NOISE_PERCENTILE, axis=0)
         spikes[known] = np.any(off > np.maximum(least, _SPIKE_NOISES * noise), axis=1)
     return spikes
-
-
-def _only(stream: _Stream, samples: npt.NDArray[np.bool_]) -> _Stream:
-    names = [column.name for column in fields(stream)]
-    return replace(stream, **{name: getattr(stream, name)[samples] for name in names})

@@ -138,6 +138,16 @@ def test_what_only_looks_alike_stays(tmp_path):
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_a_folder_of_another_user_stays(tmp_path, monkeypatch):
+    """Also for who may remove it: its owner could put a link in its place meanwhile."""
+    (tmp_path / ".quadpi.abcd_123").mkdir()
+    own = os.geteuid()
+    monkeypatch.setattr(scratch.os, "geteuid", lambda: own + 1)
+    with scratch_folder(tmp_path):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == [".quadpi.abcd_123"]
+
+
 def test_a_file_system_without_locks_is_left_alone(tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError("no locks available")
