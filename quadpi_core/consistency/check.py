@@ -42,8 +42,8 @@ _FOLLOWS, _ORDER_GAIN, _OPPOSES = 0.35, 0.5, -0.3
 _INERTIA_RATIO = 1.35
 # A rotor that reads low leaves roll, pitch and yaw unbalanced alike. Rotors of real flights differ by 5 %.
 _ROTOR_LOW, _ROTOR_LEFT = 0.07, 0.35
-# Thrust coefficient over that of the vehicle file: flying through air lowers it by up to a quarter.
-_THRUST_RATIO = (0.65, 1.18)
+# Thrust coefficient over that of the vehicle file. Flying through air lowers it: at 16 m/s to half.
+_THRUST_RATIO = (0.4, 1.18)
 
 
 def checked(recording: Recording, vehicle: Vehicle) -> Recording:

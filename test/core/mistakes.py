@@ -141,6 +141,6 @@ MISTAKES = {
     "one rotor low": Mistake(rotors(factor=np.array([1.0, 1.0, 0.9, 1.0])), "one rotor"),
     "inertia twice": Mistake(vehicle(inertia=lambda i: 2.0 * i), "inertia"),
     "mass twice": Mistake(vehicle(mass_kg=lambda m: 2.0 * m), "thrust"),
-    "mass half": Mistake(vehicle(mass_kg=lambda m: 0.5 * m), "thrust"),
+    "mass half": Mistake(vehicle(mass_kg=lambda m: 0.5 * m), "inertia"),
     "pole pairs 7 for 6": Mistake(rotors(factor=6 / 7), "thrust"),
 }
