@@ -28,7 +28,7 @@ from quadpi_core.logs.frame_ids import Framed
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
-from quadpi_core.monitor.pairing import CAPACITY, TIMEOUT_S, Pairing
+from quadpi_core.monitor.pairing import CAPACITY, TIMEOUT_S, Pairing, first_known
 from quadpi_core.monitor.silence import WATCH_S, Silence
 from quadpi_core.paths import resolved_below
 from quadpi_core.signals.imu_rate import ImuRate
@@ -256,9 +256,12 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._pairing.add_wind(int(wind.time_ns[0]), wind.velocity[0])
 
     def _advance(self) -> None:
-        samples = self._pairing.take()
-        if self._pairing.rate is not self._rate:
+        rate = self._pairing.rate
+        if rate is not self._rate:
+            if first_known(self._rate, rate):
+                self._pairing.begin_with_newest()
             self._follow_rate()
+        samples = self._pairing.take()
         if samples is None or self._rate.begins:
             return
         predicted_ns = self._results.take(samples)

@@ -201,6 +201,13 @@ class Pairing:
         """Take one sample of the wind (3,) m/s in the world."""
         _add_to(*self._tracks, WIND_TOPIC, time_ns, velocity)
 
+    def begin_with_newest(self) -> None:
+        """Forget the IMU samples that wait, but for the newest: see :func:`first_known`."""
+        oldest, count, _ = self._tracks.places[IMU].tolist()
+        if count > 1:
+            self._tracks.places[IMU, _OLDEST] = (oldest + count - 1) % self._tracks.time_ns.shape[1]
+            self._tracks.places[IMU, _COUNT] = 1
+
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
         count = _take_from(*self._tracks, self._timeout_ns, self._taken_ns, self._taken)
@@ -230,7 +237,11 @@ class Pairing:
         begins = [(0, CONTINUES, before)]
         for (place, begin, lost), span_ns in zip(breaks[:count].tolist(), spans_ns.tolist(), strict=False):
             begins.append((place, begin, ImuRate.of_span(span_ns, self._given_hz, bool(lost))))
-        for (start, begin, rate), (stop, *_) in pairwise([*begins, (arriving.kind.size, CONTINUES, before)]):
+        end = (arriving.kind.size, CONTINUES, before)
+        for (start, begin, rate), (stop, *_) in pairwise([*begins, end]):
+            if first_known(before, rate):
+                self._tracks.places[IMU, _COUNT] = 0
+            before = rate
             if start == stop and len(begins) > 1:
                 continue
             own = arriving._replace(kind=arriving.kind[start:stop], row=arriving.row[start:stop])
@@ -242,6 +253,15 @@ class Pairing:
             known = states.stop
             stretches.append(Stretch(begin, rate, samples, states, self.settled_ns))
         return stretches
+
+
+def first_known(before: ImuRate, rate: ImuRate) -> bool:
+    """Whether the rate of the IMU has just become known, for the first time.
+
+    Samples are used from that one on. Whether those that wait were completed before depends on which topic
+    arrived first, and predictions must not.
+    """
+    return before.begins and not rate.begins
 
 
 class Stretch(NamedTuple):
