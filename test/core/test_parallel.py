@@ -18,8 +18,12 @@ import pytest
 from quadpi_core import parallel
 from quadpi_core.errors import LogError
 from quadpi_core.parallel import ParallelError, map_files, map_tasks
+from quadpi_core.paths import bags_directory
 
 pytestmark = pytest.mark.slow
+
+ROOT = Path(parallel.__file__).parents[1]
+BAGS = ("extrapolation", "interpolation")
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +185,7 @@ def test_processes_beside_end_with_a_run_that_is_killed(tmp_path):
         "if __name__ == '__main__':\n"
         "    map_tasks(wait, [1, 2], shared=None, workers=2)\n"
     )
-    environment = os.environ | {"PYTHONPATH": str(Path(parallel.__file__).parents[1])}
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
         [sys.executable, script], stdout=subprocess.PIPE, text=True, env=environment
     ) as run:
@@ -190,6 +194,18 @@ def test_processes_beside_end_with_a_run_that_is_killed(tmp_path):
         # The pipe ends with the last process that holds it.
         assert run.stdout.read() == ""
     assert not any(Path(f"/proc/{worker}/cmdline").is_file() and alive(worker) for worker in workers)
+
+
+def test_the_program_that_colcon_installs_has_workers(tmp_path):
+    """Each worker reads the file of the program that began it."""
+    program, bags = ROOT / "tools" / "quadpi", [bags_directory() / f"{name}.mcap" for name in BAGS]
+    subprocess.run(
+        [sys.executable, program, "import", *bags, "--vehicle", "bebop2", "--workers", "2", "-o", tmp_path],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        check=True,
+        capture_output=True,
+    )
+    assert {bag.name for bag in bags} == {path.name for path in tmp_path.iterdir()}
 
 
 def alive(process):
