@@ -30,8 +30,9 @@ SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap
 OUTPUTS = ("odometry", "prediction", "extrapolation_alarm", "alarm_log")
 
 # Parameters that have a launch argument, by program; those in one process share theirs.
-_ESTIMATOR = ("vehicle", "imu_rate_hz", "mocap_topic", "adapters", "world_frame", "body_frame", "autostart")
-_MONITOR = ("vehicle", "model", "imu_rate_hz", "rotor_topic", "adapters", "body_frame", "autostart")
+_BOTH = ("vehicle", "imu_rate_hz", "adapters", "body_frame", "frames", "autostart")
+_ESTIMATOR = (*_BOTH, "mocap_topic", "world_frame")
+_MONITOR = (*_BOTH, "model", "rotor_topic")
 NODE_PARAMETERS = {
     "live": tuple(dict.fromkeys(_ESTIMATOR + _MONITOR)),
     "estimator_node": _ESTIMATOR,
@@ -96,6 +97,7 @@ def monitor_arguments(respawn: bool) -> tuple[Argument, ...]:
         Argument("adapters", f"how messages of other packages are read{of_the_file}", ""),
         Argument("body_frame", f"frame_id of the body{of_the_file}", ""),
         Argument("world_frame", f"frame_id of the world{of_the_file}", ""),
+        Argument("frames", f"strict: refuse an IMU in a frame that no transform places{of_the_file}", ""),
         *(Argument(argument_of(topic), f"name of the topic {topic}", topic) for topic in SENSORS + OUTPUTS),
     )
 
