@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
+from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
+from quadpi_core.models.gram import Gram
+from quadpi_core.models.selection import fit_coefficients
 
 # Residuals up to so many deviations count in full (Huber's k). Of normal ones two in a thousand million are
 # beyond, so that nothing is lost where there is nothing wild: the efficiency is 1 to eight digits.
@@ -30,7 +32,7 @@ def huber(Z: Array, y: Array, coefficients: Array, whitening: Array) -> tuple[Ar
         whitening: see :func:`quadpi_core.models.selection.fit_coefficients`.
 
     Raises:
-        numpy.linalg.LinAlgError: if the regressors are linearly dependent but for wild samples.
+        ModelError: if the regressors are linearly dependent but for wild samples.
     """
     residual = y - Z @ coefficients
     for _ in range(_ITERATIONS):
@@ -38,12 +40,15 @@ def huber(Z: Array, y: Array, coefficients: Array, whitening: Array) -> tuple[Ar
         bound = TUNING * _MAD * float(np.median(size))
         if bound == 0.0 or not np.any(size > bound):
             break
-        weighted = Z * np.minimum(1.0, bound / np.maximum(size, bound))[:, np.newaxis]
-        matrix = weighted.T @ Z
-        scale = 1.0 / np.sqrt(np.diag(matrix))
-        factor = np.linalg.cholesky(matrix * np.outer(scale, scale))
-        whitening = solve_triangular(factor, np.diag(scale), lower=True)
-        coefficients = whitening.T @ (whitening @ (weighted.T @ y))
+        weights = bound / np.maximum(size, bound)
+        weighted = Z * weights[:, np.newaxis]
+        gram = Gram(weighted.T @ Z, weighted.T @ y, float((weights * y) @ y), len(y))
+        try:
+            coefficients, whitening = fit_coefficients(gram, list(range(Z.shape[1])))
+        except np.linalg.LinAlgError as error:
+            raise ModelError(
+                f"the terms of the model differ in wild samples alone, with residuals up to {size.max():.3g}"
+            ) from error
         before, residual = residual, y - Z @ coefficients
         if np.max(np.abs(residual - before)) < _CHANGE * bound / TUNING:
             break

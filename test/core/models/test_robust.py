@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.errors import ModelError
 from quadpi_core.models.gram import Gram
 from quadpi_core.models.robust import TUNING, huber
 from quadpi_core.models.selection import fit_coefficients
@@ -50,3 +51,12 @@ def test_an_exact_fit_has_no_scale(samples):
     exact = Z @ TRUE
     coefficients, _ = huber(Z, exact, TRUE, np.eye(3))
     np.testing.assert_array_equal(coefficients, TRUE)
+
+
+def test_terms_that_only_wild_samples_tell_apart_are_refused(samples):
+    Z, y = samples
+    alike, spoilt = Z[:, [0, 1, 1]].copy(), y.copy()
+    alike[:2, 2] += 1e-3
+    spoilt[:2] += (1e12, -1e12)
+    with pytest.raises(ModelError, match=r"differ in wild samples alone, with residuals up to 1e\+12"):
+        huber(alike, spoilt, np.zeros(3), np.eye(3))
