@@ -99,16 +99,13 @@ def innovation(sample: Excerpt) -> Innovation:
     cells = sample.rates.shape[1]
     span, half = round(TURN_S / sample.step_s), round(FALL_S / sample.step_s)
     stride = max(1, span // 2)
-    gyro = np.empty_like(sample.attitude)
-    gyro[:, 0] = [1.0, 0.0, 0.0, 0.0]
-    turns = _exponential(sample.rates * sample.step_s)
-    for cell in range(cells):
-        gyro[:, cell + 1] = _product(gyro[:, cell], turns[:, cell])
     begin = np.arange(0, cells + 1 - span, stride)
-    turned, turned_attitude = (
-        _logarithm(_product(_inverse(turning[:, begin]), turning[:, begin + span])) / (span * sample.step_s)
-        for turning in (gyro, sample.attitude)
-    )
+    cell_turns = _exponential(sample.rates * sample.step_s)
+    by_gyro = cell_turns[:, begin]
+    for cell in range(1, span):
+        by_gyro = _product(by_gyro, cell_turns[:, begin + cell])
+    by_attitude = _product(_inverse(sample.attitude[:, begin]), sample.attitude[:, begin + span])
+    turned, turned_attitude = (_logarithm(turn) / (span * sample.step_s) for turn in (by_gyro, by_attitude))
     middle = sample.attitude[:, 1:] + sample.attitude[:, :-1]
     middle = middle / np.linalg.norm(middle, axis=2, keepdims=True)
     in_world = rotate_body_to_world(middle.reshape(-1, 4), sample.force.reshape(-1, 3)).reshape(
