@@ -37,8 +37,16 @@ from quadpi_core.compiled import njit
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.payloads import Bytes, Indices, Payloads
-from quadpi_core.logs.unpacking import require_unpackable, unlz4, unpacked_limit, unzstd, zstd_size
+from quadpi_core.logs.unpacking import (
+    require_unpackable,
+    unlz4,
+    unpacked_limit,
+    unzstd,
+    unzstd_blocks,
+    zstd_size,
+)
 from quadpi_core.reading import read_bounded
+from quadpi_core.scratch import MADE, scratch_folder
 
 if TYPE_CHECKING:
     from rosbags.rosbag2.reader import ReaderProtocol
@@ -57,6 +65,9 @@ _LENGTH_64 = np.dtype("<u8")
 _METADATA_FILE = "metadata.yaml"
 # What a message takes beside its bytes.
 _ENTRY_BYTES = 100
+_DATABASE_MAGIC = b"SQLite format 3\0"
+# A frame, and those that are passed over.
+_ZSTD_MAGICS = (b"\x28\xb5\x2f\xfd", *(bytes((0x50 + kind, 0x2A, 0x4D, 0x18)) for kind in range(16)))
 _NO_RECORDS: Indices = np.empty((0, 3), dtype=np.int64)
 # That of a recording of a day, split every minute, is smaller.
 _METADATA_BYTES_MAX = 2**20
@@ -387,13 +398,9 @@ def _check_file(file: Path) -> _Survey | None:
     where in an MCAP file.
     """
     try:
-        if file.suffix == ".zstd":
-            packed = file.read_bytes()
-            require_unpackable(len(packed), zstd_size(packed, unpacked_limit(len(packed))))
-        elif file.suffix == ".db3":
-            _check_database(file)
-        elif file.suffix == ".mcap":
-            return _survey_mcap(file)
+        if not _begins_with(file, *_ZSTD_MAGICS):
+            return _check_unpacked(file)
+        _check_packed(file)
     except LogError as error:
         raise LogError(f"{file}: {error}") from None
     except OSError as error:
@@ -401,6 +408,33 @@ def _check_file(file: Path) -> _Survey | None:
     except (sqlite3.Error, zstd.ZstdError, UnicodeDecodeError) as error:
         raise LogError(f"{file}: cannot be read: {one_line(error)}") from error
     return None
+
+
+def _check_packed(file: Path) -> None:
+    """Refuse what a file that is compressed as a whole unpacks to: rosbags opens that as it comes."""
+    packed = file.read_bytes()
+    size = 0
+    with scratch_folder() as folder:
+        unpacked = folder / MADE / file.stem
+        with unpacked.open("wb") as stream:
+            for block in unzstd_blocks(packed, unpacked_limit(len(packed))):
+                size += stream.write(block)
+        require_unpackable(len(packed), size)
+        _check_unpacked(unpacked)
+
+
+def _check_unpacked(file: Path) -> _Survey | None:
+    # Whatever it is called: rosbags goes by what metadata.yaml says of it.
+    if file.suffix == ".db3" or _begins_with(file, _DATABASE_MAGIC):
+        _check_database(file)
+    elif file.suffix == ".mcap" or _begins_with(file, MAGIC):
+        return _survey_mcap(file)
+    return None
+
+
+def _begins_with(file: Path, *magics: bytes) -> bool:
+    with file.open("rb") as stream:
+        return stream.read(max(map(len, magics))).startswith(magics)
 
 
 def _check_database(file: Path) -> None:

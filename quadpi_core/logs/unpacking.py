@@ -60,7 +60,7 @@ def unzstd(data: bytes | memoryview, size: int) -> bytes:
             frames than anybody writes.
         zstd.ZstdError: if the bytes are damaged.
     """
-    return _of_size(b"".join(_unzstd(data, size)), size)
+    return _of_size(b"".join(unzstd_blocks(data, size)), size)
 
 
 def unlz4(data: bytes, size: int) -> bytes:
@@ -95,11 +95,16 @@ def zstd_size(data: bytes | memoryview, most: int) -> int:
         LogError: if there are more frames than anybody writes.
         zstd.ZstdError: if the bytes are damaged.
     """
-    return sum(map(len, _unzstd(data, most)))
+    return sum(map(len, unzstd_blocks(data, most)))
 
 
-def _unzstd(data: bytes | memoryview, most: int) -> Iterator[bytes]:
-    """The content of Zstandard frames by blocks, up to one byte beyond `most` or to where they are cut."""
+def unzstd_blocks(data: bytes | memoryview, most: int) -> Iterator[bytes]:
+    """The content of Zstandard frames in blocks, up to one byte beyond `most` or to where they are cut.
+
+    Raises:
+        LogError: if there are more frames than anybody writes.
+        zstd.ZstdError: if the bytes are damaged.
+    """
     unread = memoryview(data)
     frames = _FRAMES_MAX + len(data) // _FRAME_BYTES
     for _ in range(frames):

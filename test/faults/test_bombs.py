@@ -102,6 +102,23 @@ def test_bag_in_a_folder(monkeypatch, tmp_path, mode):
         read_bag(folder)
 
 
+@pytest.mark.parametrize("name", ["bag_0.mcap.zstd", "bag_0.bin"])
+def test_bomb_in_a_compressed_file(bombs, tmp_path, name):
+    """What the file itself unpacks to is small, and so is what its name says."""
+    folder = tmp_path / "bag"
+    bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    bag.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    with bag as writer:
+        writer.write(writer.add_connection("/imu", messages.IMU, typestore=typestore()), 1, bytes(8))
+    (file,) = folder.glob("*.zstd")
+    file.unlink()
+    (folder / name).write_bytes(zstd.compress(bag_of(bombs["zstd"], "zstd", BOMB_BYTES)))
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace(file.name, name))
+    with refusing(folder), pytest.raises(LogError, match=r"unpacks to 512 MiB or more, beyond"):
+        read_bag(folder)
+
+
 def test_matlab_file(tmp_path):
     path = tmp_path / "bomb.mat"
     packer = zlib.compressobj(1)
