@@ -151,14 +151,14 @@ class SerialLink:
 
 
 class ReplayLink:
-    """A telemetry log, each packet when it is due; arrivals are those of the log."""
+    """A telemetry log, each packet when it is due since the first read; arrivals are those of the log."""
 
     def __init__(self, path: Path) -> None:
         self._records = list(read_records(path.read_bytes(), TlogCounts()))
         if not self._records:
             raise LogError(f"{path}: byte 0: no MAVLink packet in the whole file")
         self._next = 0
-        self._ahead_ns = self._records[0].arrival_ns - time.monotonic_ns()
+        self._ahead_ns: int | None = None
 
     def read(self, timeout_s: float) -> Chunk | None:
         """See :class:`Link`; one packet.
@@ -169,6 +169,9 @@ class ReplayLink:
         if self._next == len(self._records):
             raise EOFError
         record = self._records[self._next]
+        if self._ahead_ns is None:
+            # The first packet is due now, however long ago the log was opened.
+            self._ahead_ns = record.arrival_ns - time.monotonic_ns()
         wait_s = (record.arrival_ns - self._ahead_ns - time.monotonic_ns()) * 1e-9
         if wait_s > timeout_s:
             time.sleep(timeout_s)

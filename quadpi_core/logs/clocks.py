@@ -123,7 +123,8 @@ class ClockOffset:
 
     def to_local(self, remote_ns: int, now_ns: int) -> int:
         """A stamp of the sender by this computer's clock; `arrival` or `exchange` must have been called."""
-        if now_ns - self._estimated_ns > _ESTIMATE_NS or self._applied is None:
+        # In both directions, as this computer's clock may be set back.
+        if abs(now_ns - self._estimated_ns) > _ESTIMATE_NS or self._applied is None:
             estimate = self.estimate(now_ns)
             self._goal = self._goal if estimate is None else estimate.offset_ns
             self._estimated_ns = now_ns

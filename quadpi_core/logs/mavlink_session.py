@@ -265,7 +265,7 @@ class MavlinkSession:
             return False
         current, seen_ns = self._sources.get(sample.topic, (sample.source, arrival_ns))
         is_better = ranks.index(sample.source) < ranks.index(current)
-        if sample.source != current and not is_better and arrival_ns - seen_ns < _SILENT_NS:
+        if sample.source != current and not is_better and abs(arrival_ns - seen_ns) < _SILENT_NS:
             return False
         self._sources[sample.topic] = (sample.source, arrival_ns)
         return True
@@ -282,7 +282,7 @@ class MavlinkSession:
             )
         if self._peer is None:
             return packets
-        is_first_round = now_ns - self._first_ns < _FIRST_ROUND_NS
+        is_first_round = abs(now_ns - self._first_ns) < _FIRST_ROUND_NS
         if self._is_due("timesync", now_ns, _FIRST_TIMESYNC_NS if is_first_round else _TIMESYNC_NS):
             self._pending.append(now_ns)
             packets.append(self._pack("timesync", 0, now_ns))
@@ -291,7 +291,8 @@ class MavlinkSession:
         return packets
 
     def _is_due(self, what: str, now_ns: int, period_ns: int) -> bool:
-        if now_ns < self._next_ns[what]:
+        # Farther ahead than it was set: this computer's clock was set back since.
+        if 0 < self._next_ns[what] - now_ns <= period_ns:
             return False
         self._next_ns[what] = now_ns + period_ns
         return True

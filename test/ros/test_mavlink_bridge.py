@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.logs import messages
 from quadpi_core.logs.mavlink_dialect import load_dialect
+from quadpi_ros import mavlink_link
 from quadpi_ros.mavlink_bridge import BridgeParameters, MavlinkBridge
 from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
 from quadpi_ros.parameters import ParameterError
@@ -355,6 +357,31 @@ def test_serial_port() -> None:
         heard.until(lambda: heard.count() == 20)
     os.close(here)
     os.close(there)
+
+
+def test_a_telemetry_log_begins_when_it_is_read_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dialect = load_dialect()
+    packet = dialect.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3).pack(dialect.MAVLink(None, 1, 1))
+    stamps = [1_700_000_000_000_000, 1_700_000_000_010_000]
+    (tmp_path / "two.tlog").write_bytes(b"".join(stamp.to_bytes(8, "big") + packet for stamp in stamps))
+    now_s = [100.0]
+    monkeypatch.setattr(
+        mavlink_link,
+        "time",
+        SimpleNamespace(
+            monotonic_ns=lambda: round(1e9 * now_s[0]),
+            sleep=lambda seconds: now_s.append(now_s.pop() + seconds),
+        ),
+    )
+    link = open_link(str(tmp_path / "two.tlog"))
+    now_s[0] += 10.0  # until somebody subscribes
+    read_s = []
+    for _ in stamps:
+        assert link.read(0.02) is not None
+        read_s.append(now_s[0])
+    assert read_s == pytest.approx([110.0, 110.01])
 
 
 def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Path, tmp_path: Path) -> None:

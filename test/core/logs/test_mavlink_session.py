@@ -20,11 +20,12 @@ ORDER = RotorOrder((0, 1, 2, 3), "rpm")
 
 
 class Autopilot:
-    """One that the test steps through time; its clock is zero at START, its packets take 4 ms."""
+    """One that the test steps through time; its clock is zero at `boot_ns`, its packets take 4 ms."""
 
     def __init__(self, sender: Any, settings: SessionSettings | None = None, kind: int = PX4) -> None:
         self.sender = sender
         self.kind = kind
+        self.boot_ns = START
         self.session = MavlinkSession(None, ORDER, settings or SessionSettings())
         self.framer, self.decoder = Framer(), MessageDecoder()
         self.heard: list[Any] = []
@@ -37,9 +38,9 @@ class Autopilot:
 
     def imu(self, at_ns: int, name: str = "HIGHRES_IMU") -> list[Received]:
         if name == "HIGHRES_IMU":
-            values: tuple[Any, ...] = ((at_ns - START) // 1000, *[0.0] * 13, 0x3F, 0)
+            values: tuple[Any, ...] = ((at_ns - self.boot_ns) // 1000, *[0.0] * 13, 0x3F, 0)
         else:
-            values = ((at_ns - START) // MS, *[0] * 9)
+            values = ((at_ns - self.boot_ns) // MS, *[0] * 9)
         return self.deliver(self.sender.packet(name, *values), at_ns)
 
     def listen(self, at_ns: int, *, answers: bool = True) -> list[Any]:
@@ -51,7 +52,7 @@ class Autopilot:
             heard.append(message)
             if answers and type(message).__name__ == "TIMESYNC" and message.tc1 == 0:
                 here = at_ns + 4 * MS
-                self.deliver(self.sender.packet("TIMESYNC", here - START, message.ts1), here)
+                self.deliver(self.sender.packet("TIMESYNC", here - self.boot_ns, message.ts1), here)
         return heard
 
 
@@ -267,6 +268,32 @@ def test_a_restart_of_the_autopilot_is_followed(mavlink_sender: Any) -> None:
     (sample,) = autopilot.session.take(packet, later, complete=True)
     assert sample.time_ns == later
     assert autopilot.session.report(later).clock_restarts == 1
+
+
+def test_the_clock_of_this_computer_may_be_set_back(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    for step in range(300):
+        autopilot.listen(START + step * 10 * MS)
+        autopilot.imu(START + step * 10 * MS)
+    autopilot.boot_ns -= 3600 * S
+    sent = []
+    for step in range(300, 600):
+        here = START - 3600 * S + step * 10 * MS
+        sent += [type(message).__name__ for message in autopilot.listen(here)]
+        samples = autopilot.imu(here)
+        if step >= 400:
+            assert [sample.time_ns for sample in samples] == [pytest.approx(here, abs=MS)]
+    assert sent.count("HEARTBEAT") == 3
+    assert sent.count("TIMESYNC") >= 5
+
+
+def test_a_worse_message_takes_over_though_the_clock_was_set_back(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    assert autopilot.imu(START)
+    autopilot.boot_ns -= 3600 * S
+    assert autopilot.imu(START - 3600 * S + 2 * S, "SCALED_IMU")
 
 
 def test_with_a_key_what_is_sent_is_signed(mavlink_sender: Any) -> None:
