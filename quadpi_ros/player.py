@@ -184,6 +184,23 @@ def playable(path: Path) -> list[str]:
     return standard + adapted
 
 
+def held(path: Path, names: Sequence[str]) -> list[str]:
+    """Those names, after a look at whether the bag has all that they name.
+
+    Raises:
+        LogError: if the bag cannot be read.
+        PlayerError: for a name that is not known or that the bag lacks; see also :meth:`Playlist.read`.
+    """
+    with Bag(path) as bag:
+        for name in names:
+            if name not in SENSOR_TYPES and name not in ADAPTERS:
+                known = ", ".join((*SENSOR_TYPES, *ADAPTERS))
+                raise PlayerError(f"{path}: topic {name}: not known; known: {known}")
+            if _topic_of(bag, name) is None:
+                raise PlayerError(f"{path}: topic {name}: the bag does not hold it")
+    return list(names)
+
+
 @dataclass(frozen=True)
 class LiveInputs:
     """What the live nodes take from a bag.
@@ -207,9 +224,9 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
 
     Raises:
         LogError: if the bag cannot be read.
-        PlayerError: if it lacks a kind of input, or cannot be played; see :meth:`Playlist.read`.
+        PlayerError: see :func:`held`; if the bag lacks a kind of input.
     """
-    names = topics or playable(path)
+    names = held(path, topics) or playable(path)
 
     def first_of(standard: Sequence[str], kind: str) -> str:
         candidates = (*standard, *adapters_of(kind))
@@ -288,7 +305,8 @@ def player_node() -> GuardedNode:
 
 
 def _play(options: argparse.Namespace) -> None:
-    playlist = Playlist.read(options.bag, options.topics or playable(options.bag) or tuple(SENSOR_TYPES))
+    named = held(options.bag, options.topics or ())
+    playlist = Playlist.read(options.bag, named or playable(options.bag) or tuple(SENSOR_TYPES))
     node = player_node()
     publishers = [node.create_publisher(*_announcement(name), SENSOR_QOS) for name in playlist.names]
     if options.wait > 0.0:

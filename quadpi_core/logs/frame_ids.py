@@ -22,7 +22,7 @@ import numpy as np
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream
-from quadpi_core.logs.messages import BODY_FRAME
+from quadpi_core.logs.messages import BODY_FRAME, without_namespace
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.logs.transforms import StaticTransforms, plain_name
 from quadpi_core.signals.mounting import Mounting
@@ -86,7 +86,7 @@ class BodyFrames:
             FrameRefusedError: see the module.
         """
         frame = plain_name(frames[0])
-        if not frame or _last(frame) == _last(self._body):
+        if not frame or without_namespace(frame) == without_namespace(self._body):
             return None
         transform = self.transforms.between(frame, self._body)
         if transform is not None:
@@ -96,7 +96,7 @@ class BodyFrames:
                 f"the frame `{frame}` of an IMU says north-east-down: its axes are the body's"
             )
         named = f"the frame `{frame}` is not the body's, `{self._body}`"
-        of_body = _last(frame).lower() == f"{_last(self._body)}_frd".lower()
+        of_body = without_namespace(frame).lower() == f"{without_namespace(self._body)}_frd".lower()
         if of_body or (_RIGHT_DOWN.search(frame) and not self._strict):
             return Mounting(_HALF_TURN, np.zeros(3))
         if self._waits():
@@ -224,7 +224,3 @@ def _names(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
         place += _LENGTH.size + length
         names.append(message[place - length : place].rstrip(b"\0").decode(errors="replace"))
     return tuple(names), place
-
-
-def _last(frame: str) -> str:
-    return frame.rpartition("/")[2]

@@ -188,15 +188,16 @@ def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> Tw
     columns = codec(TWIST).decode(payloads)
     linear = columns["twist.linear"]
     frames = columns["header.frame_id"]
-    body = _without_namespace(body_frame)
+    body = without_namespace(body_frame)
     in_body = np.array(
-        [_without_namespace(frame.decode(errors="replace")) == body for frame in frames], dtype=bool
+        [without_namespace(frame.decode(errors="replace")) == body for frame in frames], dtype=bool
     )
     velocity = np.where(in_body[:, np.newaxis], body_flu_to_frd(linear), world_enu_to_ned(linear))
     return TwistStream(header_stamps(columns), velocity, in_body)
 
 
-def _without_namespace(frame: str) -> str:
+def without_namespace(frame: str) -> str:
+    """The last part of the name of a frame."""
     return frame.rpartition("/")[2]
 
 
