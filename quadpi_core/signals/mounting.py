@@ -8,8 +8,9 @@ With R turning the IMU's axes into the body's, r the IMU's place in the body, ω
 
 α is the difference of consecutive gyro samples through a first-order lag of :data:`LAG_S`, so it is late by
 that and half a step: the specific force errs by r times what α changes in that time, until α is steady. The
-lag keeps stamps that nearly coincide from giving any α. Its noise, that of the gyro over the lag times r,
-averages out in whatever integrates or filters the samples.
+lag keeps stamps that nearly coincide from giving any α; a sample whose rates cannot be gives none either, and
+the next one counts from the one before. Its noise, that of the gyro over the lag times r, averages out in
+whatever integrates or filters the samples.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from quadpi_core.compiled import njit
 from quadpi_core.flight import MAX_GAP_NS, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.signals.limits import RATE_MAX_RAD_S, within
 
 LAG_S = 0.001
 
@@ -53,7 +55,7 @@ def _move(rotation: Any, arm: Any, before_ns: Any, before: Any, time_ns: Any, ra
         omega, f = _product(rotation, rates[k]), _product(rotation, force[k])
         step_ns = time_ns[k] - before_ns[0]
         alpha = before[1].copy()
-        known = np.all(np.isfinite(omega))
+        known = within(omega, RATE_MAX_RAD_S)
         if before_ns[0] < 0 or step_ns < 0 or step_ns > MAX_GAP_NS:
             alpha[:] = 0.0
         elif known:

@@ -69,3 +69,11 @@ def test_stamps_that_nearly_coincide_give_no_acceleration() -> None:
     time_ns[100] = time_ns[99] + 1
     Mounting(TURN, ARM).move(time_ns, turned, felt)
     assert np.abs(felt - force).max() < 20.0
+
+
+def test_rates_that_cannot_be_spoil_no_other_sample() -> None:
+    time_ns, _, force, turned, felt = swinging(1.0)
+    turned[100] = 1e20
+    Mounting(TURN, ARM).move(time_ns, turned, felt)
+    error = np.abs(felt - force).max(axis=1)
+    assert np.flatnonzero(error[20:] > 1.0).tolist() == [80]
