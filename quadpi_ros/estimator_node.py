@@ -139,10 +139,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
     def problem(self) -> str | None:
         """Also that no state comes out of what arrives."""
-        silent = super().problem()
-        self._without_state = 0 if silent or self._ekf.initialised else self._without_state + 1
+        lack = super().problem()
+        self._without_state = 0 if lack or self._ekf.initialised else self._without_state + 1
         if self._without_state == 0:
-            return silent
+            return lack
         imu, mocap = self._imu.topic, self._mocap.topic
         apart_s = 1e-9 * abs((self._imu_health.newest_ns or 0) - (self._mocap_health.newest_ns or 0))
         if apart_s > _APART_S:
@@ -173,8 +173,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
                 "since_correction_s": ekf.since_correction_s,
             }
         values |= self._mocap_outcomes()
-        if self._imu.topic in self.silent:
-            stale = f"nothing arrives on {self._imu.topic}"
+        if stale := self.lack(self._imu.topic):
             return [self.status("filter", diagnostics.STALE, stale, values)]
         return [self.status("filter", _LEVELS[ekf.status], ekf.status.name.lower(), values)]
 

@@ -44,6 +44,8 @@ _WARNING_PERIOD_S = 5.0
 DIAGNOSTICS_PERIOD_S = 1.0
 # How often in a row a problem is seen before it is logged.
 _LOGGED_AT = 2
+# Why a topic gave no sample.
+_SILENT, _UNREAD = "nothing arrives on", "every message is refused on"
 
 
 @dataclass
@@ -80,7 +82,7 @@ class SensorNode(ManagedNode[Parameters]):
     exist while the node is active, publishers while it is configured.
 
     Attributes:
-        silent: topics on which nothing came in the period before the last status.
+        lacking: topics that gave no sample in the period before the last status, and why.
     """
 
     def __init__(self, name: str, parameters: type[Parameters]) -> None:
@@ -90,7 +92,7 @@ class SensorNode(ManagedNode[Parameters]):
         self._outputs: dict[str, _Output] = {}
         self._problem = _Problem()
         self._transforms: Subscription | None = None
-        self.silent: set[str] = set()
+        self.lacking: dict[str, str] = {}
         self._diagnosed_s = time.monotonic()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=STEADY)
@@ -210,12 +212,21 @@ class SensorNode(ManagedNode[Parameters]):
 
     def problem(self) -> str | None:
         """What keeps the node from working although it is active; None if nothing does."""
-        silent = sorted(name for name in self.silent if self._inputs[name].required)
-        if not silent:
-            return None
-        endpoints = [self._inputs[name].subscription for name in silent]
-        reasons = [reason for endpoint in endpoints if (reason := self._other_types(endpoint))]
-        return ": ".join((f"nothing arrives on {', '.join(silent)}", *reasons))
+        found = []
+        for why in (_SILENT, _UNREAD):
+            names = sorted(
+                n for n, given in self.lacking.items() if given == why and self._inputs[n].required
+            )
+            endpoints = [self._inputs[name].subscription for name in names]
+            reasons = [reason for endpoint in endpoints if (reason := self._other_types(endpoint))]
+            if names:
+                found.append(": ".join((f"{why} {', '.join(names)}", *reasons)))
+        return "; ".join(found) or None
+
+    def lack(self, topic: str) -> str | None:
+        """Why a topic gave no sample in the period before the last status; None if it gave some."""
+        why = self.lacking.get(topic)
+        return f"{why} {topic}" if why else None
 
     def count_refused(self) -> None:
         """Bring the health of the topics up to date with what became of samples since they came."""
@@ -230,7 +241,11 @@ class SensorNode(ManagedNode[Parameters]):
         period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         problem = None
         if self.state == "active":
-            self.silent = {name for name, topic in self._inputs.items() if topic.health.silent}
+            self.lacking = {
+                name: _SILENT if topic.health.silent else _UNREAD
+                for name, topic in self._inputs.items()
+                if topic.health.silent or topic.health.unread
+            }
             problem = self.problem()
             self.count_refused()
         self._follow(problem)

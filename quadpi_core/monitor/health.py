@@ -103,6 +103,11 @@ class TopicHealth:
         """Whether nothing came since the report before."""
         return self._samples == 0 and self.refused.total() == self._refused_before
 
+    @property
+    def unread(self) -> bool:
+        """Whether messages came since the report before, and every one was refused."""
+        return self._samples == 0 and not self.silent
+
     def report(self, period_s: float) -> TopicReport:
         """Sum up the time since the report before, `period_s` long."""
         self._total += self._samples

@@ -249,6 +249,12 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
     node.warn("topic imu", "two")
     node.warn("topic mocap/pose", "three")
     assert logged == ["topic imu: one", "topic mocap/pose: three"]
+    sent["imu"] = sent["imu"][:20]
+    assert watch("imu", "mocap/pose") == []
+    assert watch("imu", "mocap/pose") == ["every message is refused on imu"]
+    assert (node.lack("imu"), node.lack("mocap/pose")) == ("every message is refused on imu", None)
+    assert watch("imu") == []
+    assert watch("imu") == ["nothing arrives on mocap/pose; every message is refused on imu"]
     node.must(node.trigger_deactivate)
     assert watch() == []
     assert watch() == []

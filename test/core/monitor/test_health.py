@@ -55,7 +55,9 @@ def test_refusals_are_counted_by_reason_and_bounded():
     for index in range(100):
         health.refuse(f"reason {index}")
     assert not health.silent
+    assert health.unread
     report = health.report(1.0)
+    assert not health.unread
     assert report.refused_now == sum(report.refused.values()) == 100
     assert len(report.refused) <= 17
     assert health.silent
