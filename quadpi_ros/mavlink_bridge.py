@@ -35,7 +35,7 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.discovery import DiscoveryError, await_subscribers
-from quadpi_ros.mavlink_link import Link, check_connection, is_replay, open_link
+from quadpi_ros.mavlink_link import Chunk, Link, check_connection, is_replay, open_link
 from quadpi_ros.parameters import ParameterError, namespaced_body_frame, parameter, read_parameters
 from quadpi_ros.runtime import SENSOR_QOS, run, spin
 
@@ -167,7 +167,7 @@ class MavlinkBridge(GuardedNode):
                     self._await_subscriber()
                 try:
                     while not self._stop.is_set():
-                        heard = self._exchange_guarded(link) or heard
+                        heard = self._exchange(link) or heard
                 finally:
                     link.close()
             except EOFError:
@@ -201,19 +201,22 @@ class MavlinkBridge(GuardedNode):
                     break
         self._problem = None
 
-    def _exchange_guarded(self, link: Link) -> bool:
-        """Exchange; an error in the program costs what was read, not the link."""
+    def _exchange(self, link: Link) -> bool:
+        """Read once, and make of it what can be made; whether anything came.
+
+        An error in the program costs what was read, not the link; one in reading costs the link.
+        """
+        chunk = link.read(_READ_TIMEOUT_S)
         try:
-            return self._exchange(link)
-        except (QuadpiError, OSError, EOFError):
+            self._answer(link, chunk)
+        except (QuadpiError, OSError):
             raise
         except Exception as error:
             self.exceptions.take("link", error)
-            return True
+        return chunk is not None
 
-    def _exchange(self, link: Link) -> bool:
-        """Read once, publish what came, send what is due; whether anything came."""
-        chunk = link.read(_READ_TIMEOUT_S)
+    def _answer(self, link: Link, chunk: Chunk | None) -> None:
+        """Publish what came, send what is due."""
         with self._lock:
             received = []
             if chunk is not None:
@@ -225,7 +228,6 @@ class MavlinkBridge(GuardedNode):
             self._publish[sample.topic](self._packed(sample.topic, sample.time_ns, sample.values))
         for packet in packets:
             link.write(packet, address)
-        return chunk is not None
 
     def _diagnose(self) -> None:
         now_s = time.monotonic()

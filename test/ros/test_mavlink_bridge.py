@@ -317,6 +317,16 @@ def test_an_error_in_the_program_costs_a_packet_and_not_the_link(monkeypatch: py
         assert "ValueError: of the test" in heard.callbacks[0]
 
 
+def test_an_error_in_reading_costs_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = free_port()
+    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
+        with monkeypatch.context() as patch:
+            patch.setattr(mavlink_link.UdpLink, "read", lambda *_: 1 / 0)
+            heard.until(lambda: heard.bridge._connections > 1)
+        assert heard.bridge.exceptions.counts["link"] <= heard.bridge._connections
+        heard.until(lambda: heard.statuses[-1:] != [] and "no heartbeat" in heard.statuses[-1]["message"])
+
+
 def test_signatures(tmp_path: Path) -> None:
     (tmp_path / "key.txt").write_text("open sesame\n")
     port = free_port()
