@@ -31,6 +31,7 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 
 ARDUPILOT, PX4 = 3, 12
 AUTOPILOT_INVALID = 8
+GROUND_STATION, ONBOARD_CONTROLLER = 6, 18
 
 # Message names per topic, the best first.
 SOURCES = {
@@ -87,6 +88,12 @@ def stream_of(topic: str, time_ns: Stamps, rows: Array) -> Stream:
 def is_epoch(clock_us: int) -> bool:
     """Whether a stamp counts from 1970 instead of from the boot of the sender (MAVLink leaves both open)."""
     return clock_us > _EPOCH_US
+
+
+def is_autopilot(heartbeat: Any) -> bool:
+    """Whether a heartbeat is that of a vehicle's autopilot; companions may call themselves one of no kind."""
+    is_vehicle = heartbeat.type not in (GROUND_STATION, ONBOARD_CONTROLLER)
+    return is_vehicle and heartbeat.autopilot != AUTOPILOT_INVALID
 
 
 class MavlinkSamples:
@@ -164,7 +171,7 @@ class MavlinkSamples:
         return None
 
     def _heartbeat(self, message: Any, _: float) -> None:
-        if message.autopilot != AUTOPILOT_INVALID:
+        if is_autopilot(message):
             self.autopilot = message.autopilot
 
     def _highres_imu(self, m: Any, _: float) -> Sample | None:

@@ -20,10 +20,12 @@ from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
     AUTOPILOT_INVALID,
     LATEST_US,
+    ONBOARD_CONTROLLER,
     PX4,
     SOURCES,
     MavlinkSamples,
     Sample,
+    is_autopilot,
     is_epoch,
 )
 from quadpi_core.logs.rotor_order import RotorOrder
@@ -46,9 +48,7 @@ _DELAY_MAX_NS = 10 * _SECOND
 _COMPANION = 191
 _OWN_SYSTEM = 255
 _HEARTBEAT = 0
-_GROUND_STATION, _ONBOARD_CONTROLLER, _ACTIVE, _PROTOCOL = 6, 18, 4, 3
-# Some of these call themselves an autopilot of no kind.
-_NO_VEHICLES = (_GROUND_STATION, _ONBOARD_CONTROLLER)
+_ACTIVE, _PROTOCOL = 4, 3
 _SET_MESSAGE_INTERVAL = 511
 _ESC_TELEMETRY = (11030, 11031, 11032)
 
@@ -201,7 +201,7 @@ class MavlinkSession:
     def _meet(self, frame: Frame, arrival_ns: int, address: object) -> None:
         """Take the sender of a heartbeat as the autopilot, or count one that comes too late for it."""
         heartbeat = self._decoder.decode(frame)
-        if heartbeat.autopilot == AUTOPILOT_INVALID or heartbeat.type in _NO_VEHICLES:
+        if not is_autopilot(heartbeat):
             return
         wanted = self._settings.system
         if self._peer is None and wanted in (0, frame.system):
@@ -278,7 +278,7 @@ class MavlinkSession:
             return []
         if self._is_due("heartbeat", now_ns, _HEARTBEAT_NS):
             packets.append(
-                self._pack("heartbeat", _ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, 0, _ACTIVE, _PROTOCOL)
+                self._pack("heartbeat", ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, 0, _ACTIVE, _PROTOCOL)
             )
         if self._peer is None:
             return packets

@@ -36,6 +36,15 @@ def heartbeat(mavlink_message: Callable[..., Any], autopilot: int) -> Any:
     return mavlink_message("HEARTBEAT", 2, autopilot, 0, 0, 4, 3)
 
 
+def test_a_companion_says_nothing_of_the_autopilot(
+    samples: MavlinkSamples, mavlink_message: Callable[..., Any]
+) -> None:
+    samples.decode(heartbeat(mavlink_message, ARDUPILOT), 0.0)
+    for kind, autopilot in ((18, 0), (6, 0), (26, 8)):
+        samples.decode(mavlink_message("HEARTBEAT", kind, autopilot, 0, 0, 4, 3), 0.0)
+    assert samples.autopilot == ARDUPILOT
+
+
 def test_highres_imu_is_in_si(samples: MavlinkSamples, mavlink_message: Callable[..., Any]) -> None:
     sample = samples.decode(mavlink_message("HIGHRES_IMU", 1234, *IMU, 0x3F, 0), 0.0)
     assert (sample.topic, sample.source, sample.clock_us) == ("imu", "HIGHRES_IMU", 1234)
