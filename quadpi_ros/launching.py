@@ -29,15 +29,12 @@ from quadpi_ros.player import live_inputs
 SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
 OUTPUTS = ("odometry", "prediction", "extrapolation_alarm", "alarm_log")
 
-# Parameters that have a launch argument, by program; those in one process share theirs.
-_BOTH = ("vehicle", "imu_rate_hz", "adapters", "body_frame", "frames", "autostart")
-_ESTIMATOR = (*_BOTH, "mocap_topic", "world_frame")
-_MONITOR = (*_BOTH, "model", "rotor_topic")
-NODE_PARAMETERS = {
-    "live": tuple(dict.fromkeys(_ESTIMATOR + _MONITOR)),
-    "estimator_node": _ESTIMATOR,
-    "monitor_node": _MONITOR,
-}
+# Arguments that are parameters of the same name. Each live node is given them all, and passes over those of
+# the other.
+PARAMETERS = (
+    *("vehicle", "model", "rotor_topic", "mocap_topic", "imu_rate_hz", "adapters"),
+    *("body_frame", "world_frame", "frames", "autostart", "use_sim_time"),
+)
 
 # Arguments that `ros2 launch` adds itself for its options.
 _OF_ROS2_LAUNCH = {"launch-prefix", "launch-prefix-filter"}
@@ -200,9 +197,7 @@ def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({}))
     return [
         action
         for program in programs
-        for action in whole.program(
-            program, whole.given((*NODE_PARAMETERS[program], "use_sim_time")), SENSORS + OUTPUTS
-        )
+        for action in whole.program(program, whole.given(PARAMETERS), SENSORS + OUTPUTS)
     ]
 
 

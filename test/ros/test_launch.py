@@ -210,12 +210,6 @@ def test_arguments_are_parameters_of_the_nodes(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delitem(sys.modules, "quadpi_ros.launching", raising=False)
     launching = importlib.import_module("quadpi_ros.launching")
     monkeypatch.delitem(sys.modules, "quadpi_ros.launching")
-    parameters = {
-        "estimator_node": {item.name for item in fields(EstimatorParameters)},
-        "monitor_node": {item.name for item in fields(MonitorParameters)},
-    }
-    parameters["live"] = parameters["estimator_node"] | parameters["monitor_node"]
+    parameters = {item.name for kind in (EstimatorParameters, MonitorParameters) for item in fields(kind)}
     arguments = {argument.name for argument in launching.monitor_arguments(respawn=True)}
-    assert parameters.keys() == launching.NODE_PARAMETERS.keys()
-    for program, names in launching.NODE_PARAMETERS.items():
-        assert set(names) == arguments & parameters[program]
+    assert set(launching.PARAMETERS) - {"use_sim_time"} == arguments & parameters
