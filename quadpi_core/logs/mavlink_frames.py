@@ -77,8 +77,7 @@ class Verifier:
 
     def __init__(self, key: bytes, now: float | None = None) -> None:
         self._key = key
-        seconds = (time.time() if now is None else now) - _SIGNATURE_EPOCH_S
-        self._newest = int(seconds * _SIGNATURE_UNITS_PER_S)
+        self._newest = signature_stamp(time.time() if now is None else now)
         self._last: dict[tuple[int, int, int], int] = {}
 
     def accepts(self, data: bytes, system: int, component: int) -> bool:
@@ -94,6 +93,11 @@ class Verifier:
         self._last[sender] = stamp
         self._newest = max(self._newest, stamp)
         return True
+
+
+def signature_stamp(seconds: float) -> int:
+    """The stamp of a signature that is made then, in seconds since 1970."""
+    return int((seconds - _SIGNATURE_EPOCH_S) * _SIGNATURE_UNITS_PER_S)
 
 
 def signing_key(passphrase: str) -> bytes:

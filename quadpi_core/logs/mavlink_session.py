@@ -15,7 +15,14 @@ from typing import Any, NamedTuple
 from quadpi_core.frames import Array
 from quadpi_core.logs.clocks import ClockOffset, Offset
 from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import Frame, FrameCounts, Framer, MessageDecoder, Verifier
+from quadpi_core.logs.mavlink_frames import (
+    Frame,
+    FrameCounts,
+    Framer,
+    MessageDecoder,
+    Verifier,
+    signature_stamp,
+)
 from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
     AUTOPILOT_INVALID,
@@ -225,7 +232,7 @@ class MavlinkSession:
 
     def _timesync(self, frame: Frame, message: Any, arrival_ns: int) -> None:
         if message.tc1 == 0:
-            self._answers.append(self._pack("timesync", arrival_ns, message.ts1))
+            self._answers.append(self._pack(arrival_ns, "timesync", arrival_ns, message.ts1))
         elif message.ts1 in self._pending and self._peer and frame.component == self._peer.component:
             self._pending.remove(message.ts1)
             remote_us = message.tc1 // 1000
@@ -277,17 +284,16 @@ class MavlinkSession:
         if self._settings.passive:
             return []
         if self._is_due("heartbeat", now_ns, _HEARTBEAT_NS):
-            packets.append(
-                self._pack("heartbeat", ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, 0, _ACTIVE, _PROTOCOL)
-            )
+            beat = (ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, 0, _ACTIVE, _PROTOCOL)
+            packets.append(self._pack(now_ns, "heartbeat", *beat))
         if self._peer is None:
             return packets
         is_first_round = abs(now_ns - self._first_ns) < _FIRST_ROUND_NS
         if self._is_due("timesync", now_ns, _FIRST_TIMESYNC_NS if is_first_round else _TIMESYNC_NS):
             self._pending.append(now_ns)
-            packets.append(self._pack("timesync", 0, now_ns))
+            packets.append(self._pack(now_ns, "timesync", 0, now_ns))
         if self._is_due("requests", now_ns, _REQUEST_NS):
-            packets += self._requests(self._peer)
+            packets += self._requests(self._peer, now_ns)
         return packets
 
     def _is_due(self, what: str, now_ns: int, period_ns: int) -> bool:
@@ -297,7 +303,7 @@ class MavlinkSession:
         self._next_ns[what] = now_ns + period_ns
         return True
 
-    def _requests(self, peer: Peer) -> list[bytes]:
+    def _requests(self, peer: Peer, now_ns: int) -> list[bytes]:
         """Ask again for every message that came more slowly than wanted since the last time."""
         recent = self._seen - self._seen_before
         packets = []
@@ -305,7 +311,7 @@ class MavlinkSession:
             if rate_hz > 0.0 and recent[number] < _ENOUGH * rate_hz * (_REQUEST_NS / _SECOND):
                 interval_us = round(1e6 / rate_hz)
                 command = (_SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0)
-                packets.append(self._pack("command_long", peer.system, peer.component, *command))
+                packets.append(self._pack(now_ns, "command_long", peer.system, peer.component, *command))
         self._seen_before = Counter(self._seen)
         return packets
 
@@ -327,7 +333,10 @@ class MavlinkSession:
             desired |= {number["ODOMETRY"]: states, number["ESC_STATUS"]: rotors}
         return desired
 
-    def _pack(self, name: str, *values: Any) -> bytes:
+    def _pack(self, now_ns: int, name: str, *values: Any) -> bytes:
+        # Autopilots refuse a signature that is a minute older than their newest, or not newer than the last.
+        signing = self._out.signing
+        signing.timestamp = max(signing.timestamp, signature_stamp(now_ns * 1e-9))
         message = getattr(self._dialect, f"MAVLink_{name}_message")(*values)
         packed: bytes = bytes(message.pack(self._out))
         self._out.seq = (self._out.seq + 1) % 256

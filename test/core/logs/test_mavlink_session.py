@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
-from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder
+from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, Verifier
 from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4
 from quadpi_core.logs.mavlink_session import MavlinkSession, Received, SessionSettings
 from quadpi_core.logs.rotor_order import RotorOrder
@@ -302,9 +302,11 @@ def test_with_a_key_what_is_sent_is_signed(mavlink_sender: Any) -> None:
     autopilot.sender.mav.signing.timestamp = int(2e14)
     autopilot.heartbeat(START)
     assert autopilot.session.report(START).system == 1
-    packets = autopilot.session.due(START)
-    assert packets
-    assert all(packet[2] & 1 for packet in packets)
+    packets = autopilot.session.due(START) + autopilot.session.due(START + S)
+    # What an autopilot does: each is signed, by now, and later than the one before.
+    framer = Framer(Verifier(key, START / S))
+    assert [framer.packet(packet) is not None for packet in packets] == [True] * len(packets)
+    assert len(packets) > 4
     stranger = Autopilot(mavlink_sender(), SessionSettings(key=key))
     stranger.heartbeat(START)
     report = stranger.session.report(START)
