@@ -149,8 +149,13 @@ class Launch:
             executable: in lib/quadpi.
             parameters: beside those of the parameter file.
             topics: that have an argument for another name.
+
+        Raises:
+            LaunchError: if the parameter file is not there, which launch itself would go on without.
         """
         again = self.switch("respawn")
+        if not Path(self.values["parameters"]).is_file():
+            raise LaunchError(f"launch argument `parameters`: there is no file `{self.values['parameters']}`")
         node = Node(
             package="quadpi",
             executable=executable,

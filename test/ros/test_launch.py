@@ -204,6 +204,13 @@ def test_a_program_that_fails_for_good_is_an_exit_status(why: str, launch: Launc
         assert len(launched.pids()) == 1
 
 
+def test_a_parameter_file_that_is_not_there_is_refused(launch: Launch) -> None:
+    with launch(*BRIDGE, "parameters:=nothing.yaml") as launched:
+        assert launched.wait() == 1
+        assert "launch argument `parameters`: there is no file `nothing.yaml`" in launched.said
+        assert not launched.pids()
+
+
 def test_arguments_are_parameters_of_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, module in launch_child.stand_ins().items():
         monkeypatch.setitem(sys.modules, name, module)
