@@ -56,27 +56,29 @@ class StaticTransforms:
         """Take a serialized tf2_msgs/TFMessage; of two transforms between the same frames the later counts.
 
         Raises:
-            LogError: for bytes that are none, and a rotation that is none.
+            LogError: for bytes that are none; for a rotation that is none, once the others have been taken.
         """
         try:
             decoded = typestore().deserialize_cdr(message, TF_TYPE)
         except (SerdeError, struct.error, ValueError, IndexError, AssertionError, MemoryError) as error:
             raise LogError(f"its {len(message)} bytes are no {TF_TYPE}") from error
-        found = []
+        wrong = []
         for one in decoded.transforms:  # type: ignore[attr-defined]
             parent, child = plain_name(one.header.frame_id), plain_name(one.child_frame_id)
             q, p = one.transform.rotation, one.transform.translation
             quaternion, translation = np.array([q.w, q.x, q.y, q.z]), np.array([p.x, p.y, p.z])
             norm = float(np.linalg.norm(quaternion))
             if not (abs(norm - 1.0) <= _NORM_TOLERANCE and np.isfinite(translation).all()):
-                raise LogError(
+                wrong.append(
                     f"the transform from {parent} to {child} is none (quaternion of norm {norm:.3g})"
                 )
-            found.append((parent, child, Transform(rotation_matrix(quaternion / norm), translation)))
-        for parent, child, transform in found:
+                continue
+            transform = Transform(rotation_matrix(quaternion / norm), translation)
             self._to.setdefault(child, {})[parent] = transform
             self._to.setdefault(parent, {})[child] = transform.inverse()
         self.changes += 1
+        if wrong:
+            raise LogError(wrong[0])
 
     def between(self, source: str, target: str) -> Transform | None:
         """From one frame to another, over others if need be; None where nothing is known."""

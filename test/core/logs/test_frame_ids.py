@@ -207,6 +207,10 @@ def test_transforms_that_are_none_are_one_line() -> None:
     known = StaticTransforms()
     with pytest.raises(LogError, match=r"from base_link to imu_link is none \(quaternion of norm 0\)"):
         known.take(transforms(("base_link", "imu_link", (0.0, 0.0, 0.0, 0.0), PLACE)))
+    links = ("base_link", "camera", (0.0, 0.0, 0.0, 0.0), PLACE), ("base_link", "gps", BACKWARD, PLACE)
+    with pytest.raises(LogError, match="from base_link to camera is none"):
+        known.take(transforms(*links))
+    assert known.between("gps", "base_link") is not None
     whole = transforms(("base_link", "imu_link", BACKWARD, PLACE))
     rng = np.random.default_rng(0)
     for _ in range(300):
