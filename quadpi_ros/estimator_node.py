@@ -24,6 +24,7 @@ from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, O
 from quadpi_core.signals.odometry import FusedSamples, fused_sample, with_gyro_faults
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
+from quadpi_ros.consistency_watch import ConsistencyWatch
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, FRAMES, STRICT, WARN, SensorNode
@@ -114,6 +115,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def activate(self) -> None:
         """Start anew from what comes now."""
         self._ekf.reset()
+        self._consistency = ConsistencyWatch(self, None)
         self.hear_transforms(self._body)
         self._imu_health = self.listen(
             *self._imu, self._take_imu, rate_hz=self.parameters.imu_rate_hz or None
@@ -173,9 +175,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
                 "since_correction_s": ekf.since_correction_s,
             }
         values |= self._mocap_outcomes()
+        level, message = _LEVELS[ekf.status], ekf.status.name.lower()
         if stale := self.lack(self._imu.topic):
-            return [self.status("filter", diagnostics.STALE, stale, values)]
-        return [self.status("filter", _LEVELS[ekf.status], ekf.status.name.lower(), values)]
+            level, message = diagnostics.STALE, stale
+        return [self.status("filter", level, message, values), self._consistency.status()]
 
     def _mocap_outcomes(self) -> Counter[str]:
         """How many poses and velocities met each outcome so far."""
@@ -190,6 +193,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         )
 
     def _take_imu(self, imu: ImuStream) -> None:
+        self._consistency.take(imu)
         outcome = self._ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             reason = _reason(outcome)
@@ -213,9 +217,11 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._publish(odometry[0])
 
     def _take_pose(self, pose: PoseStream) -> None:
+        self._consistency.take(pose)
         self._ekf.update_pose(int(pose.time_ns[0]), pose.position[0], pose.attitude[0])
 
     def _take_odometry(self, odometry: OdometryStream) -> None:
+        self._consistency.take(odometry)
         time_ns = int(odometry.time_ns[0])
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0])
         self._ekf.update_velocity(time_ns, odometry.velocity[0], True)

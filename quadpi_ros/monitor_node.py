@@ -36,6 +36,7 @@ from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import guarded
+from quadpi_ros.consistency_watch import ConsistencyWatch
 from quadpi_ros.estimator_node import FASTEST_IMU_HZ, IMU_RATE, IMU_TOPIC, EstimatorNode, framed_imu
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.results import Results, named, warm_up
@@ -148,6 +149,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def activate(self) -> None:
         """Start anew from what comes now."""
         self._restart()
+        self._consistency = ConsistencyWatch(self, self._vehicle)
         if self._estimator is None:
             self.hear_transforms(self._body)
             self.listen(*self._imu, self._take_raw_imu, rate_hz=self.parameters.imu_rate_hz or None)
@@ -193,6 +195,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         return [
             self.status("alarm", alarm_level, alarm, models),
             self.status("pairing", level, message, values),
+            self._consistency.status(),
         ]
 
     def _latencies(self) -> dict[str, float | str | None]:
@@ -264,6 +267,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
         samples = self._pairing.take()
         if samples is None or self._rate.begins:
             return
+        if not self._consistency.complete:
+            self._consistency.take(
+                RotorSpeedStream(samples.time_ns, samples.rotor_speeds),
+                ImuStream(samples.time_ns, samples.rates, samples.specific_force),
+            )
         predicted_ns = self._results.take(samples)
         now_ns = time.monotonic_ns()
         for time_ns in predicted_ns.tolist():

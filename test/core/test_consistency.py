@@ -154,3 +154,11 @@ def test_an_inertia_in_another_unit_is_refused(tmp_path):
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(VehicleError, match="wrong unit"):
         Vehicle.load(path)
+
+
+@pytest.mark.parametrize("noise_m", [0.05, 0.3, 2.0])
+def test_noise_is_no_other_unit(flown, vehicle, noise_m):
+    for recording in flown.values():
+        noise = np.random.default_rng(1).standard_normal(recording.pose.position.shape)
+        noisy = replace(recording.pose, position=recording.pose.position + noise_m * noise)
+        assert list(findings(replace(recording, pose=noisy), vehicle)) == []
