@@ -70,34 +70,82 @@ class Stream:
                 finite or beyond VALUE_MAX.
         """
         where = f"{source}: topic {self.topic}"
-        self.require_samples(source)
-        outside = (self.time_ns < 0) | (self.time_ns > STAMP_MAX_NS)
-        if np.any(outside):
-            index = int(np.argmax(outside))
-            raise LogError(
-                f"{where}: sample {index}: the stamp is before 1970 or after 2038 ({self.time_ns[index]} ns)"
-            )
-        steps = np.diff(self.time_ns)
-        if np.any(steps <= 0):
-            index = int(np.argmax(steps <= 0)) + 1
-            kind = "repeats" if steps[index - 1] == 0 else "runs backward"
-            raise LogError(f"{where}: sample {index}: the stamp {kind} ({self.time_ns[index]} ns)")
-        if self.time_ns[-1] - self.time_ns[0] > FLIGHT_MAX_NS:
-            index = int(np.argmax(steps)) + 1
-            raise LogError(
-                f"{where}: sample {index}: comes {steps[index - 1] / _DAY_NS:.1f} days after the one before; "
-                f"no flight lasts {FLIGHT_MAX_NS // _DAY_NS} days"
-            )
-        for column in fields(self):
-            values = getattr(self, column.name).reshape(len(self), -1)
-            if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
-                index = int(np.argmax(~np.isfinite(values).all(axis=1)))
-                raise LogError(f"{where}: sample {index}: {column.name} is not finite")
-            if values.dtype.kind == "f" and np.any(np.abs(values) > VALUE_MAX):
-                index, place = divmod(int(np.argmax(np.abs(values))), values.shape[1])
+        check_stamps(where, self.time_ns)
+        values = ValueCheck(where)
+        values.add(self)
+        values.finish()
+
+
+def check_stamps(where: str, time_ns: Stamps) -> None:
+    """Refuse the stamps (N,) of a topic that no later step can use; see :meth:`Stream.check`.
+
+    Raises:
+        LogError: that begins with `where` and names the sample, where there is one.
+    """
+    if len(time_ns) == 0:
+        raise LogError(f"{where}: holds no samples")
+    outside = (time_ns < 0) | (time_ns > STAMP_MAX_NS)
+    if np.any(outside):
+        index = int(np.argmax(outside))
+        raise LogError(
+            f"{where}: sample {index}: the stamp is before 1970 or after 2038 ({time_ns[index]} ns)"
+        )
+    steps = np.diff(time_ns)
+    if np.any(steps <= 0):
+        index = int(np.argmax(steps <= 0)) + 1
+        kind = "repeats" if steps[index - 1] == 0 else "runs backward"
+        raise LogError(f"{where}: sample {index}: the stamp {kind} ({time_ns[index]} ns)")
+    if time_ns[-1] - time_ns[0] > FLIGHT_MAX_NS:
+        index = int(np.argmax(steps)) + 1
+        raise LogError(
+            f"{where}: sample {index}: comes {steps[index - 1] / _DAY_NS:.1f} days after the one before; "
+            f"no flight lasts {FLIGHT_MAX_NS // _DAY_NS} days"
+        )
+
+
+class ValueCheck:
+    """Looks for values of a topic that no later step can use, while its samples come in parts.
+
+    Args:
+        where: source and topic, for messages.
+    """
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._before = 0
+        # By column: the first sample that is not finite, and the largest number with its sample.
+        self._not_finite: dict[str, int] = {}
+        self._largest: dict[str, tuple[float, int]] = {}
+
+    def add(self, stream: Stream) -> None:
+        """Look at the samples that come next."""
+        for column in fields(stream) if len(stream) else ():
+            values = getattr(stream, column.name).reshape(len(stream), -1)
+            if values.dtype.kind != "f":
+                continue
+            self._largest.setdefault(column.name, (0.0, 0))
+            finite = np.isfinite(values).all(axis=1)
+            if not np.all(finite):
+                self._not_finite.setdefault(column.name, self._before + int(np.argmin(finite)))
+                continue
+            index, place = divmod(int(np.argmax(np.abs(values))), values.shape[1])
+            if abs(values[index, place]) > abs(self._largest[column.name][0]):
+                self._largest[column.name] = float(values[index, place]), self._before + index
+        self._before += len(stream)
+
+    def finish(self) -> None:
+        """Say what is wrong.
+
+        Raises:
+            LogError: naming the sample, for values that are not finite or beyond VALUE_MAX.
+        """
+        for name, (value, index) in self._largest.items():
+            if name in self._not_finite:
+                raise LogError(f"{self._where}: sample {self._not_finite[name]}: {name} is not finite")
+            if abs(value) > VALUE_MAX:
                 raise LogError(
-                    f"{where}: sample {index}: {column.name} holds {values[index, place]:.3g}; nothing in a "
-                    f"flight is beyond {VALUE_MAX:g}"
+                    f"{self._where}: sample {index}: {name} holds {value:.3g}; nothing in a flight is beyond "
+                    f"{VALUE_MAX:g}"
                 )
 
 
@@ -212,6 +260,18 @@ class Recording:
         """Check every stream (see :meth:`Stream.check`)."""
         for stream in self.streams():
             stream.check(self.source)
+
+
+# By the fields of a recording.
+STREAM_KINDS: Mapping[str, type[Stream]] = {
+    "imu": ImuStream,
+    "rotor_speeds": RotorSpeedStream,
+    "pose": PoseStream,
+    "twist": TwistStream,
+    "odometry": OdometryStream,
+    "wind": WindStream,
+    "simulated": WrenchStream,
+}
 
 
 @dataclass(frozen=True)

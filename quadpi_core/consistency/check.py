@@ -7,7 +7,7 @@ What it finds, what it cannot, and how the thresholds compare with real flights:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from quadpi_core.consistency.rotors import RotorEvidence, rotor_evidence
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
 from quadpi_core.logs.plausibility import check_plausible, thrust_coefficient
+from quadpi_core.logs.screening import Beyond
 from quadpi_core.quality import Finding
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -46,13 +47,20 @@ _ROTOR_LOW, _ROTOR_LEFT = 0.07, 0.35
 _THRUST_RATIO = (0.4, 1.18)
 
 
-def checked(recording: Recording, vehicle: Vehicle) -> Recording:
+def checked(
+    recording: Recording, vehicle: Vehicle, beyond: Mapping[str, Sequence[Beyond]] | None = None
+) -> Recording:
     """The recording with what is to be said of it in its `quality`.
+
+    Args:
+        recording: without samples that are left out.
+        vehicle: that flew.
+        beyond: see :func:`quadpi_core.logs.plausibility.implausibilities`.
 
     Raises:
         LogError: naming file and topic, for units and axes that cannot be right, and certain mistakes.
     """
-    check_plausible(recording, vehicle)
+    check_plausible(recording, vehicle, beyond)
     found = tuple(findings(recording, vehicle))
     for finding in found:
         if finding.certain:

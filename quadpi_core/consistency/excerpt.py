@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import MAX_GAP_NS, OdometryStream, PoseStream, Recording, Stamps, Stream
+from quadpi_core.flight import MAX_GAP_NS, OdometryStream, PoseStream, Recording, Stamps
 from quadpi_core.frames import Array
 
 # Windows are spread over the flight, so that the cost does not grow with its length.
@@ -70,7 +71,7 @@ class RotorExcerpt:
 def excerpt(recording: Recording, state: Pose) -> Excerpt | None:
     """Windows in which the IMU and a state have samples without a pause; None if there are none."""
     parts = []
-    for grid in _grids([recording.imu, state]):
+    for grid in _grids([recording.imu.time_ns, state.time_ns]):
         inertial = _imu_means(recording, grid)
         if inertial is None or _pauses(state.time_ns, grid, _POSE_GAP_NS):
             continue
@@ -93,7 +94,7 @@ def rotor_excerpt(recording: Recording) -> RotorExcerpt | None:
         return None
     margin = round(_MARGIN_S / STEP_S)
     parts = []
-    for grid in _grids([recording.imu, rotors], _MARGIN_S):
+    for grid in _grids([recording.imu.time_ns, rotors.time_ns], _MARGIN_S):
         inertial = _imu_means(recording, grid)
         wide = np.arange(-margin, len(grid) + margin) * round(STEP_S * 1e9) + grid[0]
         if inertial is None or _pauses(rotors.time_ns, wide, MAX_GAP_NS):
@@ -107,12 +108,26 @@ def rotor_excerpt(recording: Recording) -> RotorExcerpt | None:
     return RotorExcerpt(STEP_S, rates, force, squares, margin)
 
 
-def _grids(streams: list[Stream], margin_s: float = 0.0) -> list[Stamps]:
+def needed_spans(stamps: Mapping[str, Stamps]) -> Iterator[tuple[int, int]]:
+    """First and last stamp of each part of a recording that excerpts are made of.
+
+    Args:
+        stamps: (N,) those of each stream, by its field of the recording.
+    """
+    around_ns = round(_MARGIN_S * 1e9) + _POSE_GAP_NS
+    for field in ("pose", "odometry", "rotor_speeds"):
+        if field in stamps:
+            margin_s = _MARGIN_S if field == "rotor_speeds" else 0.0
+            for grid in _grids([stamps["imu"], stamps[field]], margin_s):
+                yield int(grid[0]) - around_ns, int(grid[-1]) + around_ns
+
+
+def _grids(stamps: list[Stamps], margin_s: float = 0.0) -> list[Stamps]:
     """Borders (K + 1,) of the cells of each window, in ns."""
-    if any(len(stream) < 2 for stream in streams):
+    if any(len(time_ns) < 2 for time_ns in stamps):
         return []
-    first = max(int(stream.time_ns[0]) for stream in streams) + round(margin_s * 1e9)
-    last = min(int(stream.time_ns[-1]) for stream in streams) - round(margin_s * 1e9)
+    first = max(int(time_ns[0]) for time_ns in stamps) + round(margin_s * 1e9)
+    last = min(int(time_ns[-1]) for time_ns in stamps) - round(margin_s * 1e9)
     step = round(STEP_S * 1e9)
     cells = min((last - first) // step, round(WINDOW_S / STEP_S))
     if cells < _FEWEST_CELLS:

@@ -7,7 +7,8 @@ Readers are imported when one is needed: each brings libraries that the others d
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from quadpi_core.logs.screening import screened
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
+    from quadpi_core.logs.bags import BagRecording
     from quadpi_core.logs.rotor_order import RotorOrder
 
 CFUSDLOG_MAGIC = 0xBC
@@ -71,8 +73,19 @@ def decode_recording(
     log_format = identify_format(path)
     if mapping is not None and not log_format.takes_mapping:
         raise LogError(f"{path}: a {log_format.description} takes no mapping file")
-    try:
+    with reading(path):
         return log_format.read(path, vehicle, None if mapping is None else Path(mapping))
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Say of which file it is that something could not be read.
+
+    Raises:
+        LogError: in place of all errors that are not quadpi's own.
+    """
+    try:
+        yield
     except QuadpiError:
         raise
     except OSError as error:
@@ -81,6 +94,16 @@ def decode_recording(
         raise LogError(f"{path}: cannot be read: it takes more memory than there is") from error
     except Exception as error:  # the last resort: what a reader makes of damaged bytes has no bound
         raise LogError(f"{path}: cannot be read: {type(error).__name__}: {one_line(error)}") from error
+
+
+def blocks_of(bag: BagRecording) -> Iterator[Recording]:
+    """The recording in a bag in blocks.
+
+    Raises:
+        LogError: naming the bag, whatever the error is.
+    """
+    with reading(Path(bag.source)):
+        yield from bag.blocks()
 
 
 def identify_format(path: Path) -> LogFormat:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -38,7 +38,7 @@ from quadpi_core.logs.blocks import join_blocks, split_by_stamp
 from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.frame_ids import BodyFrames, Framed
 from quadpi_core.logs.mcap import Bag, Topic
-from quadpi_core.logs.mcap_writer import mcap_writer
+from quadpi_core.logs.mcap_writer import McapWriter, mcap_writer
 from quadpi_core.logs.payloads import Payloads
 from quadpi_core.logs.result_messages import ReportedAlarms, unpack_alarms, unpack_predictions
 from quadpi_core.logs.transforms import TF_TOPIC, TF_TYPE
@@ -339,10 +339,8 @@ def write_bag(
     Raises:
         LogError: if the path does not end in .mcap.
     """
-    entries = {"vehicle": recording.vehicle, "version": __version__, **_provenance(Path(recording.source))}
-    with mcap_writer(Path(path), {**entries, **(metadata or {})}) as writer:
-        names = [stream.topic for stream in recording.streams()]
-        writer.announce({f"/{name}": TOPIC_TYPES[name] for name in names})
+    names = [stream.topic for stream in recording.streams()]
+    with recording_writer(path, recording.vehicle, recording.source, names, metadata) as writer:
         writer.announce({topic.name: topic.type_name for topic in extra})
         for topic in extra:
             writer.add(topic)
@@ -350,6 +348,32 @@ def write_bag(
             for topic in recording_topics(part):
                 writer.add(topic)
             writer.flush(end_ns - 1)
+
+
+@contextmanager
+def recording_writer(
+    path: Path | str,
+    vehicle: str,
+    source: str,
+    topics: Collection[str],
+    metadata: Mapping[str, str] | None = None,
+) -> Iterator[McapWriter]:
+    """A bag like that of :func:`write_bag`, to write while its messages come.
+
+    Args:
+        path: see there.
+        vehicle: its name.
+        source: path of the file that the recording is of.
+        topics: standard topics that it has.
+        metadata: see there.
+
+    Raises:
+        LogError: see there.
+    """
+    entries = {"vehicle": vehicle, "version": __version__, **_provenance(Path(source))}
+    with mcap_writer(Path(path), {**entries, **(metadata or {})}) as writer:
+        writer.announce({f"/{name}": TOPIC_TYPES[name] for name in topics})
+        yield writer
 
 
 def recording_topics(recording: Recording) -> Iterator[Topic]:

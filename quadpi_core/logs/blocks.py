@@ -31,19 +31,19 @@ def join_blocks(blocks: Iterable[Recording]) -> Recording:
         ValueError: if there is no block.
     """
     first: Recording | None = None
-    columns: dict[str, list[_Column]] = {}
-    arrivals: dict[str, _Column] = {}
+    columns: dict[str, list[Column]] = {}
+    arrivals: dict[str, Column] = {}
     kinds: dict[str, type[Stream]] = {}
     before = 0
     for block in blocks:
         first = first or block
-        for name, stream in _streams(block).items():
+        for name, stream in streams_by_field(block).items():
             kinds[name] = type(stream)
-            own = columns.setdefault(name, [_Column() for _ in fields(stream)])
+            own = columns.setdefault(name, [Column() for _ in fields(stream)])
             for column, of in zip(own, fields(stream), strict=True):
                 column.extend(getattr(stream, of.name))
         for topic, counts in block.arrivals.items():
-            arrivals.setdefault(topic, _Column()).extend(before + counts)
+            arrivals.setdefault(topic, Column()).extend(before + counts)
         before += len(block.imu)
     if first is None:
         raise ValueError("a recording needs a block")
@@ -53,7 +53,7 @@ def join_blocks(blocks: Iterable[Recording]) -> Recording:
     return replace(first, **streams, arrivals={topic: column.whole() for topic, column in arrivals.items()})
 
 
-class _Column:
+class Column:
     """An array that is joined of parts, in place: what is held is hardly more than the whole."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class _Column:
 
 def split_recording(recording: Recording) -> Iterator[Recording]:
     """Blocks of :data:`BLOCK_SAMPLES` IMU samples, as :func:`by_arrival` gives them."""
-    others = {name: stream for name, stream in _streams(recording).items() if name != "imu"}
+    others = {name: stream for name, stream in streams_by_field(recording).items() if name != "imu"}
     counts, orders = {}, {}
     for name, stream in others.items():
         arrived = recording.arrivals_of(stream)
@@ -103,7 +103,7 @@ def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
     Gives each part, and the stamp before which all of its samples are stamped, and none of a later part is.
     Samples of a stream come in the order of their stamps.
     """
-    streams = {name: _in_order(stream) for name, stream in _streams(recording).items()}
+    streams = {name: _in_order(stream) for name, stream in streams_by_field(recording).items()}
     starts = dict.fromkeys(streams, 0)
     for end_ns in [*streams["imu"].time_ns[BLOCK_SAMPLES::BLOCK_SAMPLES].tolist(), _END_NS]:
         part: dict[str, Any] = {}
@@ -140,7 +140,7 @@ def by_arrival(blocks: Iterable[Recording]) -> Iterator[Recording]:
 def _cut(block: Recording) -> tuple[Recording, Recording]:
     """What had arrived when the last IMU sample did, and the rest."""
     count = len(block.imu)
-    others = {name: stream for name, stream in _streams(block).items() if name != "imu"}
+    others = {name: stream for name, stream in streams_by_field(block).items() if name != "imu"}
     counts = {name: block.arrivals_of(stream) for name, stream in others.items()}
     places = {name: int(np.searchsorted(counts[name], count)) for name in others}
     due: dict[str, Any] = {name: others[name].take(slice(0, places[name])) for name in others}
@@ -156,7 +156,7 @@ def _cut(block: Recording) -> tuple[Recording, Recording]:
     )
 
 
-def _streams(recording: Recording) -> dict[str, Stream]:
+def streams_by_field(recording: Recording) -> dict[str, Stream]:
     """By the names of their fields."""
     return {
         column.name: stream

@@ -5,11 +5,17 @@
 from __future__ import annotations
 
 import hashlib
+import tempfile
 from collections.abc import Iterable
+from contextlib import ExitStack
+from typing import IO
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
+
+# Of a column that is hashed later: what is held in memory, and what is read of it at once.
+_WAITING_BYTES, _READ_AT_ONCE = 1 << 22, 1 << 20
 
 
 def recording_hash(recording: Recording) -> str:
@@ -18,20 +24,63 @@ def recording_hash(recording: Recording) -> str:
     Stamps count from the first IMU sample in microseconds and values are rounded to single precision, so
     neither a shifted clock nor the rounding of a conversion tells copies apart.
     """
-    digest = hashlib.sha256()
-    imu, rotors = recording.imu, recording.rotor_speeds
-    start = int(imu.time_ns[0]) if len(imu) else 0
-    _update(digest, imu.time_ns - start, imu.angular_velocity, imu.specific_force)
-    if rotors is not None:
-        _update(digest, rotors.time_ns - start, rotors.speeds)
-    return digest.hexdigest()
+    rotors = recording.rotor_speeds
+    with RunningHash(recording.imu.time_ns, None if rotors is None else rotors.time_ns) as running:
+        running.add(recording)
+        return running.hexdigest()
 
 
-def _update(digest: hashlib._Hash, time_ns: Stamps, *signals: Array) -> None:
-    digest.update((time_ns // 1000).astype("<i8").tobytes())
-    for values in signals:
-        # Adding zero makes -0.0, which a change of axes leaves behind, the same as 0.0.
-        digest.update((values + 0.0).astype("<f4").tobytes())
+class RunningHash(ExitStack):
+    """The hash of a recording that comes in parts; see :func:`recording_hash`.
+
+    What is hashed last waits in temporary files without a name.
+
+    Args:
+        imu_ns: (N,) stamps of all IMU samples.
+        rotors_ns: (M,) those of the rotor speeds; None where there are none.
+    """
+
+    def __init__(self, imu_ns: Stamps, rotors_ns: Stamps | None) -> None:
+        super().__init__()
+        self._digest = hashlib.sha256()
+        self._start_ns = int(imu_ns[0]) if len(imu_ns) else 0
+        self._rotors_ns = rotors_ns
+        self._force = self.enter_context(_waiting())
+        self._speeds = self.enter_context(_waiting())
+        self._hash_stamps(imu_ns)
+
+    def add(self, part: Recording) -> None:
+        """Take the samples that come next."""
+        self._digest.update(_bytes(part.imu.angular_velocity))
+        self._force.write(_bytes(part.imu.specific_force))
+        if part.rotor_speeds is not None:
+            self._speeds.write(_bytes(part.rotor_speeds.speeds))
+
+    def hexdigest(self) -> str:
+        """Of all samples; none can be added then."""
+        self._hash_file(self._force)
+        if self._rotors_ns is not None:
+            self._hash_stamps(self._rotors_ns)
+            self._hash_file(self._speeds)
+        return self._digest.hexdigest()
+
+    def _hash_stamps(self, time_ns: Stamps) -> None:
+        self._digest.update(((time_ns - self._start_ns) // 1000).astype("<i8").tobytes())
+
+    def _hash_file(self, file: IO[bytes]) -> None:
+        file.seek(0)
+        while part := file.read(_READ_AT_ONCE):
+            self._digest.update(part)
+
+
+def _waiting() -> IO[bytes]:
+    """A file that is written, and read later; without a name, so that nothing is left of it."""
+    return tempfile.SpooledTemporaryFile(_WAITING_BYTES)
+
+
+def _bytes(values: Array) -> bytes:
+    # Adding zero makes -0.0, which a change of axes leaves behind, the same as 0.0.
+    return (values + 0.0).astype("<f4").tobytes()
 
 
 def refuse_duplicates(flights: Iterable[tuple[str, str]]) -> None:

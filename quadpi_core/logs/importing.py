@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,15 @@ from typing import Any
 from quadpi_core.config import is_config_path
 from quadpi_core.consistency.check import checked
 from quadpi_core.errors import LogError
-from quadpi_core.logs import read_recording
-from quadpi_core.logs.bags import write_bag
-from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
+from quadpi_core.logs import FORMATS, blocks_of, identify_format, read_recording, reading
+from quadpi_core.logs.adapters import AdapterSettings
+from quadpi_core.logs.bags import open_recording, recording_topics, recording_writer, write_bag
+from quadpi_core.logs.blocks import streams_by_field
+from quadpi_core.logs.duplicates import RunningHash, recording_hash, refuse_duplicates
 from quadpi_core.logs.missing import missing
+from quadpi_core.logs.screening import StreamScreening
+from quadpi_core.logs.survey import Excerpting, Selection, samples_left_out, survey
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
@@ -109,6 +115,9 @@ class _Conversion:
 
 def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
     """The bag of a log in the temporary folder, and the hash of the flight."""
+    # To align clocks takes all turns of the flight at once.
+    if identify_format(log) is FORMATS["bag"] and not task.align:
+        return _convert_in_blocks(task, log)
     recording = checked(read_recording(log, task.vehicle, task.mapping), task.vehicle)
     sha256 = recording_hash(recording)
     alignment = None
@@ -119,3 +128,47 @@ def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
     topics = tuple(stream.topic for stream in recording.streams())
     lacking = tuple(missing(recording))
     return Imported(bag, len(recording.imu), topics, alignment, lacking, recording.quality), sha256
+
+
+def _convert_in_blocks(task: _Conversion, log: Path) -> tuple[Imported, str]:
+    """Like :func:`_convert`, of a bag, which is read twice and never held whole."""
+    adapters = None if task.mapping is None else AdapterSettings.load(task.mapping)
+    with ExitStack() as opened:
+        with reading(log):
+            bag = opened.enter_context(open_recording(log, task.vehicle, adapters))
+        streams = survey(blocks_of(bag), task.vehicle)
+        stamps = {name: stream.usable_ns for name, stream in streams.items()}
+        wheres = {name: f"{bag.source}: topic {stream.topic}" for name, stream in streams.items()}
+        for name, where in wheres.items():
+            check_stamps(where, stamps[name])
+        values = {name: ValueCheck(where) for name, where in wheres.items()}
+        excerpting = Excerpting(stamps)
+        screening = {name: StreamScreening(STREAM_KINDS[name], task.vehicle) for name in streams}
+        running = opened.enter_context(RunningHash(stamps["imu"], stamps.get("rotor_speeds")))
+        topics = tuple(stream.topic for stream in streams.values())
+        path = staged(task.staging, f"{bag.name}.mcap")
+        with recording_writer(path, bag.vehicle, bag.source, topics) as writer:
+            written = dict.fromkeys(streams, 0)
+            usable = Selection({name: stream.usable for name, stream in streams.items()})
+            for block in map(usable.of, blocks_of(bag)):
+                excerpting.add(block)
+                running.add(block)
+                for topic in recording_topics(block):
+                    writer.add(topic)
+                for name, stream in streams_by_field(block).items():
+                    values[name].add(stream)
+                    screening[name].add(stream)
+                    written[name] += len(stream)
+                coming = [stamps[name][count] for name, count in written.items() if count < len(stamps[name])]
+                if coming:
+                    writer.flush(int(min(coming)) - 1)
+            for check in values.values():
+                check.finish()
+            excerpt = excerpting.finish()
+            quality = replace(excerpt.quality, left_out=tuple(samples_left_out(streams)))
+            beyond = {streams[name].topic: list(one.finish()) for name, one in screening.items()}
+            recording = checked(replace(excerpt, quality=quality), task.vehicle, beyond)
+        imported = Imported(
+            path, len(stamps["imu"]), topics, None, tuple(missing(recording)), recording.quality
+        )
+        return imported, running.hexdigest()

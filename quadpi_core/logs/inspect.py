@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -13,9 +13,21 @@ import numpy.typing as npt
 
 from quadpi_core.consistency.check import findings as inconsistencies
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording, RotorSpeedStream, Stamps, Stream
+from quadpi_core.flight import (
+    ImuStream,
+    OdometryStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+    Stream,
+    ValueCheck,
+    check_stamps,
+)
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.bags import bag_topics
+from quadpi_core.logs.blocks import streams_by_field
+from quadpi_core.logs.even_rows import EvenRows
 from quadpi_core.logs.missing import missing
 from quadpi_core.logs.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
@@ -24,8 +36,8 @@ from quadpi_core.logs.plausibility import (
     implausibilities,
     thrust_coefficient,
 )
-from quadpi_core.logs.screening import left_out, screened
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.logs.survey import Excerpting, Selection, StreamSurvey, samples_left_out, survey
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 GAP_INTERVALS = 5.0
 FROZEN_S = 0.25
@@ -82,20 +94,43 @@ class Inspection:
 
 def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> Inspection:
     """Describe a recording; without a vehicle, what depends on its limits is not judged."""
+    return inspect_blocks(lambda: iter((recording,)), vehicle)
+
+
+def inspect_blocks(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None = None) -> Inspection:
+    """Describe a recording that comes in blocks, of which there is at least one.
+
+    Args:
+        blocks: gives them from the first on; they are read twice.
+        vehicle: that flew; without one what depends on its limits is not judged.
+    """
     # Of numbers without bound: what overflows shows as such.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _inspect(recording, vehicle)
+        return _inspect(blocks, vehicle)
 
 
-def _inspect(recording: Recording, vehicle: Vehicle | None) -> Inspection:
-    topics = tuple(_describe(stream) for stream in recording.streams())
+def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -> Inspection:
+    streams = survey(blocks(), vehicle)
+    timings = {name: _timing(stream.topic, stream.time_ns) for name, stream in streams.items()}
+    excerpting = Excerpting({name: stream.time_ns for name, stream in streams.items()})
+    summaries = {name: _Summary() for name in streams}
+    usable = Selection({name: stream.usable for name, stream in streams.items()})
+    values = {name: ValueCheck(stream.topic) for name, stream in streams.items()}
+    for block in blocks():
+        excerpting.add(block)
+        for name, stream in streams_by_field(block).items():
+            summaries[name].add(stream)
+        for name, stream in streams_by_field(usable.of(block)).items():
+            values[name].add(stream)
+    recording = excerpting.finish()
+    topics = tuple(replace(timings[name], not_finite=summaries[name].not_finite) for name in streams)
     findings = (
         *(finding for topic in topics for finding in _timing_findings(topic)),
-        *implausibilities(recording, vehicle),
-        *(f"{samples}; `import` and `identify` do" for samples in left_out(recording, vehicle)),
-        *(finding for stream in recording.streams() for finding in _frozen_findings(stream)),
-        *_rotor_findings(recording, vehicle),
-        *_inconsistencies(recording, vehicle),
+        *implausibilities(recording, vehicle, {stream.topic: stream.found for stream in streams.values()}),
+        *(f"{samples}; `import` and `identify` do" for samples in samples_left_out(streams)),
+        *(finding for name in streams for finding in _frozen_findings(streams[name], summaries[name])),
+        *_rotor_findings(recording, vehicle, summaries),
+        *_inconsistencies(excerpting.without(recording, streams), vehicle, streams, values),
         *_battery_findings(recording),
         *missing(recording),
     )
@@ -104,7 +139,7 @@ def _inspect(recording: Recording, vehicle: Vehicle | None) -> Inspection:
         vehicle=recording.vehicle,
         source=recording.source,
         topics=topics,
-        envelope=tuple(_envelope(recording)),
+        envelope=tuple(_envelope(summaries, recording)),
         findings=findings,
     )
 
@@ -132,14 +167,20 @@ def with_names_of_bag(inspection: Inspection, names: Mapping[str, str]) -> Inspe
     return replace(inspection, topics=tuple(topics.values()), findings=findings)
 
 
-def _inconsistencies(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+def _inconsistencies(
+    excerpt: Recording,
+    vehicle: Vehicle | None,
+    streams: Mapping[str, StreamSurvey],
+    values: Mapping[str, ValueCheck],
+) -> Iterator[str]:
     """What the consistency check says; it takes what `import` would have made of the recording."""
-    used = screened(recording, vehicle)
     try:
-        used.check()
+        for name, stream in streams.items():
+            check_stamps(stream.topic, stream.usable_ns)
+            values[name].finish()
     except LogError:
         return
-    yield from map(str, inconsistencies(used, vehicle))
+    yield from map(str, inconsistencies(excerpt, vehicle))
 
 
 def inspect_topics(bag: Path) -> Inspection:
@@ -158,12 +199,8 @@ def inspect_topics(bag: Path) -> Inspection:
     )
 
 
-def _describe(stream: Stream) -> TopicReport:
-    not_finite = int(np.sum(~finite_rows(*_columns(stream).values()))) if len(stream) else 0
-    return _timing(stream.topic, stream.time_ns, not_finite)
-
-
-def _timing(topic: str, time_ns: Stamps, not_finite: int = 0) -> TopicReport:
+def _timing(topic: str, time_ns: Stamps) -> TopicReport:
+    """Of values that are not finite nothing is known here."""
     steps = np.diff(time_ns) * 1e-9
     forward = steps[steps > 0.0]
     median = float(np.median(forward)) if len(forward) else 0.0
@@ -180,8 +217,100 @@ def _timing(topic: str, time_ns: Stamps, not_finite: int = 0) -> TopicReport:
         longest_gap_s=float(forward.max(initial=0.0)),
         repeated=int(np.sum(steps == 0.0)),
         backward=int(np.sum(steps < 0.0)),
-        not_finite=not_finite,
+        not_finite=0,
     )
+
+
+class _Summary:
+    """What the values of a topic are like, which comes in parts.
+
+    Attributes:
+        count: of samples.
+        not_finite: of those with a value that is no number.
+        runs: by the name of a quantity, how long it stays the same; each rotor is a sensor of its own.
+        ranges: of quantities that show what was flown.
+        jumps: (4,) how often each rotor speed halves or doubles between samples; zeros of other topics.
+    """
+
+    def __init__(self) -> None:
+        self.count = self.not_finite = 0
+        self.runs: dict[str, _LongestRun] = {}
+        self.ranges: dict[str, _RunningRange] = {}
+        self.jumps = np.zeros(ROTORS, dtype=np.int64)
+        self._last_speeds = np.empty((0, ROTORS))
+
+    def add(self, stream: Stream) -> None:
+        """Take the samples that come next."""
+        columns = _columns(stream)
+        self.count += len(stream)
+        if len(stream):
+            self.not_finite += int(np.sum(~finite_rows(*columns.values())))
+        if isinstance(stream, RotorSpeedStream):
+            columns = {f"rotor {i + 1}": column[:, np.newaxis] for i, column in enumerate(stream.speeds.T)}
+            speeds = np.concatenate((self._last_speeds, _turning(stream)))
+            self.jumps += _factor_of_two(speeds[1:] / speeds[:-1]).sum(axis=0)
+            self._last_speeds = speeds[-1:]
+        for name, values in columns.items():
+            self.runs.setdefault(name, _LongestRun()).add(values)
+        for quantity, unit, values in _quantities(stream):
+            self.ranges.setdefault(quantity, _RunningRange(quantity, unit)).add(values)
+
+
+class _LongestRun:
+    """Finds the longest run of equal rows, which come in parts; of equally long ones the first."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._start = 0
+        self._longest = (0, 0)
+        self._last: Array | None = None
+
+    def add(self, rows: Array) -> None:
+        """Take the rows (N, C) that come next."""
+        if len(rows) == 0:
+            return
+        joined = rows if self._last is None else np.concatenate((self._last, rows))
+        # Index of the second of two rows that are side by side, counted from the first of all.
+        second = self._count + len(rows) - len(joined) + 1
+        borders = second + np.flatnonzero(np.any(joined[1:] != joined[:-1], axis=1))
+        if len(borders):
+            lengths = np.diff(borders, prepend=self._start)
+            longest = int(np.argmax(lengths))
+            self._compare(int(borders[longest] - lengths[longest]), int(borders[longest]))
+            self._start = int(borders[-1])
+        self._count += len(rows)
+        self._last = rows[-1:].copy()
+
+    def longest(self) -> tuple[int, int]:
+        """Index of its first row, and of its last one."""
+        self._compare(self._start, self._count)
+        return self._longest[0], self._longest[1] - 1
+
+    def _compare(self, first: int, end: int) -> None:
+        if end - first > self._longest[1] - self._longest[0]:
+            self._longest = first, end
+
+
+class _RunningRange:
+    """The range of a quantity that comes in parts; the median of a long flight is that of some samples."""
+
+    def __init__(self, quantity: str, unit: str) -> None:
+        self._quantity, self._unit = quantity, unit
+        self._lowest, self._highest = np.inf, -np.inf
+        self._known = EvenRows()
+
+    def add(self, values: Array) -> None:
+        """Take the values (N,) that come next; those not finite are passed over."""
+        known = values[np.isfinite(values)]
+        self._known.add(known)
+        self._lowest = min(self._lowest, float(known.min(initial=np.inf)))
+        self._highest = max(self._highest, float(known.max(initial=-np.inf)))
+
+    def ranges(self) -> Iterator[Range]:
+        """The range; none without a value."""
+        if len(self._known.rows()):
+            median = float(np.median(self._known.rows()))
+            yield Range(self._quantity, self._unit, self._lowest, median, self._highest)
 
 
 def _columns(stream: Stream) -> dict[str, Array]:
@@ -206,32 +335,24 @@ def _timing_findings(topic: TopicReport) -> Iterator[str]:
         yield f"{where} stamps jitter by ±{topic.jitter_ms:.1f} ms: times of arrival, not of measurement?"
 
 
-def _frozen_findings(stream: Stream) -> Iterator[str]:
-    """Quantities that stay the same for longer than FROZEN_S; each rotor is a sensor of its own."""
-    if len(stream) == 0:
+def _frozen_findings(stream: StreamSurvey, summary: _Summary) -> Iterator[str]:
+    """Quantities that stay the same for longer than FROZEN_S."""
+    if len(stream.time_ns) == 0:
         return
-    quantities = _columns(stream)
-    if isinstance(stream, RotorSpeedStream):
-        quantities = {f"rotor {i + 1}": column[:, np.newaxis] for i, column in enumerate(stream.speeds.T)}
-    for name, values in quantities.items():
-        first, last = _longest_run(values)
+    for name, run in summary.runs.items():
+        first, last = run.longest()
         seconds = float(stream.time_ns[last] - stream.time_ns[first]) * 1e-9
         if seconds > FROZEN_S:
             yield f"topic {stream.topic}: sample {first}: {name} stays the same for {seconds:.2f} s: frozen?"
 
 
-def _longest_run(values: Array) -> tuple[int, int]:
-    """First and last index of the longest run of equal rows of `values` (N, C)."""
-    borders = np.flatnonzero(np.r_[True, np.any(values[1:] != values[:-1], axis=1), True])
-    longest = int(np.argmax(np.diff(borders)))
-    return int(borders[longest]), int(borders[longest + 1]) - 1
-
-
-def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+def _rotor_findings(
+    recording: Recording, vehicle: Vehicle | None, summaries: Mapping[str, _Summary]
+) -> Iterator[str]:
     rotors = recording.rotor_speeds
     if rotors is None:
         return
-    yield from _half_reading_findings(rotors)
+    yield from _half_reading_findings(rotors, summaries["rotor_speeds"].jumps)
     coefficient = thrust_coefficient(recording, vehicle) if vehicle is not None else None
     (low, high), (least, most) = THRUST_COEFFICIENT_USUAL, THRUST_COEFFICIENT_POSSIBLE
     if coefficient is not None and (least < coefficient <= low or high <= coefficient < most):
@@ -241,26 +362,30 @@ def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[s
         )
 
 
-def _half_reading_findings(rotors: RotorSpeedStream) -> Iterator[str]:
+def _half_reading_findings(rotors: RotorSpeedStream, jumps: npt.NDArray[np.int64]) -> Iterator[str]:
     """A rotor that reads half of the others, or whose reading halves and doubles between samples.
 
     A rotor cannot change its speed by a factor of two within one interval; a sensor that misses every
     other pulse does.
     """
-    speeds = rotors.speeds[finite_rows(rotors.speeds)]
-    speeds = speeds[np.all(speeds > 0.0, axis=1)]
+    speeds = _turning(rotors)
     if len(speeds) < 2:
         return
     for index, column in enumerate(speeds.T):
         where = f"topic rotor_speeds: rotor {index + 1}"
         others = np.median(np.delete(speeds, index, axis=1), axis=1)
         ratio = np.median(column / others)
-        jumps = _factor_of_two(column[1:] / column[:-1]).sum()
         if _factor_of_two(ratio):
             kind = "half" if ratio < 1.0 else "double"
             yield f"{where} reads {ratio:.2f} times the others: {kind}-reading sensor?"
-        elif jumps:
-            yield f"{where} halves or doubles within one interval, {jumps} times: half-reading sensor?"
+        elif jumps[index]:
+            yield f"{where} halves or doubles within one interval, {jumps[index]} times: half-reading sensor?"
+
+
+def _turning(rotors: RotorSpeedStream) -> Array:
+    """Speeds (N, 4) of the samples in which all rotors turn."""
+    speeds = rotors.speeds[finite_rows(rotors.speeds)]
+    return np.asarray(speeds[np.all(speeds > 0.0, axis=1)])
 
 
 def _factor_of_two(ratio: npt.ArrayLike) -> npt.NDArray[np.bool_]:
@@ -275,26 +400,29 @@ def _battery_findings(recording: Recording) -> Iterator[str]:
             yield f"battery: the voltage is constant at {volts[0]:.3g} V: not measured?"
 
 
-def _envelope(recording: Recording) -> Iterator[Range]:
-    imu, rotors = recording.imu, recording.rotor_speeds
-    state = recording.odometry or recording.pose
-    if recording.odometry is not None:
-        yield from _range("speed", "m/s", np.linalg.norm(recording.odometry.velocity, axis=1))
-    if state is not None:
-        yield from _range("altitude", "m", -state.position[:, 2])
-        tilt = np.degrees(np.arccos(np.clip(rotation_matrix(state.attitude)[:, 2, 2], -1.0, 1.0)))
-        yield from _range("tilt", "deg", tilt)
-    for axis, name in enumerate("pqr"):
-        yield from _range(f"rate {name}", "rad/s", imu.angular_velocity[:, axis])
-    yield from _range("specific force", "m/s²", np.linalg.norm(imu.specific_force, axis=1))
-    if rotors is not None:
-        for index, column in enumerate(rotors.speeds.T):
-            yield from _range(f"rotor {index + 1}", "rad/s", column)
+def _envelope(summaries: Mapping[str, _Summary], recording: Recording) -> Iterator[Range]:
+    states = [name for name in ("odometry", "pose") if name in summaries and summaries[name].count]
+    for name in (*states[:1], "imu", "rotor_speeds"):
+        for running in summaries[name].ranges.values() if name in summaries else ():
+            yield from running.ranges()
     if recording.battery_v is not None:
-        yield from _range("battery", "V", recording.battery_v[1])
+        battery = _RunningRange("battery", "V")
+        battery.add(recording.battery_v[1])
+        yield from battery.ranges()
 
 
-def _range(quantity: str, unit: str, values: Array) -> Iterator[Range]:
-    known = values[np.isfinite(values)]
-    if len(known):
-        yield Range(quantity, unit, float(known.min()), float(np.median(known)), float(known.max()))
+def _quantities(stream: Stream) -> Iterator[tuple[str, str, Array]]:
+    """Name, unit and values (N,) of what shows how a topic's samples were flown."""
+    if isinstance(stream, OdometryStream):
+        yield "speed", "m/s", np.linalg.norm(stream.velocity, axis=1)
+    if isinstance(stream, OdometryStream | PoseStream):
+        yield "altitude", "m", -stream.position[:, 2]
+        tilt = np.degrees(np.arccos(np.clip(rotation_matrix(stream.attitude)[:, 2, 2], -1.0, 1.0)))
+        yield "tilt", "deg", tilt
+    elif isinstance(stream, ImuStream):
+        for axis, name in enumerate("pqr"):
+            yield f"rate {name}", "rad/s", stream.angular_velocity[:, axis]
+        yield "specific force", "m/s²", np.linalg.norm(stream.specific_force, axis=1)
+    elif isinstance(stream, RotorSpeedStream):
+        for index, column in enumerate(stream.speeds.T):
+            yield f"rotor {index + 1}", "rad/s", column

@@ -8,7 +8,7 @@ Every test works on recordings that are not checked: samples that are not finite
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording
 from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.logs.conversion import STANDARD_GRAVITY
-from quadpi_core.logs.screening import beyond_limits
+from quadpi_core.logs.screening import Beyond, beyond_limits
 from quadpi_core.vehicle import Vehicle
 
 # Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.
@@ -36,20 +36,32 @@ _LONG_S = 5.0
 _MEAN_UP_G = (0.5, 1.5)
 
 
-def check_plausible(recording: Recording, vehicle: Vehicle) -> None:
-    """Refuse a recording whose units or axes cannot be right.
+def check_plausible(
+    recording: Recording, vehicle: Vehicle, beyond: Mapping[str, Sequence[Beyond]] | None = None
+) -> None:
+    """Refuse a recording whose units or axes cannot be right; arguments as of :func:`implausibilities`.
 
     Raises:
         LogError: naming file and topic, and what the numbers look like.
     """
-    for problem in implausibilities(recording, vehicle):
+    for problem in implausibilities(recording, vehicle, beyond):
         raise LogError(f"{recording.source}: {problem}")
 
 
-def implausibilities(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
-    """What cannot be right, in plain words, the topic first; without a vehicle its limits are not tested."""
+def implausibilities(
+    recording: Recording, vehicle: Vehicle | None, beyond: Mapping[str, Sequence[Beyond]] | None = None
+) -> Iterator[str]:
+    """What cannot be right, in plain words, the topic first.
+
+    Args:
+        recording: all of the flight, or parts spread over it.
+        vehicle: that flew; without one its limits are not tested.
+        beyond: by topic, what is beyond limits in all of the flight; of the recording unless given.
+    """
+    if beyond is None:
+        beyond = {stream.topic: list(beyond_limits(stream, vehicle)) for stream in recording.streams()}
     yield from _specific_force(recording.imu)
-    yield from _units(recording, vehicle)
+    yield from _units(beyond)
     yield from _rates(recording)
     yield from _up(recording)
     if vehicle is not None and recording.rotor_speeds is not None:
@@ -182,13 +194,13 @@ def _up(recording: Recording) -> Iterator[str]:
             )
 
 
-def _units(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+def _units(beyond: Mapping[str, Sequence[Beyond]]) -> Iterator[str]:
     """Topics with more samples beyond their limits than could be left out as outliers."""
-    for stream in recording.streams():
-        for found in beyond_limits(stream, vehicle):
+    for topic, all_found in beyond.items():
+        for found in all_found:
             if found.unit is not None and found.share > found.most:
                 yield (
-                    f"topic {stream.topic}: sample {found.first}: {found.share:.0%} of the samples are "
+                    f"topic {topic}: sample {found.first}: {found.share:.0%} of the samples are "
                     f"{found.limit}: looks like {found.unit}"
                 )
 

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,18 @@ from rich.table import Table
 from rich.text import Text
 
 from quadpi_core.errors import VehicleError
-from quadpi_core.flight import Recording
+from quadpi_core.flight import STREAM_KINDS
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import FORMATS, decode_recording, identify_format
+from quadpi_core.logs import FORMATS, blocks_of, decode_recording, identify_format, reading
 from quadpi_core.logs.adapters import AdapterSettings
 from quadpi_core.logs.bags import bag_vehicle, has_topic, open_recording
-from quadpi_core.logs.inspect import Inspection, inspect_recording, inspect_topics, with_names_of_bag
+from quadpi_core.logs.inspect import (
+    Inspection,
+    inspect_blocks,
+    inspect_recording,
+    inspect_topics,
+    with_names_of_bag,
+)
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.storage import MODEL_FILE
 from quadpi_core.report.style import number, percent
@@ -47,25 +55,22 @@ def describe(
         inspection = inspect_topics(path)
         return [_topic_table(inspection), _finding_table(inspection)], _inspection_json(inspection)
     known = Vehicle.load(vehicle) if vehicle else _named_vehicle(bag_vehicle(path) if is_bag else "")
-    recording = decode_recording(path, known, mapping)
-    inspection = inspect_recording(recording, known)
     if is_bag:
-        inspection = with_names_of_bag(inspection, _names_in_bag(path, recording, known, mapping))
+        inspection = _inspect_bag(path, known, mapping)
+    else:
+        inspection = inspect_recording(decode_recording(path, known, mapping), known)
     return inspection_tables(inspection), _inspection_json(inspection)
 
 
-def _names_in_bag(
-    path: Path, recording: Recording, vehicle: Vehicle | None, mapping: str | None
-) -> dict[str, str]:
-    """Topics of a bag, relative to its root, by those of the streams of its recording."""
-    adapters = None if mapping is None else AdapterSettings.load(mapping)
-    with open_recording(path, vehicle, adapters) as opened:
-        streams = {field: getattr(recording, field) for field in opened.sources}
-        return {
-            streams[field].topic: name.lstrip("/")
-            for field, name in opened.sources.items()
-            if streams[field] is not None
-        }
+def _inspect_bag(path: Path, vehicle: Vehicle | None, mapping: str | None) -> Inspection:
+    """What a bag holds, by the names of its topics relative to its root; it is never held whole."""
+    with ExitStack() as opened:
+        with reading(path):
+            adapters = None if mapping is None else AdapterSettings.load(mapping)
+            bag = opened.enter_context(open_recording(path, vehicle, adapters))
+        inspection = inspect_blocks(partial(blocks_of, bag), vehicle)
+        names = {STREAM_KINDS[field].topic: name.lstrip("/") for field, name in bag.sources.items()}
+    return with_names_of_bag(inspection, names)
 
 
 def _inspection_json(inspection: Inspection) -> dict[str, Any]:
