@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.consistency.check import findings
-from quadpi_core.flight import (
-    ImuStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stream,
-)
+from quadpi_core.flight import STREAM_KINDS, ImuStream, Recording, Stream
 from quadpi_core.logs.plausibility import finite_rows, implausibilities
 from quadpi_core.logs.screening import screened
 from quadpi_core.vehicle import Vehicle
@@ -29,12 +22,7 @@ STRETCHES = 3
 # Root mean square of the turn rate in rad/s. A gyro at rest has 0.01, the calmest real flights have 0.2.
 MOVES_RAD_S = 0.1
 
-_FIELDS: dict[type[Stream], str] = {
-    ImuStream: "imu",
-    PoseStream: "pose",
-    OdometryStream: "odometry",
-    RotorSpeedStream: "rotor_speeds",
-}
+_FIELDS = {kind: name for name, kind in STREAM_KINDS.items()}
 
 
 class FirstSeconds:

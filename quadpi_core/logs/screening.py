@@ -28,6 +28,7 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.frames import Array
+from quadpi_core.logs.blocks import streams_by_field
 from quadpi_core.logs.even_rows import EvenRows
 from quadpi_core.quality import LeftOut
 from quadpi_core.signals.limits import (
@@ -122,11 +123,10 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
     kept: dict[str, Any] = {}
     said: list[LeftOut] = []
     arrivals = dict(recording.arrivals)
-    for name in ("imu", "rotor_speeds", "pose", "twist", "odometry", "wind"):
-        stream: Stream | None = getattr(recording, name)
-        found = [] if stream is None else list(beyond_limits(stream, vehicle))
+    for name, stream in streams_by_field(recording).items():
+        found = list(beyond_limits(stream, vehicle))
         usable = usable_samples(found)
-        if stream is None or usable is None:
+        if usable is None:
             continue
         said += left_out(stream.topic, found, stream.time_ns, recording.imu.time_ns)
         kept[name] = stream.take(usable)
