@@ -24,7 +24,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from quadpi_core.errors import QuadpiError
 from quadpi_core.paths import config_directory
 from quadpi_ros.mavlink_link import is_replay
-from quadpi_ros.player import live_inputs
+from quadpi_ros.player import START_TIMEOUT_S, live_inputs
 
 SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
 OUTPUTS = ("odometry", "prediction", "extrapolation_alarm", "alarm_log")
@@ -41,8 +41,6 @@ _OF_ROS2_LAUNCH = {"launch-prefix", "launch-prefix-filter"}
 # Exit status of a program that has said what the user has to mend: the next start would end the same.
 _REFUSED = 2
 _RESPAWN_DELAY_S = 1.0
-# The first start on a machine compiles the kernels.
-_START_TIMEOUT_S = 300.0
 
 
 class LaunchError(RuntimeError):
@@ -283,7 +281,7 @@ def replay(launch: Launch) -> list[Any]:
         namespace=launch.values["namespace"],
         arguments=[
             *(str(bag), "--rate", launch.values["rate"], "--topics", *inputs.topics),
-            *("--nodes", "estimator", "monitor", "--wait", str(_START_TIMEOUT_S)),
+            *("--nodes", "estimator", "monitor", "--wait", str(START_TIMEOUT_S)),
         ],
         remappings=launch.remappings(SENSORS),
         output="screen",

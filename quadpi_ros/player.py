@@ -53,6 +53,8 @@ _STANDS_IN_FOR = {
     "odometry": ("mocap/pose", "mocap/odometry", "mocap/twist"),
 }
 
+# The longest that nodes may take to be active: the first start on a machine compiles the kernels.
+START_TIMEOUT_S = 300.0
 # Time for the last messages to leave before the participant closes.
 _FLUSH_S = 0.2
 

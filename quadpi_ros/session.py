@@ -21,11 +21,9 @@ from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, alarm_time
 from quadpi_core.monitor.output import Predictions
 from quadpi_core.signals.ekf_initial import COLLECT_NS
 from quadpi_ros.collector import AlarmChange, Collector
-from quadpi_ros.player import Playlist, live_inputs
+from quadpi_ros.player import START_TIMEOUT_S, Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain
 
-# The first start on a machine compiles the kernels.
-_START_TIMEOUT_S = 300.0
 # A busy machine holds nodes up: they are silent before their first prediction, and between others.
 _FIRST_TIMEOUT_S = 20.0
 _SILENCE_S = 1.0
@@ -135,9 +133,9 @@ def await_start(nodes: Child, collector: Collector) -> None:
         SessionError: if they do not start.
         ChildError: if they fail.
     """
-    collector.spin_until(lambda: nodes.finished() or collector.connected, _START_TIMEOUT_S)
+    collector.spin_until(lambda: nodes.finished() or collector.connected, START_TIMEOUT_S)
     if not collector.connected:
-        raise SessionError(f"the live nodes did not start within {_START_TIMEOUT_S:g} s")
+        raise SessionError(f"the live nodes did not start within {START_TIMEOUT_S:g} s")
 
 
 def play(
@@ -164,7 +162,7 @@ def play(
     sent_file = folder / "sent.npz"
     arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
     # Nodes that configure themselves for the first time on a machine compile the kernels meanwhile.
-    arguments += ("--wait", str(_START_TIMEOUT_S))
+    arguments += ("--wait", str(START_TIMEOUT_S))
     arguments += ("--nodes", *managed) if managed else ()
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())
