@@ -17,7 +17,6 @@ from quadpi_core.logs import FORMATS
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.storage import MODEL_FILE
 from quadpi_core.prepared import PreparedFlight, prepare_flights
-from quadpi_core.vehicle import Vehicle
 
 
 def is_model_folder(path: Path) -> bool:
@@ -98,7 +97,7 @@ def given_comparison(
         LogError, SignalError, VehicleError, ParallelError: for what cannot be read.
     """
     models = load_models(folders)
-    the_vehicle = Vehicle.load(vehicle or next(iter(models.values())).vehicle)
+    the_vehicle = next(iter(models.values())).load_vehicle(vehicle)
     for model in models.values():
         model.require(the_vehicle)
     level = common_confidence(models, confidence)

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 # A terminal's worth: a damaged file may hold a name of megabytes.
 _LONGEST = 1600
 
@@ -73,6 +76,16 @@ class DiscrepancyError(QuadpiError):
 
 class OutputError(QuadpiError):
     """A result cannot be written where it was asked for."""
+
+
+@contextmanager
+def named_in(where: str) -> Iterator[None]:
+    """Put the file and key that name another file before what is wrong with that other file."""
+    try:
+        yield
+    except QuadpiError as error:
+        error.args = (f"{where}: {error}",)
+        raise
 
 
 def one_line(error: BaseException) -> str:

@@ -44,13 +44,11 @@ def replay(
     from quadpi_core.monitor.replay import replay as replay_bag
     from quadpi_core.monitor.replay import replay_all, replay_outputs
     from quadpi_core.report.progress import counting
-    from quadpi_core.vehicle import Vehicle
 
     several = len(bags) > 1
     check_outputs([model, *bags], *(replay_outputs(bags, output) if several else [output]), json_file)
     the_model = AerodynamicModel.load(model)
-    the_vehicle = Vehicle.load(vehicle or the_model.vehicle)
-    the_model.require(the_vehicle)
+    the_vehicle = the_model.load_vehicle(vehicle)
     settings = MonitorSettings(adaptive=adaptive)
     console = open_console()
     if several:

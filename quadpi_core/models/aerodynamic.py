@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
@@ -76,6 +76,21 @@ class AerodynamicModel:
     def method(self) -> str:
         """Name of the method, one of `methods.METHODS`."""
         return next(iter(self.fitted.values())).method
+
+    def load_vehicle(self, given: str | Path | None = None) -> Vehicle:
+        """The vehicle that the model was identified for: of the file given, else of the name that it holds.
+
+        Raises:
+            VehicleError: if the file cannot be read; of the model's own name, naming the model too.
+            ModelError: if it is another vehicle.
+        """
+        if given is None:
+            with named_in(f"model {self.name}: its vehicle"):
+                vehicle = Vehicle.load(self.vehicle)
+        else:
+            vehicle = Vehicle.load(given)
+        self.require(vehicle)
+        return vehicle
 
     def require(self, vehicle: Vehicle) -> None:
         """Refuse a vehicle other than the one that the model was identified for.

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.config import nearest, read_config
-from quadpi_core.errors import SimulationError, VehicleError
+from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.simulation.linear import inverse
 from quadpi_core.simulation.records import STATE, VEHICLE
@@ -137,11 +137,12 @@ class RotorLocalModel:
             raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` stands alone")
         if not isinstance(section[_SCALED_FROM], str):
             raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` must name a vehicle")
-        source_path, source_data = read_config("vehicle", section[_SCALED_FROM], VehicleError)
-        # One step only: the vehicle that others are scaled from has coefficients of its own.
-        source = (source_data.get("simulation") or {}).get("rotor_local")
-        coefficients = RotorLocalCoefficients.parse(source_path, source)
-        return cls(vehicle, coefficients.scaled(Vehicle.load(source_path), vehicle))
+        with named_in(f"{path}: `simulation.rotor_local.{_SCALED_FROM}`"):
+            source_path, source_data = read_config("vehicle", section[_SCALED_FROM], VehicleError)
+            # One step only: the vehicle that others are scaled from has coefficients of its own.
+            source = (source_data.get("simulation") or {}).get("rotor_local")
+            coefficients = RotorLocalCoefficients.parse(source_path, source)
+            return cls(vehicle, coefficients.scaled(Vehicle.load(source_path), vehicle))
 
     @cached_property
     def hover_rotor_speed(self) -> float:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quadpi_core.errors import named_in
 from quadpi_core.flight import Stamps
 from quadpi_core.paths import require_file, whole_outputs
 from quadpi_core.simulation.bags import write_simulated_bag
@@ -61,8 +62,13 @@ def simulate(
         VehicleError: for a vehicle that cannot be simulated.
         OutputError: if a bag cannot be written.
     """
-    vehicles = {plan.vehicle: SimulatedVehicle.load(plan.vehicle) for plan in plans}
-    suites = {plan.noise: SensorSuite.load(plan.noise) for plan in plans}
+    vehicles, suites = {}, {}
+    for plan in plans:
+        with named_in(f"scenario {plan.scenario}, flight {plan.name}"):
+            if plan.vehicle not in vehicles:
+                vehicles[plan.vehicle] = SimulatedVehicle.load(plan.vehicle)
+            if plan.noise not in suites:
+                suites[plan.noise] = SensorSuite.load(plan.noise)
     steps = [np.zeros(1, dtype=np.int64) for _ in plans]
     for plan in plans:
         require_file(output / f"{plan.name}.mcap")

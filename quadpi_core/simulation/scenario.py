@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from quadpi_core.config import read_config
-from quadpi_core.errors import SimulationError
+from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.simulation.effects import Effects, read_effects
 from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.section import Section
@@ -55,10 +55,8 @@ def _load(name_or_path: str | Path, including: tuple[Path, ...]) -> Scenario:
     effects = read_effects(section.get("effects", None), str(path))
     included = []
     for other in _listed(section, "include"):
-        try:
+        with named_in(f"{path}: `include`"):
             plans = _load(_beside(path, other), (*including, path.resolve())).flights
-        except SimulationError as error:
-            raise SimulationError(f"{path}: `include`: {error}") from error
         included += [_with_effects(plan, effects) for plan in plans]
     flights = (*included, *_own_flights(path, section, effects))
     if not flights:

@@ -11,7 +11,6 @@ from quadpi_core.comparison import common_confidence, load_models
 from quadpi_core.simulation.noise import SensorSuite
 from quadpi_core.validation.case import ValidationCase, ValidationError
 from quadpi_core.validation.flights import recorded_flight
-from quadpi_core.vehicle import Vehicle
 
 
 def given_case(
@@ -47,7 +46,7 @@ def given_case(
     models = load_models(folders)
     first = next(iter(models.values()))
     level = common_confidence(models, confidence)
-    the_vehicle = Vehicle.load(vehicle or first.vehicle)
+    the_vehicle = first.load_vehicle(vehicle)
     return ValidationCase(
         vehicle=the_vehicle,
         models=models,

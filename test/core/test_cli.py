@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -326,7 +327,7 @@ def test_vehicle_file_of_the_user(quadpi, bags, pool, tmp_path):
     assert identified.status == 0, identified.errors
     without = quadpi("evaluate", model, flights[0])
     assert without.status == 2
-    assert "mine.yaml: no such vehicle file" in without.errors
+    assert re.search(r"model \S+: its vehicle: .*mine.yaml: no such vehicle file", without.errors)
     assert quadpi("evaluate", model, flights[0], "--vehicle", mine).status == 0
     assert quadpi("replay", model, flights[0], "--vehicle", mine, "-o", tmp_path / "out.mcap").status == 0
 

@@ -132,7 +132,7 @@ class TestRefusals:
     def test_unknown_names_with_the_nearest_known_one(self, refused):
         refused("no such scenario file; .*did you mean `training`", file="trainign")
         refused("no flight `stant`; its flights: hop, stand; did you mean `stand`", "--flight", "stant")
-        refused("no such vehicle file; .*did you mean `bebop2`", "--vehicle", "bebop3")
+        refused("flight hop: .*no such vehicle file; .*did you mean `bebop2`", "--vehicle", "bebop3")
         refused("no such noise file; .*did you mean `paper`", "--noise", "papr")
         refused("--effect: unknown effect `paylod`; did you mean `payload`", "--effect", "paylod")
         refused("unknown parameter `mas_kg`; did you mean `mass_kg`", "--effect", "payload:mas_kg=1")

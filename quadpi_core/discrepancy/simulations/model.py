@@ -16,7 +16,6 @@ from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, flight_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,7 @@ class ModelSimulation(CallableSimulation):
         """
         model = AerodynamicModel.load(folder)
         file = str(vehicle or model.vehicle)
-        flown = Vehicle.load(file)
-        model.require(flown)
+        flown = model.load_vehicle(vehicle)
         lacking = [axis for axis in AXES if axis not in model.axes]
         if lacking:
             raise DiscrepancyError(

@@ -171,7 +171,7 @@ def test_wrong_shapes_and_values_are_refused():
         (lambda s: s.pop("rotor_local"), r"cannot be simulated: `simulation.rotor_local` is missing"),
         (
             lambda s: s.update(rotor_local={"scaled_from": "bebop"}),
-            r"no such vehicle file.*did you mean `bebop2`",
+            r"bad.yaml: `simulation.rotor_local.scaled_from`: .*no such vehicle file.*did you mean `bebop2`",
         ),
         (
             lambda s: s.update(rotor_local={"scaled_from": "hdbeetle"}),
