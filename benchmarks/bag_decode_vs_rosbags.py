@@ -13,11 +13,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks import Result, interleaved_seconds
+from quadpi_core.estimator.fusion import fuse
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
-from quadpi_core.logs.definitions import typestore
-from quadpi_core.signals.fusion import fuse
+from quadpi_core.messages.definitions import typestore
 from quadpi_core.vehicle import Vehicle
 
 NAMES = ("bag_decode_vs_rosbags", "bag_read_vs_rosbags", "bag_write_vs_rosbags")

@@ -19,13 +19,13 @@ import numpy as np
 
 from benchmarks import Result
 from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.odometry import fused_sample
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.pairing import Pairing
-from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.odometry import fused_sample
 from quadpi_core.vehicle import Vehicle
 
 NAMES = ("core_step_us",)

@@ -50,7 +50,7 @@ def run() -> list[Result]:
         models = [str(folder / model.name) for model in three_models(folder, vehicle).values()]
         arguments = ("vehicle:=" + VEHICLE, f"model:=[{', '.join(models)}]", f"imu_rate_hz:={IMU_HZ}")
         bare = measure(BARE, (), played)
-        live = measure("quadpi_ros.live", arguments, played)
+        live = measure("quadpi_ros.live_process", arguments, played)
     samples = PLAYED_S * IMU_HZ
     baseline = (
         f"bare node: {1e6 * bare.cpu_s / samples:.0f} us of CPU per IMU sample, latency p99 "
@@ -66,8 +66,8 @@ def run() -> list[Result]:
 def measure(module: str, parameters: tuple[str, ...], bag: Path) -> Run:
     """Play the bag through a process of nodes."""
     from quadpi_ros.collector import Collector
+    from quadpi_ros.live_session import await_start, play
     from quadpi_ros.processes import Child, isolated_domain
-    from quadpi_ros.session import await_start, play
 
     arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))
     with isolated_domain() as folder, Collector(start_ns=0) as collector:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import Result
-from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
 

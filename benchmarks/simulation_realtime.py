@@ -16,7 +16,7 @@ from quadpi_core.simulation.effects import EFFECTS, read_effects
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 NAMES = ("simulation_realtime",)
 

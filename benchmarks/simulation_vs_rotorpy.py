@@ -22,10 +22,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks import Result, UnavailableError, interleaved_seconds
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reference import STEP_HZ
-from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 NAMES = ("simulation_vs_rotorpy",)
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from benchmarks import Result, UnavailableError
 from benchmarks.swings import IMU_HZ, REPEATS_AFTER_S, VEHICLE, swings, three_models
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.logs.messages import unpack_stamps
+from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def run() -> list[Result]:
         arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))
         playlist = Playlist.read(bag)
         heard = Heard(int(unpack_stamps(playlist.topics[0].payloads)[0]))
-        with listening(heard) as listener, Child("quadpi_ros.live", arguments, scratch) as live:
+        with listening(heard) as listener, Child("quadpi_ros.live_process", arguments, scratch) as live:
             listener.spin_until(lambda: live.finished() or listener.connected, _START_S)
 
             def look() -> None:
@@ -163,7 +163,7 @@ def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, loo
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from quadpi_ros.discovery import await_listeners
+    from quadpi_ros.dds_profile import await_listeners
     from quadpi_ros.player import SENSOR_TYPES
     from quadpi_ros.runtime import SENSOR_QOS
 

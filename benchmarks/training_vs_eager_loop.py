@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks import Result, UnavailableError, interleaved_seconds
-from quadpi_core.models.ensembles.plan import Plan
+from quadpi_core.training.ensemble_plan import Plan
 
 NAMES = ("training_vs_eager_loop",)
 
@@ -89,9 +89,9 @@ def batched_training(
     inputs: Floats, targets: Floats, trained: npt.NDArray[np.bool_], unit: npt.NDArray[np.int32], batch: int
 ) -> None:
     """All epochs of all networks, each on its units of the samples, `trained` (M, U)."""
-    from quadpi_core.models.ensembles.batches import Samples
-    from quadpi_core.models.ensembles.losses import SquaredError
-    from quadpi_core.models.ensembles.training import Schedule, train
+    from quadpi_core.training.batches import Samples
+    from quadpi_core.training.losses import SquaredError
+    from quadpi_core.training.train import Schedule, train
 
     samples = Samples(inputs[:, None], targets[:, None, None, None], unit, trained, ~trained)
     schedule = Schedule(HIDDEN, EPOCHS, batch, 1, RATE, keep="last", seed=0, device="cpu")

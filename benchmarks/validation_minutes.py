@@ -17,11 +17,11 @@ import numpy as np
 
 from benchmarks import Result
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
+from quadpi_core.paper.clean_flights import simulated_flights
+from quadpi_core.paper.published import VALIDATION, published_case
+from quadpi_core.paper.realisation_chunks import CHUNK, run_realisations
+from quadpi_core.paper.validation_case import ValidationCase
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.validation.case import ValidationCase
-from quadpi_core.validation.chunks import CHUNK, run_realisations
-from quadpi_core.validation.flights import simulated_flights
-from quadpi_core.validation.published import VALIDATION, published_case
 
 NAMES = ("validation_minutes",)
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a flight is to quadpi: a recording (sensor streams, each on its own clock) and a flight (one grid).
 
-A log reader or a bag gives a :class:`Recording`. :func:`quadpi_core.signals.fusion.fuse` turns it into a
+A log reader or a bag gives a :class:`Recording`. :func:`quadpi_core.estimator.fusion.fuse` turns it into a
 :class:`Flight` on the IMU's time grid, with the state estimated. Everything is SI, body axes
 forward-right-down, world north-east-down, quaternions (w, x, y, z) body to world, rotors in the order of
 the vehicle file. Stamps are integer nanoseconds; samples are on the first axis.
@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
+from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.frames import Array
-from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
 # A sensor that pauses for longer is not sampling: nothing is interpolated, integrated or filtered across.

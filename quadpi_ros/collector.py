@@ -19,10 +19,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from quadpi_core.flight import Stamps
-from quadpi_core.logs import result_messages
-from quadpi_core.logs.payloads import Payloads
+from quadpi_core.messages import result_messages
+from quadpi_core.messages.payloads import Payloads
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
-from quadpi_core.monitor.output import Predictions
+from quadpi_core.results import Predictions
 
 _CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 _LEVEL_NAMES = ("ok", "warning", "ALARM")

@@ -9,8 +9,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from quadpi_core.consistency.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.flight import Recording, Stream
+from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.sensor_node import SensorNode

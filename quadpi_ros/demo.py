@@ -12,19 +12,19 @@ from rich.console import Console
 from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.identification import CUTOFF_HZ, identify
-from quadpi_core.judging import judge
+from quadpi_core.evaluation.evaluate import judge
+from quadpi_core.identification.identify import CUTOFF_HZ, identify
+from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
 from quadpi_core.paths import bags_directory, write_json
-from quadpi_core.prepared import prepare_flights
-from quadpi_core.report.html import write_report
-from quadpi_core.report.live import LiveReplay
-from quadpi_core.report.tables import evaluation_table, held_out_table
+from quadpi_core.report.evaluation_page import write_report
+from quadpi_core.report.live_figure import LiveReplay
+from quadpi_core.report.terminal_tables import evaluation_table, held_out_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import AlarmChange
-from quadpi_ros.session import SessionResult, run_session
+from quadpi_ros.live_session import SessionResult, run_session
 
 CONFIDENCE = 0.95
 # A NeuroBEM flight above this speed is kept from identification: the model has to extrapolate on it.

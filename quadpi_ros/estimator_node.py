@@ -16,19 +16,19 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.odometry import FusedSamples, fused_sample, with_gyro_faults
+from quadpi_core.estimator.propagate import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
-from quadpi_core.logs import messages
-from quadpi_core.logs.frame_ids import BodyFrames, Framed
-from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.signals.odometry import FusedSamples, fused_sample, with_gyro_faults
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.frame_ids import BodyFrames, Framed
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.consistency_watch import ConsistencyWatch
+from quadpi_ros.input_sources import AdaptedSources, Source, adapters_of
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, FRAMES, STRICT, WARN, SensorNode
-from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
 # Of several in a bag, the first is used.
 MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
@@ -67,7 +67,9 @@ class EstimatorParameters:
         "how messages of other packages are read: a name in config/adapters or a path",
         optional=True,
     )
-    world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
+    world_frame: str = parameter(
+        sensor_messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up"
+    )
     body_frame: str = parameter(
         "",
         "child_frame_id of odometry: forward-left-up; empty: base_link behind the namespace",
@@ -88,7 +90,7 @@ class StateListener(Protocol):
 
 
 class EstimatorNode(SensorNode[EstimatorParameters]):
-    """The EKF of `quadpi_core.signals.ekf` between its topics.
+    """The EKF of `quadpi_core.estimator.ekf` between its topics.
 
     Attributes:
         listener: takes each estimate directly, before it is published.
@@ -128,13 +130,13 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         """The topic that the parameters name, and what takes its samples."""
         topic = self.parameters.mocap_topic
         if topic == "mocap/pose":
-            pose = Framed(messages.unpack_pose, self._body.world, self._body)
+            pose = Framed(sensor_messages.unpack_pose, self._body.world, self._body)
             return Source(PoseStamped, topic, pose), self._take_pose
         if topic == "mocap/odometry":
-            odometry = Framed(messages.unpack_odometry, self._body.world, self._body, texts=2)
+            odometry = Framed(sensor_messages.unpack_odometry, self._body.world, self._body, texts=2)
             return Source(Odometry, topic, odometry), self._take_odometry
         if topic == "mocap/twist":
-            unpack = partial(messages.unpack_twist, body_frame=self.parameters.body_frame)
+            unpack = partial(sensor_messages.unpack_twist, body_frame=self.parameters.body_frame)
             twist = Framed(unpack, self._body.world, self._body)
             return Source(TwistStamped, topic, twist), self._take_twist
         return adapted.named(topic), self._take_pose
@@ -211,7 +213,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         if self.listener:
             self.listener.take_estimate(sample)
         world_frame, body_frame = self._frames
-        odometry = messages.pack_odometry(
+        odometry = sensor_messages.pack_odometry(
             sample.odometry, sample.pose_covariance, sample.twist_covariance, world_frame, body_frame
         )
         self._publish(odometry[0])
@@ -232,7 +234,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
 def framed_imu(frames: BodyFrames) -> Source:
     """The topic imu, its samples moved to the body."""
-    return Source(Imu, IMU_TOPIC, Framed(messages.unpack_imu, frames.imu, frames))
+    return Source(Imu, IMU_TOPIC, Framed(sensor_messages.unpack_imu, frames.imu, frames))
 
 
 def _reason(outcome: Outcome) -> str:
@@ -247,13 +249,13 @@ def _warm_up(vehicle: Vehicle) -> None:
     still = np.zeros((1, 3))
     for time_ns in np.arange(0.0, _WARM_UP_S * 1e9, 1e9 / _WARM_UP_RATE_HZ).astype(np.int64):
         stamp = np.array([time_ns])
-        pose = messages.unpack_pose(messages.pack_pose(PoseStream(stamp, still, level))[0])
-        imu = messages.unpack_imu(messages.pack_imu(ImuStream(stamp, still, hover))[0])
+        pose = sensor_messages.unpack_pose(sensor_messages.pack_pose(PoseStream(stamp, still, level))[0])
+        imu = sensor_messages.unpack_imu(sensor_messages.pack_imu(ImuStream(stamp, still, hover))[0])
         ekf.update_pose(int(stamp[0]), pose.position[0], pose.attitude[0])
         ekf.update_velocity(int(stamp[0]), pose.position[0], True)
         ekf.predict(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0])
     sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
-    messages.pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
+    sensor_messages.pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
 
 
 def main() -> int:

@@ -26,15 +26,15 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError, one_line
-from quadpi_core.logs import messages
 from quadpi_core.logs.mavlink_frames import signing_key
 from quadpi_core.logs.mavlink_samples import SOURCES, stream_of
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, SessionSettings
-from quadpi_core.logs.rotor_order import RPM, RotorOrder
+from quadpi_core.messages import sensor_messages
+from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.discovery import DiscoveryError, await_subscribers
+from quadpi_ros.dds_profile import DiscoveryError, await_subscribers
 from quadpi_ros.mavlink_link import Chunk, Link, check_connection, is_replay, open_link
 from quadpi_ros.parameters import ParameterError, namespaced_body_frame, parameter, read_parameters
 from quadpi_ros.runtime import SENSOR_QOS, run, spin
@@ -82,7 +82,7 @@ class BridgeParameters:
         "frame_id of the body, forward-left-up; empty: base_link behind the namespace",
         empty_means=namespaced_body_frame,
     )
-    world_frame: str = parameter(messages.WORLD_FRAME, "frame_id of the world, east-north-up")
+    world_frame: str = parameter(sensor_messages.WORLD_FRAME, "frame_id of the world, east-north-up")
 
 
 class _Reported(NamedTuple):
@@ -146,12 +146,12 @@ class MavlinkBridge(GuardedNode):
         stream: Any = stream_of(topic, np.array([time_ns], dtype=np.int64), values[np.newaxis])
         world, body = self._given.world_frame, self._given.body_frame
         if topic == "imu":
-            return messages.pack_imu(stream, body)[0]
+            return sensor_messages.pack_imu(stream, body)[0]
         if topic == "rotor_speeds":
-            return messages.pack_rotor_speeds(stream, body)[0]
+            return sensor_messages.pack_rotor_speeds(stream, body)[0]
         if topic == "mocap/pose":
-            return messages.pack_pose(stream, world)[0]
-        return messages.pack_odometry(stream, frame_id=world, child_frame_id=body)[0]
+            return sensor_messages.pack_pose(stream, world)[0]
+        return sensor_messages.pack_odometry(stream, frame_id=world, child_frame_id=body)[0]
 
     def _serve(self) -> None:
         """Keep a link open until the node ends; wait longer after each failure."""

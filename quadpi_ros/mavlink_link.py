@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from quadpi_core.errors import LogError, QuadpiError, one_line
-from quadpi_core.logs.extras import require
 from quadpi_core.logs.mavlink_tlog import TlogCounts, read_records
+from quadpi_core.optional_imports import require
 
 FORMS = "udp:HOST:PORT (listens), udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a .tlog file"
 

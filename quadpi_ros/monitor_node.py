@@ -22,28 +22,28 @@ from rclpy.clock import ROSClock
 from rclpy.timer import Timer
 
 from quadpi_core.errors import ModelError, QuadpiError
+from quadpi_core.estimator.imu_rate import ImuRate
+from quadpi_core.estimator.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, RotorSpeedStream, WindStream
-from quadpi_core.logs import messages
-from quadpi_core.logs.frame_ids import Framed
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.frame_ids import Framed
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
 from quadpi_core.monitor.pairing import CAPACITY, TIMEOUT_S, Pairing, first_known
 from quadpi_core.monitor.silence import WATCH_S, Silence
 from quadpi_core.paths import resolved_below
-from quadpi_core.signals.imu_rate import ImuRate
-from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import guarded
 from quadpi_ros.consistency_watch import ConsistencyWatch
 from quadpi_ros.estimator_node import FASTEST_IMU_HZ, IMU_RATE, IMU_TOPIC, EstimatorNode, framed_imu
+from quadpi_ros.input_sources import AdaptedSources, Source, adapters_of
 from quadpi_ros.parameters import namespaced_body_frame, parameter
-from quadpi_ros.results import Results, named, warm_up
+from quadpi_ros.result_publishers import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import FRAMES, STEADY, STRICT, WARN, SensorNode
 from quadpi_ros.slow_service import SlowService
-from quadpi_ros.sources import AdaptedSources, Source, adapters_of
 
 _SETTINGS = MonitorSettings()
 _LONG_AGO_NS = -(2**63)
@@ -141,7 +141,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
         if self._estimator is None:
             self._imu = adapted.instead_of(framed_imu(self._body), "imu")
-            odometry = Framed(messages.unpack_odometry, self._body.world, self._body, texts=2)
+            odometry = Framed(sensor_messages.unpack_odometry, self._body.world, self._body, texts=2)
             self._odometry = adapted.instead_of(Source(Odometry, "odometry", odometry), "odometry")
         monitors = named(self._load(path) for path in parameters.model)
         self._results = Results(self, monitors, parameters.body_frame)
@@ -156,7 +156,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self.listen(*self._odometry, self.take_odometry)
         else:
             self._estimator.listener = self
-        wind = Framed(messages.unpack_wind, self._body.world, self._body)
+        wind = Framed(sensor_messages.unpack_wind, self._body.world, self._body)
         self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds)
         self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
@@ -318,10 +318,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """The topic that the parameters name."""
         topic, vehicle = self.parameters.rotor_topic, self._vehicle
         if topic == "rotor_speeds":
-            return Source(RotorSpeeds, topic, messages.unpack_rotor_speeds)
+            return Source(RotorSpeeds, topic, sensor_messages.unpack_rotor_speeds)
         if topic == "erpm":
             vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
-            return Source(Erpm, topic, partial(messages.unpack_erpm, vehicle=vehicle))
+            return Source(Erpm, topic, partial(sensor_messages.unpack_erpm, vehicle=vehicle))
         return adapted.named(topic)
 
     def _load(self, path: str) -> Monitor:

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.logs.messages import BODY_FRAME
+from quadpi_core.messages.sensor_messages import BODY_FRAME
 from quadpi_ros import qos_overrides
 
 # Declared by rclpy itself.

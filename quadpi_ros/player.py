@@ -25,16 +25,16 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.adapters import ADAPTERS
 from quadpi_core.logs.bags import find_topic
 from quadpi_core.logs.mcap import Bag, Topic
-from quadpi_core.logs.messages import unpack_stamps
+from quadpi_core.messages.adapters import ADAPTERS
+from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import whole_output
-from quadpi_ros.adapters import AdapterError, message_class
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.discovery import DiscoveryError, await_listeners
+from quadpi_ros.dds_profile import DiscoveryError, await_listeners
+from quadpi_ros.foreign_messages import AdapterError, message_class
+from quadpi_ros.input_sources import adapters_of
 from quadpi_ros.runtime import SENSOR_QOS, run
-from quadpi_ros.sources import adapters_of
 
 SENSOR_TYPES: dict[str, type] = {
     "imu": Imu,

@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.logs import qos
+from quadpi_core.messages import qos
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.lifecycle import ManagedNode, start
 

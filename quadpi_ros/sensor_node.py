@@ -19,12 +19,12 @@ from rclpy.subscription import Subscription
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stream
-from quadpi_core.logs.frame_ids import BodyFrames
-from quadpi_core.logs.transforms import TF_TOPIC, TF_TYPE
+from quadpi_core.messages.frame_ids import BodyFrames
+from quadpi_core.messages.mounting import Mounting
+from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.monitor.health import TopicHealth
-from quadpi_core.signals.mounting import Mounting
 from quadpi_ros import diagnostics
-from quadpi_ros.adapters import AdapterError, message_class
+from quadpi_ros.foreign_messages import AdapterError, message_class
 from quadpi_ros.lifecycle import ManagedNode
 from quadpi_ros.parameters import Parameters
 from quadpi_ros.runtime import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
@@ -76,7 +76,7 @@ class _Problem:
 
 
 class SensorNode(ManagedNode[Parameters]):
-    """A node whose messages stay serialized in rclpy: `quadpi_core.logs.messages` knows their bytes.
+    """A node whose messages stay serialized in rclpy: `messages.sensor_messages` knows their bytes.
 
     That is the code that bags go through, and it costs less than rclpy's own conversion. Subscriptions
     exist while the node is active, publishers while it is configured.

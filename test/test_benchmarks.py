@@ -9,7 +9,7 @@ import importlib.metadata
 import pytest
 
 from benchmarks import UnavailableError, simulate_bags, simulation_realtime, simulation_vs_rotorpy, soak
-from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 
 def test_flight_against_real_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,9 +13,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.paths import bags_directory
-from quadpi_core.prepared import prepare_flights
 from quadpi_core.vehicle import Vehicle
 
 ROOT = Path(__file__).resolve().parents[1]

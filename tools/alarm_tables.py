@@ -20,19 +20,21 @@ from paper_tables import FLIGHTS, ROOT, replaced, stamp
 from scipy.stats import chi2
 from sklearn.covariance import LedoitWolf
 
+from quadpi_core.evaluation.alarm_assessment import auroc, per_hour
+from quadpi_core.evaluation.evaluate import predict_flight
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.identification import (
+from quadpi_core.identification.identify import (
     CUTOFF_HZ,
     MethodName,
     identify,
 )
-from quadpi_core.judging import predict_flight
+from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS
-from quadpi_core.models.pool import load_pools
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.monitor.alarm import (
     CAUSES,
     EXTRAPOLATION,
@@ -41,11 +43,9 @@ from quadpi_core.monitor.alarm import (
     MISCOVERAGE,
     alarm_time,
 )
-from quadpi_core.monitor.assessment import auroc, per_hour
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.paths import data_directory, whole_output
-from quadpi_core.prepared import PreparedFlight, prepare_flights
-from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.vehicle import Vehicle

@@ -28,15 +28,15 @@ from quadpi_core.discrepancy import (  # noqa: E402
     load_simulation,
     whitening,
 )
-from quadpi_core.discrepancy.addition import augmented  # noqa: E402
+from quadpi_core.discrepancy.effect_sets import augmented  # noqa: E402
 from quadpi_core.discrepancy.reflight import rollouts  # noqa: E402
 from quadpi_core.errors import DiscrepancyError  # noqa: E402
+from quadpi_core.estimator.fusion import fuse_airborne  # noqa: E402
 from quadpi_core.flight import AXES, Flight  # noqa: E402
-from quadpi_core.identification import CUTOFF_HZ  # noqa: E402
+from quadpi_core.identification.identify import CUTOFF_HZ  # noqa: E402
 from quadpi_core.logs import read_recording  # noqa: E402
 from quadpi_core.paths import data_directory, whole_output  # noqa: E402
 from quadpi_core.report.markdown import table  # noqa: E402
-from quadpi_core.signals.fusion import fuse_airborne  # noqa: E402
 from quadpi_core.vehicle import Vehicle  # noqa: E402
 
 # A simulation of a few numbers knows them less well than one that was identified.

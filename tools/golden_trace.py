@@ -24,9 +24,9 @@ import numpy.typing as npt
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import roll_pitch_yaw_from_quaternion
-from quadpi_core.logs import messages
 from quadpi_core.logs.bags import read_bag, read_outputs, unpacked_topic
 from quadpi_core.logs.mcap import Bag
+from quadpi_core.messages import sensor_messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory, whole_output
@@ -68,7 +68,7 @@ def make_trace(model: Path) -> dict[str, Table]:
         replay(AerodynamicModel.load(model), vehicle, bag, output)
         with Bag(output) as opened:
             topic = opened.read(["/odometry"])["/odometry"]
-        state = unpacked_topic(output, topic, messages.unpack_odometry)
+        state = unpacked_topic(output, topic, sensor_messages.unpack_odometry)
         predictions, alarms = read_outputs(output)
     if predictions is None or alarms is None:
         raise ModelError(f"{model}: the replay gave no prediction or no alarm")

@@ -30,9 +30,9 @@ from scipy.stats import t as student_t
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.paths import data_directory, whole_output
-from quadpi_core.prepared import PreparedFlight
 
 PAGE = ROOT / "docs" / "intervals.md"
 

@@ -23,9 +23,9 @@ from typing import Any
 from quadpi_core import __version__
 from quadpi_core.flight import AXES
 from quadpi_core.models import AerodynamicModel
+from quadpi_core.paper.published import METHODS
 from quadpi_core.paths import data_directory, whole_output
 from quadpi_core.report import markdown
-from quadpi_core.validation.published import METHODS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper-tables.md"

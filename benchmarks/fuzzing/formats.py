@@ -34,24 +34,25 @@ from quadpi_core import cli
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import messages, read_recording, result_messages
-from quadpi_core.logs.adapters import AdapterSettings
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import bag_topics, read_outputs, write_bag
-from quadpi_core.logs.definitions import codec, typestore
 from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
 from quadpi_core.logs.mcap import CHUNK, MAGIC, METADATA, SCHEMA, find_records
-from quadpi_core.logs.payloads import Payloads
-from quadpi_core.logs.plausibility import check_plausible
-from quadpi_core.logs.rotor_order import RPM, RotorOrder
 from quadpi_core.logs.unpacking import unlz4
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.adapters import AdapterSettings
+from quadpi_core.messages.definitions import codec, typestore
+from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models import AerodynamicModel, load_pools
-from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.paths import config_directory
-from quadpi_core.report.info import describe
-from quadpi_core.simulation.noise import SensorSuite
+from quadpi_core.report.info_tables import describe
+from quadpi_core.rotor_order import RPM, RotorOrder
+from quadpi_core.screening.plausibility import check_plausible
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.simulation.sensor_noise import SensorSuite
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 
 GOLDEN_MODEL = Path(__file__).parents[2] / "test" / "golden" / "model"
@@ -227,8 +228,13 @@ def _folder_seeds() -> list[bytes]:
     with TemporaryDirectory() as folder:
         with Writer(Path(folder) / "bag", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
             for name, type_name, stream, pack in (
-                ("/imu", messages.IMU, recording.imu, messages.pack_imu),
-                ("/rotor_speeds", messages.ROTOR_SPEEDS, recording.rotor_speeds, messages.pack_rotor_speeds),
+                ("/imu", sensor_messages.IMU, recording.imu, sensor_messages.pack_imu),
+                (
+                    "/rotor_speeds",
+                    sensor_messages.ROTOR_SPEEDS,
+                    recording.rotor_speeds,
+                    sensor_messages.pack_rotor_speeds,
+                ),
             ):
                 connection = writer.add_connection(name, type_name, typestore=typestore())
                 for time_ns, payload in zip(stream.time_ns.tolist(), pack(stream), strict=True):
@@ -265,23 +271,23 @@ def _sound(type_name: str) -> bytes:
         field.name: "map" if field.format == "string" else ("mu_x", "u") if field.format == "strings" else 0
         for field in codec(type_name)._fields
     }
-    if type_name in {messages.POSE, messages.ODOMETRY}:
+    if type_name in {sensor_messages.POSE, sensor_messages.ODOMETRY}:
         columns[next(name for name in columns if name.endswith("orientation"))] = [0.0, 0.0, 0.0, 1.0]
     return codec(type_name).encode(1, columns)[0]
 
 
 _UNPACKERS: dict[str, Callable[[Any], object]] = {
-    messages.IMU: messages.unpack_imu,
-    messages.POSE: messages.unpack_pose,
-    messages.ODOMETRY: messages.unpack_odometry,
-    messages.TWIST: messages.unpack_twist,
-    messages.WIND: messages.unpack_wind,
-    messages.ROTOR_SPEEDS: messages.unpack_rotor_speeds,
-    messages.ERPM: lambda payloads: messages.unpack_erpm(payloads, _vehicle()),
-    messages.PREDICTION: result_messages.unpack_predictions,
-    messages.ALARM: result_messages.unpack_alarms,
-    messages.EVENT: result_messages.unpack_events,
-    messages.WRENCH: partial(messages.unpack_body_vectors, type_name=messages.WRENCH),
+    sensor_messages.IMU: sensor_messages.unpack_imu,
+    sensor_messages.POSE: sensor_messages.unpack_pose,
+    sensor_messages.ODOMETRY: sensor_messages.unpack_odometry,
+    sensor_messages.TWIST: sensor_messages.unpack_twist,
+    sensor_messages.WIND: sensor_messages.unpack_wind,
+    sensor_messages.ROTOR_SPEEDS: sensor_messages.unpack_rotor_speeds,
+    sensor_messages.ERPM: lambda payloads: sensor_messages.unpack_erpm(payloads, _vehicle()),
+    sensor_messages.PREDICTION: result_messages.unpack_predictions,
+    sensor_messages.ALARM: result_messages.unpack_alarms,
+    sensor_messages.EVENT: result_messages.unpack_events,
+    sensor_messages.WRENCH: partial(sensor_messages.unpack_body_vectors, type_name=sensor_messages.WRENCH),
 }
 
 

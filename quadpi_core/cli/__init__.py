@@ -14,13 +14,13 @@ from typing import Annotated
 import typer
 
 from quadpi_core import __version__
+from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.cli.interruption import Interruptible, interrupt_on_sigterm
 from quadpi_core.cli.live import demo, replay
 from quadpi_core.cli.logs import import_, info
 from quadpi_core.cli.models import evaluate, identify
 from quadpi_core.cli.simulation import discrepancy, simulate, validate
 from quadpi_core.errors import QuadpiError
-from quadpi_core.reading import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 
 __all__ = ["app", "main"]
 

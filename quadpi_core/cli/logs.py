@@ -78,7 +78,7 @@ def info(
     json_file: JsonFile = None,
 ) -> None:
     """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
-    from quadpi_core.report.info import describe
+    from quadpi_core.report.info_tables import describe
 
     check_outputs([path], json_file)
     tables, data = describe(path, vehicle, mapping)

@@ -63,13 +63,13 @@ def identify(
     html_file: HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
-    from quadpi_core.identification import CUTOFF_HZ, require_options
-    from quadpi_core.identification import identify as identify_model
-    from quadpi_core.models.pool import load_pools, select_axes
-    from quadpi_core.models.storage import require_replaceable
-    from quadpi_core.prepared import prepare_flights
+    from quadpi_core.identification.identify import CUTOFF_HZ, require_options
+    from quadpi_core.identification.identify import identify as identify_model
+    from quadpi_core.identification.prepared_flights import prepare_flights
+    from quadpi_core.models.candidate_pool import load_pools, select_axes
+    from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.report.progress import counting, identifying
-    from quadpi_core.report.tables import held_out_table, selection_table
+    from quadpi_core.report.terminal_tables import held_out_table, selection_table
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(bags, json_file, html_file, folders=[output])
@@ -141,9 +141,9 @@ def evaluate(
     html_file: HtmlFile = None,
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
-    from quadpi_core.comparison import compare, given_comparison, is_model_folder
-    from quadpi_core.report.comparison import comparison_table, write_comparison_page
-    from quadpi_core.report.tables import evaluation_table
+    from quadpi_core.evaluation.compare import compare, given_comparison, is_model_folder
+    from quadpi_core.report.comparison_page import comparison_table, write_comparison_page
+    from quadpi_core.report.terminal_tables import evaluation_table
 
     console = open_console()
     if paths or group:
@@ -164,7 +164,7 @@ def evaluate(
             folders, members, vehicle=vehicle, confidence=confidence, workers=workers, scheduler=scheduler
         )
     else:
-        from quadpi_core.validation.windtunnel import wind_tunnel
+        from quadpi_core.paper.windtunnel import wind_tunnel
 
         if vehicle is not None:
             raise QuadpiError(
@@ -227,8 +227,8 @@ def _report(
     *,
     adaptive: bool = False,
 ) -> dict[str, Any]:
-    from quadpi_core.judging import judge
-    from quadpi_core.report.html import write_report
+    from quadpi_core.evaluation.evaluate import judge
+    from quadpi_core.report.evaluation_page import write_report
 
     results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)
     write_result(json_file, evaluation)

@@ -14,7 +14,7 @@ from quadpi_core.paths import require_file, require_folder, write_json
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from quadpi_core.quality import DataQuality
+    from quadpi_core.findings import DataQuality
 
 
 def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence[Path | None] = ()) -> None:

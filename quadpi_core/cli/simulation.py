@@ -67,9 +67,9 @@ def simulate(
 ) -> None:
     """Fly a scenario in the rotor-local simulation: a bag per flight, with its truth on /truth/…."""
     from quadpi_core.config import is_config_path
-    from quadpi_core.report.flights import flight_json, flight_table, summarise
+    from quadpi_core.report.flight_summary import flight_json, flight_table, summarise
     from quadpi_core.report.progress import flying
-    from quadpi_core.simulation.choice import choose_flights, parse_effects
+    from quadpi_core.simulation.flight_choice import choose_flights, parse_effects
     from quadpi_core.simulation.run import simulate as fly
     from quadpi_core.simulation.scenario import load_scenario
 
@@ -92,7 +92,7 @@ def simulate(
     console.print(flight_table(summaries, bags))
     write_result(json_file, flight_json(the_scenario.name, summaries, bags))
     if html_file is not None:
-        from quadpi_core.report.simulation import write_simulation_page
+        from quadpi_core.report.simulation_page import write_simulation_page
 
         write_simulation_page(html_file, [(flown.plan, flown.truth) for flown in flights])
 
@@ -124,13 +124,13 @@ def validate(
     html_file: HtmlFile = None,
 ) -> None:
     """Put noise on simulated flights a thousand times: do the intervals hold? The paper's tables."""
-    from quadpi_core.comparison import is_model_folder
+    from quadpi_core.evaluation.compare import is_model_folder
+    from quadpi_core.paper.given_case import given_case
+    from quadpi_core.paper.published import published_case, published_tables
+    from quadpi_core.paper.realisation_chunks import run_realisations
+    from quadpi_core.paper.validation_result import summarise
     from quadpi_core.report.progress import counting
-    from quadpi_core.report.validation import validation_tables
-    from quadpi_core.validation.chunks import run_realisations
-    from quadpi_core.validation.given import given_case
-    from quadpi_core.validation.published import published_case, published_tables
-    from quadpi_core.validation.result import summarise
+    from quadpi_core.report.validation_page import validation_tables
 
     kept = (None, None) if output is None else (output / "models", output / "realisations")
     check_outputs(paths or [], json_file, html_file, folders=kept)
@@ -170,10 +170,10 @@ def validate(
     console.print(validation_tables(result))
     write_result(json_file, result)
     if html_file is not None:
+        from quadpi_core.paper.realisations import spread
         from quadpi_core.parallel import map_tasks
-        from quadpi_core.report.bands import SHOWN
-        from quadpi_core.report.validation import write_validation_page
-        from quadpi_core.validation.realisations import spread
+        from quadpi_core.report.band_figure import SHOWN
+        from quadpi_core.report.validation_page import write_validation_page
 
         names = [flight.name for flight in case.flights]
         spreads = map_tasks(
@@ -213,7 +213,7 @@ def discrepancy(
     html_file: HtmlFile = None,
 ) -> None:
     """Find where a simulation and flights disagree, name the missing effect, add it, show the gap shrink."""
-    from quadpi_core.discrepancy.command import run
+    from quadpi_core.cli.discrepancy import run
 
     inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
     check_outputs(inputs, json_file, html_file, folders=[output])

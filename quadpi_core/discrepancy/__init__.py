@@ -8,7 +8,7 @@ are effects of the simulation's registry. Their columns stand with what the simu
 know no physics tell what is left (`generic`), and flights left out in turn show the gap (`gap`).
 """
 
-from quadpi_core.discrepancy.augmented import AugmentedSimulation
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.discovery import Discovery, FoundEffect, FoundParameter, discover
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.simulations import (

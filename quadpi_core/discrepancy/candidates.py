@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effects import EFFECTS, Effect
-from quadpi_core.simulation.effects.definition import AERODYNAMIC
+from quadpi_core.simulation.effects.effect_definition import AERODYNAMIC
 from quadpi_core.vehicle import Vehicle
 
 # Typical sizes of the registry are those of the Bebop 2.

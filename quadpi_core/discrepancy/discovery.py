@@ -12,9 +12,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.discrepancy.closure import Gap, gap
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.gap import Gap, gap
 from quadpi_core.discrepancy.search import UNEXPLAINED_SHARE, Found, search
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.errors import DiscrepancyError

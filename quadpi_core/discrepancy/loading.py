@@ -11,18 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config import is_config_path, nearest
-from quadpi_core.discrepancy.augmented import AugmentedSimulation
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.simulations import CallableSimulation, Simulation, VehicleSimulation
-from quadpi_core.discrepancy.simulations.base import read_tolerances
-from quadpi_core.discrepancy.simulations.model import ModelSimulation
-from quadpi_core.discrepancy.simulations.recorded import RecordedSimulation
+from quadpi_core.discrepancy.simulations.model_simulation import ModelSimulation
+from quadpi_core.discrepancy.simulations.recorded_simulation import RecordedSimulation
+from quadpi_core.discrepancy.simulations.simulation_base import read_tolerances
 from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory
-from quadpi_core.reading import JSON_BYTES_MAX, parse_json, read_bounded
+from quadpi_core.simulation.config_section import Section
 from quadpi_core.simulation.effects import read_effects
-from quadpi_core.simulation.section import Section
-from quadpi_core.simulation.vehicle import own_effects
+from quadpi_core.simulation.simulated_vehicle import own_effects
 from quadpi_core.vehicle import Vehicle
 
 RECORDED = "recorded"

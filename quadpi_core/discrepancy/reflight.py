@@ -14,24 +14,24 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.discrepancy.addition import augmented
-from quadpi_core.discrepancy.augmented import AugmentedSimulation
-from quadpi_core.discrepancy.contributions import residual
+from quadpi_core.bounded_files import parse_json
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.discovery import Discovery
+from quadpi_core.discrepancy.effect_response import residual
+from quadpi_core.discrepancy.effect_sets import augmented
 from quadpi_core.discrepancy.rollout import HORIZON_S, RolloutError, rollout, rollout_floor
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
-from quadpi_core.discrepancy.simulations.model import ModelSimulation
+from quadpi_core.discrepancy.simulations.model_simulation import ModelSimulation
 from quadpi_core.errors import LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
 from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.logs.mcap import Bag
-from quadpi_core.reading import parse_json
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
-from quadpi_core.simulation.bags import read_truth
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reference import STEP_HZ
-from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.simulation.simulated_bags import read_truth
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 _FLOWN = ("position_m", "velocity_m_s", "attitude_deg", "rates_rad_s")
 _NO_REFERENCE = "the bags hold no reference that the simulation could fly again"

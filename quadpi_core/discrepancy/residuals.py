@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
-from quadpi_core.discrepancy.contributions import Compared
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import residual_weights
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.frames import Array, rotation_matrix

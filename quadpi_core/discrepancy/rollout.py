@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from quadpi_core.discrepancy.augmented import AugmentedSimulation
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import Flight

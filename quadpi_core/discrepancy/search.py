@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.contributions import Compared
-from quadpi_core.discrepancy.design import Design
+from quadpi_core.discrepancy.effect_regression import Design
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit, null_gains, residual_weights
-from quadpi_core.discrepancy.generic import Left, generic_spectra, predicted
-from quadpi_core.discrepancy.shaping import Closing
+from quadpi_core.discrepancy.shape_fit import Closing
+from quadpi_core.discrepancy.unexplained import Left, generic_spectra, predicted
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from quadpi_core import __version__
+from quadpi_core.discrepancy.by_condition import Where, locate
 from quadpi_core.discrepancy.discovery import Discovery, discover, require_flights
 from quadpi_core.discrepancy.excitation import require_excitation
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.simulations import Simulation
-from quadpi_core.discrepancy.where import Where, locate
 from quadpi_core.flight import Flight
-from quadpi_core.identification import CUTOFF_HZ
+from quadpi_core.identification.identify import CUTOFF_HZ
+from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.parallel import map_files
-from quadpi_core.prepared import read_flight
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 
 from quadpi_core.errors import LogError, QuadpiError, one_line
 from quadpi_core.flight import Recording
-from quadpi_core.logs.screening import screened
+from quadpi_core.screening.wild_samples import screened
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from quadpi_core.logs.bags import BagRecording
-    from quadpi_core.logs.rotor_order import RotorOrder
+    from quadpi_core.rotor_order import RotorOrder
 
 CFUSDLOG_MAGIC = 0xBC
 DATAFLASH_MAGIC = b"\xa3\x95"
@@ -147,8 +147,8 @@ def _has_suffix(*suffixes: str) -> Callable[[Path], bool]:
 
 
 def _read_bag(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.adapters import AdapterSettings
     from quadpi_core.logs.bags import read_bag
+    from quadpi_core.messages.adapters import AdapterSettings
 
     return read_bag(path, vehicle, None if mapping is None else AdapterSettings.load(mapping))
 
@@ -167,7 +167,7 @@ def _read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -
 
 def _read_table(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
     from quadpi_core.logs.mapping import Mapping
-    from quadpi_core.logs.table import read_table
+    from quadpi_core.logs.table_files import read_table
 
     if mapping is None:
         raise LogError(f"{path}: a table needs a mapping file that says what its columns are (--mapping)")
@@ -218,7 +218,7 @@ def _read_betaflight(path: Path, vehicle: Vehicle | None, mapping: Path | None) 
 
 
 def _rotor_order(mapping: Path | None) -> RotorOrder | None:
-    from quadpi_core.logs.rotor_order import RotorOrder
+    from quadpi_core.rotor_order import RotorOrder
 
     return None if mapping is None else RotorOrder.load(mapping)
 

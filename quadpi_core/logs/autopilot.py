@@ -17,8 +17,8 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.logs.plausibility import finite_rows
-from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.rotor_order import RotorOrder
+from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.vehicle import Vehicle
 

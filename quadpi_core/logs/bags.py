@@ -31,41 +31,41 @@ from quadpi_core.flight import (
     WindStream,
     WrenchStream,
 )
-from quadpi_core.logs import messages
-from quadpi_core.logs.adapters.bags import AdaptedReading, AdaptedTopic, find_adapted
-from quadpi_core.logs.adapters.settings import AdapterSettings
-from quadpi_core.logs.blocks import join_blocks, split_by_stamp
-from quadpi_core.logs.definitions import typestore
-from quadpi_core.logs.frame_ids import BodyFrames, Framed
+from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic, find_adapted
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import McapWriter, mcap_writer
-from quadpi_core.logs.payloads import Payloads
-from quadpi_core.logs.result_messages import ReportedAlarms, unpack_alarms, unpack_predictions
-from quadpi_core.logs.transforms import TF_TOPIC, TF_TYPE
-from quadpi_core.monitor.output import Predictions
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.frame_ids import BodyFrames, Framed
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.result_messages import ReportedAlarms, unpack_alarms, unpack_predictions
+from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
+from quadpi_core.recording_blocks import join_blocks, split_by_stamp
+from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)
 
 TOPIC_TYPES = {
-    "imu": messages.IMU,
-    "erpm": messages.ERPM,
-    "rotor_speeds": messages.ROTOR_SPEEDS,
-    "mocap/pose": messages.POSE,
-    "mocap/odometry": messages.ODOMETRY,
-    "mocap/twist": messages.TWIST,
-    "odometry": messages.ODOMETRY,
-    "wind": messages.WIND,
-    "simulation/wrench": messages.WRENCH,
-    "prediction": messages.PREDICTION,
-    "extrapolation_alarm": messages.ALARM,
-    "alarm_log": messages.EVENT,
-    "truth/odometry": messages.ODOMETRY,
-    "truth/wrench": messages.WRENCH,
-    "truth/acceleration": messages.ACCELERATION,
-    "truth/rotor_speeds": messages.ROTOR_SPEEDS,
-    "truth/wind": messages.WIND,
-    "truth/reference": messages.POSE,
+    "imu": sensor_messages.IMU,
+    "erpm": sensor_messages.ERPM,
+    "rotor_speeds": sensor_messages.ROTOR_SPEEDS,
+    "mocap/pose": sensor_messages.POSE,
+    "mocap/odometry": sensor_messages.ODOMETRY,
+    "mocap/twist": sensor_messages.TWIST,
+    "odometry": sensor_messages.ODOMETRY,
+    "wind": sensor_messages.WIND,
+    "simulation/wrench": sensor_messages.WRENCH,
+    "prediction": sensor_messages.PREDICTION,
+    "extrapolation_alarm": sensor_messages.ALARM,
+    "alarm_log": sensor_messages.EVENT,
+    "truth/odometry": sensor_messages.ODOMETRY,
+    "truth/wrench": sensor_messages.WRENCH,
+    "truth/acceleration": sensor_messages.ACCELERATION,
+    "truth/rotor_speeds": sensor_messages.ROTOR_SPEEDS,
+    "truth/wind": sensor_messages.WIND,
+    "truth/reference": sensor_messages.POSE,
 }
 # Motion capture in its forms: of several in one bag the first counts, as a node listens to one of them.
 _MOCAP = ("mocap/pose", "mocap/odometry", "mocap/twist")
@@ -198,7 +198,7 @@ class BagRecording:
         return fields | {_FIELDS_OF_KINDS[kind]: topic.name for kind, topic in self._adapted.items()}
 
     def blocks(self) -> Iterator[Recording]:
-        """The recording in blocks; see :mod:`quadpi_core.logs.blocks`.
+        """The recording in blocks; see :mod:`quadpi_core.recording_blocks`.
 
         They follow each other in log time. What messages of other packages give is absent from a block that
         has none of them, and when it arrived is not known.
@@ -233,15 +233,15 @@ class _Unpacking:
         self._path = path
         self._names = names
         self._unpackers: dict[str, Callable[[Payloads], Any]] = {
-            "imu": Framed(messages.unpack_imu, frames.imu, frames),
-            "rotor_speeds": messages.unpack_rotor_speeds,
+            "imu": Framed(sensor_messages.unpack_imu, frames.imu, frames),
+            "rotor_speeds": sensor_messages.unpack_rotor_speeds,
             "erpm": lambda payloads: _unpack_erpm(payloads, vehicle),
-            "mocap/pose": Framed(messages.unpack_pose, frames.world, frames),
-            "mocap/twist": Framed(messages.unpack_twist, frames.world, frames),
-            "mocap/odometry": Framed(messages.unpack_mocap_odometry, frames.world, frames, texts=2),
-            "odometry": Framed(messages.unpack_odometry, frames.world, frames, texts=2),
-            "wind": Framed(messages.unpack_wind, frames.world, frames),
-            "simulation/wrench": messages.unpack_simulated,
+            "mocap/pose": Framed(sensor_messages.unpack_pose, frames.world, frames),
+            "mocap/twist": Framed(sensor_messages.unpack_twist, frames.world, frames),
+            "mocap/odometry": Framed(sensor_messages.unpack_mocap_odometry, frames.world, frames, texts=2),
+            "odometry": Framed(sensor_messages.unpack_odometry, frames.world, frames, texts=2),
+            "wind": Framed(sensor_messages.unpack_wind, frames.world, frames),
+            "simulation/wrench": sensor_messages.unpack_simulated,
         }
         self._adapted = {
             kind: AdaptedReading(path, topic, adapters, vehicle)
@@ -300,7 +300,7 @@ def _frames_of(bag: Bag) -> BodyFrames:
 def _unpack_erpm(payloads: Payloads, vehicle: Vehicle | None) -> RotorSpeedStream:
     if vehicle is None:
         raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
-    return messages.unpack_erpm(payloads, vehicle)
+    return sensor_messages.unpack_erpm(payloads, vehicle)
 
 
 def read_outputs(path: Path | str) -> tuple[Predictions | None, ReportedAlarms | None]:
@@ -386,19 +386,19 @@ def recording_topics(recording: Recording) -> Iterator[Topic]:
 def _packed(stream: Stream) -> Payloads:
     match stream:
         case ImuStream():
-            return messages.pack_imu(stream)
+            return sensor_messages.pack_imu(stream)
         case RotorSpeedStream():
-            return messages.pack_rotor_speeds(stream)
+            return sensor_messages.pack_rotor_speeds(stream)
         case PoseStream():
-            return messages.pack_pose(stream)
+            return sensor_messages.pack_pose(stream)
         case TwistStream():
-            return messages.pack_twist(stream)
+            return sensor_messages.pack_twist(stream)
         case OdometryStream():
-            return messages.pack_odometry(stream)
+            return sensor_messages.pack_odometry(stream)
         case WindStream():
-            return messages.pack_wind(stream)
+            return sensor_messages.pack_wind(stream)
         case WrenchStream():
-            return messages.pack_body_vectors(stream.time_ns, stream.wrench, messages.WRENCH)
+            return sensor_messages.pack_body_vectors(stream.time_ns, stream.wrench, sensor_messages.WRENCH)
     raise TypeError(f"no standard topic holds a {type(stream).__name__}")
 
 
@@ -447,11 +447,13 @@ def _stamps(bag: Bag, names: Sequence[str]) -> dict[str, Stamps]:
     with_header = {connection.topic for connection in bag.connections if _has_header(connection)}
     found: dict[str, list[Stamps]] = {name: [np.empty(0, dtype=np.int64)] for name in names}
     counts = dict.fromkeys(names, 0)
-    for block in bag.blocks(names, head=messages.STAMP_END):
+    for block in bag.blocks(names, head=sensor_messages.STAMP_END):
         for name, topic in block.items():
             stamps_ns = topic.log_time_ns
             if name in with_header:
-                stamps_ns = unpacked_topic(bag.path, topic, messages.unpack_stamps, before=counts[name])
+                stamps_ns = unpacked_topic(
+                    bag.path, topic, sensor_messages.unpack_stamps, before=counts[name]
+                )
             found[name].append(stamps_ns)
             counts[name] += len(stamps_ns)
     return {name: np.concatenate(parts) for name, parts in found.items()}
@@ -503,7 +505,7 @@ def unpacked_topic(
     Args:
         path: of the bag.
         topic: its messages, or some of them.
-        unpack: see :mod:`quadpi_core.logs.messages`.
+        unpack: see :mod:`quadpi_core.messages.sensor_messages`.
         before: how many messages of the topic came before these.
 
     Raises:

@@ -22,8 +22,8 @@ from quadpi_core.frames import Array, body_flu_to_frd
 from quadpi_core.logs import BLACKBOX_MAGIC
 from quadpi_core.logs.autopilot import begins_with, note, require_imu, usable
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
-from quadpi_core.logs.conversion import STANDARD_GRAVITY
-from quadpi_core.logs.rotor_order import ERPM, RotorOrder
+from quadpi_core.rotor_order import ERPM, RotorOrder
+from quadpi_core.units import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 _GYRO = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]")

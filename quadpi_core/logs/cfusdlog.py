@@ -31,7 +31,7 @@ from quadpi_core.frames import (
     world_enu_to_ned,
 )
 from quadpi_core.logs import CFUSDLOG_MAGIC
-from quadpi_core.logs.conversion import STANDARD_GRAVITY, unit_attitude
+from quadpi_core.units import STANDARD_GRAVITY, unit_attitude
 from quadpi_core.vehicle import Vehicle
 
 _CRC_BYTES = 4

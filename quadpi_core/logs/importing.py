@@ -11,21 +11,21 @@ from pathlib import Path
 from typing import Any
 
 from quadpi_core.config import is_config_path
-from quadpi_core.consistency.check import checked
 from quadpi_core.errors import LogError
+from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
 from quadpi_core.logs import FORMATS, blocks_of, identify_format, read_recording, reading
-from quadpi_core.logs.adapters import AdapterSettings
+from quadpi_core.logs.alignment import Alignment, align_pose
 from quadpi_core.logs.bags import open_recording, recording_topics, recording_writer, write_bag
-from quadpi_core.logs.blocks import streams_by_field
 from quadpi_core.logs.duplicates import RunningHash, recording_hash, refuse_duplicates
-from quadpi_core.logs.missing import missing
-from quadpi_core.logs.screening import StreamScreening
-from quadpi_core.logs.survey import Excerpting, Selection, samples_left_out, survey
+from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
-from quadpi_core.quality import NOTHING_TO_SAY, DataQuality
-from quadpi_core.signals.alignment import Alignment, align_pose
+from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.screening.consistency import checked
+from quadpi_core.screening.missing import missing
+from quadpi_core.screening.survey import Excerpting, Selection, samples_left_out, survey
+from quadpi_core.screening.wild_samples import StreamScreening
 from quadpi_core.vehicle import Vehicle
 
 

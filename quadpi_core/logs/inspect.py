@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.consistency.check import findings as inconsistencies
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     ImuStream,
@@ -26,17 +25,18 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.bags import bag_topics
-from quadpi_core.logs.blocks import streams_by_field
-from quadpi_core.logs.even_rows import EvenRows
-from quadpi_core.logs.missing import missing
-from quadpi_core.logs.plausibility import (
+from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.screening.consistency import findings as inconsistencies
+from quadpi_core.screening.even_rows import EvenRows
+from quadpi_core.screening.missing import missing
+from quadpi_core.screening.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
     finite_rows,
     implausibilities,
     thrust_coefficient,
 )
-from quadpi_core.logs.survey import Excerpting, Selection, StreamSurvey, samples_left_out, survey
+from quadpi_core.screening.survey import Excerpting, Selection, StreamSurvey, samples_left_out, survey
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 GAP_INTERVALS = 5.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from quadpi_core.config import read_config
 from quadpi_core.errors import LogError
-from quadpi_core.logs.conversion import STANDARD_GRAVITY
+from quadpi_core.units import STANDARD_GRAVITY
 
 ERPM = "erpm"
 QUATERNION_ORDERS = MappingProxyType({"wxyz": (0, 1, 2, 3), "xyzw": (3, 0, 1, 2)})

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from typing import Any, NamedTuple
 
-from quadpi_core.logs.extras import require
+from quadpi_core.optional_imports import require
 
 # "all" and "common" lack either ArduPilot's ESC telemetry or import far more.
 _DIALECT = "pymavlink.dialects.v20.ardupilotmega"

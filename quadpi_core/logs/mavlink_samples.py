@@ -25,8 +25,8 @@ from quadpi_core.frames import (
     rotate_world_to_body,
     world_enu_to_ned,
 )
-from quadpi_core.logs.conversion import NORM_TOLERANCE, STANDARD_GRAVITY
-from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.rotor_order import RotorOrder
+from quadpi_core.units import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 ARDUPILOT, PX4 = 3, 12

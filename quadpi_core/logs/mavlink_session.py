@@ -35,7 +35,7 @@ from quadpi_core.logs.mavlink_samples import (
     is_autopilot,
     is_epoch,
 )
-from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 
 _SECOND = 1_000_000_000

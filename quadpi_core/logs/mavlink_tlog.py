@@ -25,7 +25,7 @@ from quadpi_core.logs.mavlink_samples import (
     is_epoch,
     stream_of,
 )
-from quadpi_core.logs.rotor_order import RPM, RotorOrder
+from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 
 _STAMP_BYTES = 8

@@ -33,10 +33,10 @@ from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader, read_string
 
+from quadpi_core.bounded_files import read_bounded
 from quadpi_core.compiled import njit
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.payloads import Bytes, Indices, Payloads
 from quadpi_core.logs.unpacking import (
     require_unpackable,
     unlz4,
@@ -45,7 +45,7 @@ from quadpi_core.logs.unpacking import (
     unzstd_blocks,
     zstd_size,
 )
-from quadpi_core.reading import read_bounded
+from quadpi_core.messages.payloads import Bytes, Indices, Payloads
 from quadpi_core.scratch import MADE, scratch_folder
 
 if TYPE_CHECKING:

@@ -24,7 +24,6 @@ from lz4 import frame as lz4
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.definitions import definition_text, typestore
 from quadpi_core.logs.mcap import (
     CHUNK,
     MAGIC,
@@ -35,8 +34,9 @@ from quadpi_core.logs.mcap import (
     cut_topic,
     join_topics,
 )
-from quadpi_core.logs.payloads import Bytes, Indices, Payloads, copy_spans
-from quadpi_core.logs.qos import qos_of
+from quadpi_core.messages.definitions import definition_text, typestore
+from quadpi_core.messages.payloads import Bytes, Indices, Payloads, copy_spans
+from quadpi_core.messages.qos import qos_of
 from quadpi_core.paths import whole_output
 
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE_INDEX = 0x01, 0x02, 0x03, 0x04, 0x07

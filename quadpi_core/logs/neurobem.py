@@ -15,8 +15,8 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
-from quadpi_core.logs.conversion import stamps_ns, unit_attitude
 from quadpi_core.logs.matlab import read_matlab
+from quadpi_core.units import stamps_ns, unit_attitude
 from quadpi_core.vehicle import Vehicle
 
 _COLUMN_COUNT = 41

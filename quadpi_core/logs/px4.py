@@ -22,9 +22,9 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording,
 from quadpi_core.frames import Array
 from quadpi_core.logs import ULOG_MAGIC
 from quadpi_core.logs.autopilot import begins_with, note, odometry_of, require_imu, rising, usable
-from quadpi_core.logs.conversion import NORM_TOLERANCE
-from quadpi_core.logs.extras import require
-from quadpi_core.logs.rotor_order import RPM, RotorOrder
+from quadpi_core.optional_imports import require
+from quadpi_core.rotor_order import RPM, RotorOrder
+from quadpi_core.units import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".

@@ -15,8 +15,8 @@ from collections.abc import Iterator
 from backports import zstd
 from lz4 import frame as lz4
 
+from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.errors import LogError, QuadpiError
-from quadpi_core.reading import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 
 # A larger file may unpack to this many times its size: values that repeat pack 50 times smaller.
 LIMIT_RATIO = 100

@@ -16,8 +16,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.interval_rules import HeldOutRule
 from quadpi_core.models.methods import METHODS, CompiledAxes, Evaluation, FittedAxis
-from quadpi_core.models.rules import HeldOutRule
 from quadpi_core.vehicle import Vehicle
 
 
@@ -158,7 +158,7 @@ class AerodynamicModel:
     def save(self, folder: Path) -> AerodynamicModel:
         """Write the model as a folder of JSON and safetensors; returns it with its identity."""
         # Storage knows this class, so it is imported when needed.
-        from quadpi_core.models.storage import save_model
+        from quadpi_core.models.model_folder import save_model
 
         return save_model(self, folder)
 
@@ -169,6 +169,6 @@ class AerodynamicModel:
         Raises:
             ModelError: naming the file that is missing, altered or not understood.
         """
-        from quadpi_core.models.storage import load_model
+        from quadpi_core.models.model_folder import load_model
 
         return load_model(Path(folder))

@@ -7,7 +7,7 @@ interval width that they reached. The range of a flight runs between its 0.1 % a
 that one spike does not widen it; the envelope spans the ranges of all flights. Flights that repeat a
 trajectory still differ a little at its extremes, so the alarm allows a margin beyond the range and a
 headroom above the peaks. Here both are plain fractions, for which no rate of false alarms is claimed;
-`monitor.calibration` puts limits with a rate in their place where flights allow it. The plain ones then go
+`alarm_calibration` puts limits with a rate in their place where flights allow it. The plain ones then go
 on as those of the warning: outside of what was flown, though flights of this kind may stray so far.
 """
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.fitted import FittedBootstrap, FittedQualityDriven
-from quadpi_core.models.ensembles.kernel import CompiledEnsembles
-from quadpi_core.models.evaluation import Evaluation
-from quadpi_core.models.kernel import CompiledPolynomials
+from quadpi_core.models.axis_evaluation import Evaluation
+from quadpi_core.models.ensembles.ensemble_kernel import CompiledEnsembles
+from quadpi_core.models.ensembles.fitted_ensemble import FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.interval_rules import AnyRule
 from quadpi_core.models.polynomial import FittedPolynomial
-from quadpi_core.models.rules import AnyRule
+from quadpi_core.models.polynomial_kernel import CompiledPolynomials
 
 __all__ = ["METHODS", "CompiledAxes", "Evaluation", "FittedAxis", "Method"]
 

@@ -14,11 +14,9 @@ import numpy.typing as npt
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.gram import Gram, flight_grams, sum_grams
-from quadpi_core.models.pool import CandidatePool
-from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
-from quadpi_core.models.robust import huber
-from quadpi_core.models.rules import (
+from quadpi_core.models.interval_rules import (
     AnyRule,
     HeldOutRule,
     ResidualRule,
@@ -26,6 +24,8 @@ from quadpi_core.models.rules import (
     inside_range,
     rule_from_json,
 )
+from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
+from quadpi_core.models.robust import huber
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, fit_coefficients, select
 from quadpi_core.models.spread import PlacedErrors, SpreadShape, fit_shape, leverage_of, squared_speed
 

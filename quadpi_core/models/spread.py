@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
-from quadpi_core.models.rules import FlightErrors, flights_peak
+from quadpi_core.models.interval_rules import FlightErrors, flights_peak
 
 # u, v, w of the input vector.
 VELOCITY = [INPUT_INDEX[name] for name in ("u", "v", "w")]

@@ -5,6 +5,6 @@
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.output import Alarms, Predictions
+from quadpi_core.results import Alarms, Predictions
 
 __all__ = ["Alarms", "Envelope", "Monitor", "MonitorSettings", "Predictions"]

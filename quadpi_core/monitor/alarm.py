@@ -50,7 +50,7 @@ from quadpi_core.monitor.alarm_kernel import (
     UNCALIBRATED,
     WAITING,
 )
-from quadpi_core.monitor.output import Alarms
+from quadpi_core.results import Alarms
 
 __all__ = [
     "ACTIVE",
@@ -80,7 +80,7 @@ class MonitorSettings:
         persistence_s: of evidence, before a warning or an alarm is raised.
         release_s: without evidence, before it is cleared.
         alarm_rate_hz: of the alarm's state between changes.
-        adaptive: publish intervals that adapt to the measured wrench (:mod:`quadpi_core.intervals.adaptive`)
+        adaptive: publish intervals that adapt to the measured wrench (:mod:`quadpi_core.monitor.adaptive`)
             instead of the model's own. The alarm goes by the model's own either way.
 
     Raises:
@@ -198,7 +198,7 @@ class Alarm:
         Args:
             time_ns: (K,) stamps of all samples.
             usable: (K,) False for a sample that cannot be judged (BAD_DATA).
-            faults: (K,) what is wrong with a sample, usable or not, bits of `monitor.faults`.
+            faults: (K,) what is wrong with a sample, usable or not, bits of `monitor.data_quality`.
             judged: the usable samples.
         """
         integers = np.empty((len(time_ns), kernel.ROW_INTEGERS), dtype=np.int64)

@@ -12,7 +12,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES as AXIS_NAMES
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import excess_of_cosine
-from quadpi_core.monitor.faults import IN_FLIGHT_ONLY
+from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
 
 LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4

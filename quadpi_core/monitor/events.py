@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from quadpi_core.monitor.alarm import CAUSES, LEVEL_ALARM
-from quadpi_core.monitor.output import Alarms
 from quadpi_core.monitor.reasons import reasons
+from quadpi_core.results import Alarms
 
 # Events that a log keeps, and that a late subscriber is given.
 KEPT = 64

@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
+from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.intervals.adaptive import AdaptiveFactor
+from quadpi_core.monitor.adaptive import AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
 from quadpi_core.monitor.events import EventLog, Events
-from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.preparation import Preparation, Prepared
-from quadpi_core.signals.imu_rate import RATE_BEFORE_HZ, ImuRate
+from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:

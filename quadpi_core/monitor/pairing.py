@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.estimator.imu_rate import CHANGES, LOST, ImuRate, Meter, follow, follow_arrays
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.monitor.silence import Arrived
@@ -30,7 +31,6 @@ from quadpi_core.signals.chain import (
     VELOCITY,
     WIND,
 )
-from quadpi_core.signals.imu_rate import CHANGES, LOST, ImuRate, Meter, follow, follow_arrays
 
 # How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
 TIMEOUT_S = 0.1

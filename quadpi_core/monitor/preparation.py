@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
+from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
-from quadpi_core.monitor.faults import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN, FaultMemory, judge
+from quadpi_core.monitor.data_quality import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN, FaultMemory, judge
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,
@@ -27,7 +28,6 @@ from quadpi_core.signals.chain import (
     forget,
 )
 from quadpi_core.signals.filters import LowPass, Section, design_low_pass
-from quadpi_core.signals.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import Vehicle
 
@@ -48,7 +48,7 @@ class Prepared(NamedTuple):
         inputs: (U, 19) input vectors of the usable samples.
         measured: (U, 6) their measured wrench, N and Nm, body axes.
         velocity: (U, 3) their velocity over ground, m/s, body axes.
-        faults: (K,) what is wrong, bits of :mod:`quadpi_core.monitor.faults`.
+        faults: (K,) what is wrong, bits of :mod:`quadpi_core.monitor.data_quality`.
         settled: (U,) False for usable samples in the first :data:`SETTLE_NS` after the first one, or after
             more than `MAX_GAP_NS` without any.
     """

@@ -10,8 +10,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
-from quadpi_core.monitor.faults import fault_words
-from quadpi_core.monitor.output import Alarms
+from quadpi_core.monitor.data_quality import fault_words
+from quadpi_core.results import Alarms
 
 # Of each kind of evidence, the strongest.
 _MOST = 3

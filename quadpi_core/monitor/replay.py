@@ -19,25 +19,26 @@ import numpy.typing as npt
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
+from quadpi_core.estimator import propagate
+from quadpi_core.estimator.ekf import Ekf, EkfTrace, Spans, never_started
+from quadpi_core.estimator.imu_rate import ImuRate
+from quadpi_core.estimator.odometry import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array
-from quadpi_core.logs import FORMATS, decode_recording, identify_format, messages, result_messages
+from quadpi_core.logs import FORMATS, decode_recording, identify_format
 from quadpi_core.logs.bags import TOPIC_TYPES, open_recording, output_topic
-from quadpi_core.logs.blocks import by_arrival, split_recording
 from quadpi_core.logs.mcap import Topic
 from quadpi_core.logs.mcap_writer import mcap_writer
+from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, MonitorSettings, alarm_time
 from quadpi_core.monitor.events import Events
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
-from quadpi_core.signals import ekf_kernels
-from quadpi_core.signals.ekf import Ekf, EkfTrace, Spans, never_started
-from quadpi_core.signals.imu_rate import ImuRate
-from quadpi_core.signals.odometry import FusedSamples, with_gyro_faults
+from quadpi_core.recording_blocks import by_arrival, split_recording
+from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -146,7 +147,9 @@ def _messages(
 ) -> Iterator[Topic]:
     """What the nodes publish."""
     if states is not None:
-        payloads = messages.pack_odometry(states.odometry, states.pose_covariance, states.twist_covariance)
+        payloads = sensor_messages.pack_odometry(
+            states.odometry, states.pose_covariance, states.twist_covariance
+        )
         yield output_topic("odometry", states.time_ns, payloads)
     yield output_topic(
         "prediction",
@@ -172,7 +175,7 @@ class RecordedFlight:
     Attributes:
         name, source: see :class:`Recording`.
         has_mocap: whether the state comes from the EKF; else from the flight's odometry.
-        blocks: the flight, as :func:`quadpi_core.logs.blocks.by_arrival` gives it.
+        blocks: the flight, as :func:`quadpi_core.recording_blocks.by_arrival` gives it.
     """
 
     name: str
@@ -358,9 +361,9 @@ def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, FusedSampl
     """
     specific_force = with_gyro_faults(imu).specific_force
     specific_force[trace.sample] = trace.fused.imu.specific_force
-    handed_over = np.isin(trace.imu_outcomes, ekf_kernels.WITHOUT_ESTIMATE)
+    handed_over = np.isin(trace.imu_outcomes, propagate.WITHOUT_ESTIMATE)
     handed_over[trace.sample] = True
-    published = trace.status != ekf_kernels.EstimatorStatus.LOST
+    published = trace.status != propagate.EstimatorStatus.LOST
     states = trace.fused.where(published)
     return _Imu(imu.time_ns, specific_force, np.flatnonzero(handed_over)), states, trace.sample[published]
 

@@ -10,12 +10,12 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from quadpi_core.discrepancy.gap import Gap
+from quadpi_core.discrepancy.by_condition import WORDS, Profile
+from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.residuals import Residual
-from quadpi_core.discrepancy.where import WORDS, Profile
+from quadpi_core.evaluation.regimes import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.intervals.regimes import round_edges
 from quadpi_core.report.decimation import extreme_samples
 from quadpi_core.report.figures import series, styled
 from quadpi_core.report.style import GROUPS, MEASURED, translucent, unit

@@ -11,12 +11,12 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from quadpi_core.discrepancy.by_condition import Range
 from quadpi_core.discrepancy.study import Study
-from quadpi_core.discrepancy.where import Range
 from quadpi_core.flight import AXES
 from quadpi_core.report import discrepancy_text as text
 from quadpi_core.report.style import number, percent
-from quadpi_core.report.tables import axis_with_unit
+from quadpi_core.report.terminal_tables import axis_with_unit
 from quadpi_core.simulation.effects import EFFECTS
 
 _MOST_RANGES = 8

@@ -11,8 +11,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
-from quadpi_core.intervals.evaluate import FlightResult
 from quadpi_core.report.decimation import extreme_samples
 from quadpi_core.report.style import (
     GROUPS,

@@ -10,10 +10,10 @@ from statistics import NormalDist, fmean
 from typing import Any
 
 from quadpi_core.flight import AXES
-from quadpi_core.report import comparison as compared
+from quadpi_core.paper.validation_result import VARIATIONS
+from quadpi_core.report import comparison_page as compared
 from quadpi_core.report.style import hundredths, unit
-from quadpi_core.report.tables import final_terms
-from quadpi_core.validation.result import VARIATIONS
+from quadpi_core.report.terminal_tables import final_terms
 
 _PUBLISHED = "*published*"
 _COVERAGE = ("training", *VARIATIONS)
@@ -38,7 +38,7 @@ def comparison(result: Mapping[str, Any]) -> str:
     """Coverage and width of several models on groups of flights.
 
     Args:
-        result: as :func:`quadpi_core.comparison.compare` gives it.
+        result: as :func:`quadpi_core.evaluation.compare.compare` gives it.
     """
     groups, confidence = list(result["groups"]), result["confidence"]
     headings = ["axis", "model", *(f"PICP % {group}" for group in groups), *(f"MPIW {g}" for g in groups)]
@@ -61,7 +61,7 @@ def validation(results: Sequence[Mapping[str, Any]], axes: Sequence[str] = AXES)
     """Coverage and width under noise, the settings of a method and the paper's numbers below each other.
 
     Args:
-        results: as :func:`quadpi_core.validation.result.summarise` gives them, of the same models by name.
+        results: as `validation_result.summarise` gives them, of the same models by name.
         axes: to show.
     """
     headings = ["axis", "method", "settings"]
@@ -125,7 +125,7 @@ def left_out(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
 
     Args:
         results: by flight and kind of intervals ("fixed", "adaptive"), models of the other flights on it, as
-            :func:`quadpi_core.comparison.compare` gives them with the one group `all`.
+            :func:`quadpi_core.evaluation.compare.compare` gives them with the one group `all`.
     """
     axes, models, kinds = _left_out_parts(results)
     rows = []

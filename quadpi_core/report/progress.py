@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 if TYPE_CHECKING:
-    from quadpi_core.identification import Step
+    from quadpi_core.identification.identify import Step
 
 
 @contextmanager

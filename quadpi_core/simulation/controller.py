@@ -19,7 +19,7 @@ import numpy as np
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
-from quadpi_core.simulation.linear import cross, inverse, product3
+from quadpi_core.simulation.linear_algebra import cross, inverse, product3
 from quadpi_core.vehicle import ROTORS
 
 _POSITION_GAIN = 5.0

@@ -17,10 +17,10 @@ from quadpi_core.compiled import njit, once
 from quadpi_core.signals import rotations
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.effects import FUNCTION_TYPE
-from quadpi_core.simulation.linear import cross, product3
-from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.linear_algebra import cross, product3
 from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.rotor_local import aerodynamics
+from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
 from quadpi_core.vehicle import ROTORS
 
 # State and its derivative; velocity [m/s] in the world.

@@ -16,12 +16,12 @@ from quadpi_core.signals import rotations
 from quadpi_core.simulation.controller import Controls, Demand
 from quadpi_core.simulation.dynamics import LOGGED, MOTION, flight_kernel
 from quadpi_core.simulation.effects import Effects, added_wind, altered_vehicle, compose
-from quadpi_core.simulation.noise import generator
-from quadpi_core.simulation.records import STATE
 from quadpi_core.simulation.reference import STEP_HZ, Reference
+from quadpi_core.simulation.sensor_noise import generator
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.state_records import STATE
 from quadpi_core.simulation.trim import trim
 from quadpi_core.simulation.truth import LOG_HZ, Truth
-from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 # Stamps of every simulated flight begin here; a fixed one, for equal plans give equal bytes.
 START_NS = 1_700_000_000_000_000_000

@@ -9,9 +9,9 @@ import numpy as np
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.controller import TILT_MAX_DEG
-from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.reference import Reference
-from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 # The rotor-local model was measured up to 14 m/s; flights against such a wind go forward in it too.
 AIRSPEED_MAX_M_S = 16.0

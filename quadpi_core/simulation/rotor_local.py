@@ -21,8 +21,8 @@ from quadpi_core.compiled import njit
 from quadpi_core.config import nearest, read_config
 from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
-from quadpi_core.simulation.linear import inverse
-from quadpi_core.simulation.records import STATE, VEHICLE
+from quadpi_core.simulation.linear_algebra import inverse
+from quadpi_core.simulation.state_records import STATE, VEHICLE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 ADVANCE_RATIO_MAX = 0.6

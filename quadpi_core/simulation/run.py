@@ -15,15 +15,15 @@ import numpy as np
 from quadpi_core.errors import named_in
 from quadpi_core.flight import Stamps
 from quadpi_core.paths import require_file, whole_outputs
-from quadpi_core.simulation.bags import write_simulated_bag
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.noise import SensorSuite
-from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reachable import require_reachable
 from quadpi_core.simulation.reference import STEP_HZ
+from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import Sensed, sense
+from quadpi_core.simulation.simulated_bags import write_simulated_bag
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import Truth
-from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 Progress = Callable[[str, float], None]
 _POLL_S = 0.1

@@ -14,10 +14,12 @@ from quadpi_core.discrepancy import VehicleSimulation
 from quadpi_core.discrepancy.study import Study, study
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
+from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.paths import bags_directory
-from quadpi_core.prepared import read_flight
 from quadpi_core.simulation.effects import effect_wrench
 from quadpi_core.vehicle import Vehicle
+
+from .known_flights import noisy_vehicle, simulate_flight, simulated, true_flight  # noqa: F401
 
 # A search looks for these in tests: each candidate takes time.
 SOUGHT = ("body_drag", "rate_damping", "payload", "wind", "moment_bias")

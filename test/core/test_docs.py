@@ -24,8 +24,7 @@ from quadpi_core.paths import bags_directory, config_directory
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-# By test/core/logs/test_data_set_guide.py and test/core/logs/adapters/test_bags.py, which make their files;
-# the last by `make tables`.
+# By test_data_set_guide.py and test_adapted_bags.py, which make their files; the last by `make tables`.
 RUN_ELSEWHERE = {"add-a-data-set.md", "adapters.md", "paper-tables.md"}
 ON_REAL_FLIGHTS = {"commands.md", "import-logs.md"}
 QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'

@@ -15,7 +15,7 @@ from blind.geometry import induced_ratio
 from blind.specimen import CENTRE_M, Specimen, ordinary
 
 from quadpi_core.simulation.rotor_local import RotorLocalModel
-from quadpi_core.simulation.vehicle import SimulatedVehicle
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 NAMES = {
     *("rotor_drag", "body_drag", "translational_lift", "inflow_damping", "blade_flapping", "ground_effect"),

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
+from quadpi_core.estimator.propagate import EstimatorStatus
 from quadpi_core.flight import OdometryStream, WindStream
-from quadpi_core.identification import identify
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.models import AerodynamicModel, load_pools
 from quadpi_core.models.methods import METHODS
 from quadpi_core.paths import bags_directory
-from quadpi_core.prepared import prepare_flights
-from quadpi_core.signals.ekf_kernels import EstimatorStatus
-from quadpi_core.simulation.faults import Fault
+from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
 from test.faults.onboard import Onboard, sent_by, spoilt
 
@@ -154,7 +154,7 @@ def calm(sensors, fly_onboard):
 
 @pytest.fixture
 def failing(sensors, fly_onboard):
-    """failing(kind, topic, at_s, for_s, …) → Flown with a fault of `quadpi_core.simulation.faults`."""
+    """failing(kind, topic, at_s, for_s, …) → Flown with a fault of `quadpi_core.simulation.failures`."""
 
     def fly(kind, topic, at_s, for_s, *, seconds=FLIGHT_S, **options):
         return fly_onboard(spoilt(sensors(seconds), Fault(kind, topic, at_s, for_s, **options)))

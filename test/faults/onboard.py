@@ -11,32 +11,32 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.errors import LogError
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.odometry import fused_sample, with_gyro_faults
+from quadpi_core.estimator.propagate import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Recording, Stamps
-from quadpi_core.logs import messages
-from quadpi_core.logs.payloads import Payloads
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm import CAUSES, LEVEL_OK
 from quadpi_core.monitor.events import AlarmEvent
 from quadpi_core.monitor.health import TopicHealth, TopicReport
-from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.reasons import reasons
-from quadpi_core.monitor.several import Monitors
-from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.ekf_kernels import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.signals.odometry import fused_sample, with_gyro_faults
-from quadpi_core.simulation.faults import Fault, Sent, apply_faults
+from quadpi_core.monitor.several_models import Monitors
+from quadpi_core.results import Alarms, Predictions
+from quadpi_core.simulation.failures import Fault, Sent, apply_faults
 from quadpi_core.vehicle import Vehicle
 
 RATE_HZ = 500.0
 Spoil = Callable[[str, Payloads], Payloads]
 _NEVER = -(2**63)
 _MESSAGES: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
-    "imu": (messages.pack_imu, messages.unpack_imu),
-    "mocap/pose": (messages.pack_pose, messages.unpack_pose),
-    "rotor_speeds": (messages.pack_rotor_speeds, messages.unpack_rotor_speeds),
-    "wind": (messages.pack_wind, messages.unpack_wind),
+    "imu": (sensor_messages.pack_imu, sensor_messages.unpack_imu),
+    "mocap/pose": (sensor_messages.pack_pose, sensor_messages.unpack_pose),
+    "rotor_speeds": (sensor_messages.pack_rotor_speeds, sensor_messages.unpack_rotor_speeds),
+    "wind": (sensor_messages.pack_wind, sensor_messages.unpack_wind),
 }
 
 

@@ -11,11 +11,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.logs import messages, read_recording
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import bag_topics, read_bag, write_bag
-from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import Topic
 from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.definitions import typestore
 
 N = 200
 FLIPS = 200
@@ -93,8 +94,8 @@ def test_cut_off_behind_the_data_counts_every_message(bag):
 def test_missing_imu(tmp_path, recording):
     path = tmp_path / "no_imu.mcap"
     rotors = recording.rotor_speeds
-    payloads = messages.pack_rotor_speeds(rotors)
-    write_mcap(path, [Topic("/rotor_speeds", messages.ROTOR_SPEEDS, rotors.time_ns, payloads)], {})
+    payloads = sensor_messages.pack_rotor_speeds(rotors)
+    write_mcap(path, [Topic("/rotor_speeds", sensor_messages.ROTOR_SPEEDS, rotors.time_ns, payloads)], {})
     assert_refused(path, "topic imu: missing; topics of the bag: /rotor_speeds")
 
 
@@ -106,23 +107,25 @@ def test_missing_rotor_speeds_are_left_to_whoever_needs_them(tmp_path, recording
 
 def test_wrong_type_on_a_topic(tmp_path, recording):
     path = tmp_path / "wrong.mcap"
-    payloads = messages.pack_pose(recording.pose)
-    write_mcap(path, [Topic("/imu", messages.POSE, recording.pose.time_ns, payloads)], {})
+    payloads = sensor_messages.pack_pose(recording.pose)
+    write_mcap(path, [Topic("/imu", sensor_messages.POSE, recording.pose.time_ns, payloads)], {})
     assert_refused(path, "topic /imu: type geometry_msgs/msg/PoseStamped, expected sensor_msgs/msg/Imu")
 
 
 def test_ambiguous_topic(tmp_path, recording):
     path = tmp_path / "two.mcap"
-    payloads = messages.pack_imu(recording.imu)
+    payloads = sensor_messages.pack_imu(recording.imu)
     names = ("/a/imu", "/b/imu")
-    write_mcap(path, [Topic(name, messages.IMU, recording.imu.time_ns, payloads) for name in names], {})
+    write_mcap(
+        path, [Topic(name, sensor_messages.IMU, recording.imu.time_ns, payloads) for name in names], {}
+    )
     assert_refused(path, "topic imu: ambiguous between /a/imu, /b/imu")
 
 
 def test_bytes_of_another_type_name_the_sample(tmp_path, recording):
     path = tmp_path / "mixed.mcap"
-    payloads = messages.pack_pose(recording.pose)
-    write_mcap(path, [Topic("/imu", messages.IMU, recording.pose.time_ns, payloads)], {})
+    payloads = sensor_messages.pack_pose(recording.pose)
+    write_mcap(path, [Topic("/imu", sensor_messages.IMU, recording.pose.time_ns, payloads)], {})
     assert_refused(path, r"topic /imu: sample 0: .*sensor_msgs/msg/Imu")
 
 
@@ -141,8 +144,8 @@ def test_stamps_that_do_not_increase_name_the_sample(tmp_path, recording, shift_
     path = tmp_path / "unsorted.mcap"
     time_ns = recording.imu.time_ns.copy()
     time_ns[23] = time_ns[22] + shift_ns
-    payloads = messages.pack_imu(replace(recording.imu, time_ns=time_ns))
-    write_mcap(path, [Topic("/imu", messages.IMU, recording.imu.time_ns, payloads)], {})
+    payloads = sensor_messages.pack_imu(replace(recording.imu, time_ns=time_ns))
+    write_mcap(path, [Topic("/imu", sensor_messages.IMU, recording.imu.time_ns, payloads)], {})
     assert_refused(path, f"topic imu: sample 23: the stamp {kind}", lambda bag: read_recording(bag, None))
 
 
@@ -181,9 +184,9 @@ def test_no_flipped_byte_goes_unnoticed(bag, recording):
 
 def test_flipped_bytes_in_a_bag_without_checksums_raise_nothing_else(tmp_path, recording):
     with Writer(tmp_path / "folder", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/imu", messages.IMU, typestore=typestore())
+        connection = writer.add_connection("/imu", sensor_messages.IMU, typestore=typestore())
         for time_ns, payload in zip(
-            recording.imu.time_ns.tolist(), messages.pack_imu(recording.imu), strict=True
+            recording.imu.time_ns.tolist(), sensor_messages.pack_imu(recording.imu), strict=True
         ):
             writer.write(connection, time_ns, payload)
     bag = tmp_path / "folder" / "folder.mcap"

@@ -15,13 +15,14 @@ from backports import zstd
 from lz4 import frame as lz4
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from quadpi_core.bounded_files import LIMIT_VARIABLE
 from quadpi_core.errors import LogError, QuadpiError
-from quadpi_core.logs import messages, read_recording
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag
-from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import MAGIC
 from quadpi_core.logs.unpacking import unlz4, unpacked_limit, unzstd, zstd_size
-from quadpi_core.reading import LIMIT_VARIABLE
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.definitions import typestore
 
 from .damage import refusing
 
@@ -91,7 +92,7 @@ def test_bag_in_a_folder(monkeypatch, tmp_path, mode):
     bag = Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3)
     bag.set_compression(mode, CompressionFormat.ZSTD)
     with bag as writer:
-        connection = writer.add_connection("/imu", messages.IMU, typestore=store)
+        connection = writer.add_connection("/imu", sensor_messages.IMU, typestore=store)
         for time_ns in range(4):
             writer.write(connection, time_ns, bytes(2**24))
     assert sum(file.stat().st_size for file in folder.iterdir()) < 2**20
@@ -109,7 +110,7 @@ def test_bomb_in_a_compressed_file(bombs, tmp_path, name):
     bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     bag.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
     with bag as writer:
-        writer.write(writer.add_connection("/imu", messages.IMU, typestore=typestore()), 1, bytes(8))
+        writer.write(writer.add_connection("/imu", sensor_messages.IMU, typestore=typestore()), 1, bytes(8))
     (file,) = folder.glob("*.zstd")
     file.unlink()
     (folder / name).write_bytes(zstd.compress(bag_of(bombs["zstd"], "zstd", BOMB_BYTES)))
@@ -228,7 +229,7 @@ def test_a_database_that_counts(tmp_path, table):
     """A view may have no end: rows that nobody stored are counted and grouped as the bag is opened."""
     folder = tmp_path / "bag"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        writer.write(writer.add_connection("/imu", messages.IMU, typestore=typestore()), 1, bytes(8))
+        writer.write(writer.add_connection("/imu", sensor_messages.IMU, typestore=typestore()), 1, bytes(8))
     (path,) = folder.glob("*.db3")
     with closing(sqlite3.connect(path)) as database:
         database.execute(f"ALTER TABLE {table} RENAME TO other")

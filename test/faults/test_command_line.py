@@ -13,9 +13,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from quadpi_core.logs import messages, read_recording
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
 from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.messages import sensor_messages
 from quadpi_core.monitor.alarm import BAD_DATA
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -82,7 +83,7 @@ class TestDamagedFiles:
 class TestMissingTopics:
     def test_imu(self, refused_everywhere, bad, recording):
         rotors = recording.rotor_speeds
-        topic = output_topic("rotor_speeds", rotors.time_ns, messages.pack_rotor_speeds(rotors))
+        topic = output_topic("rotor_speeds", rotors.time_ns, sensor_messages.pack_rotor_speeds(rotors))
         write_mcap(bad, [topic], {})
         refused_everywhere("topic imu: missing; topics of the bag: /rotor_speeds")
 
@@ -118,7 +119,7 @@ class TestWrongUnits:
 
     def test_electrical_speeds_without_pole_pairs(self, refused_everywhere, bad, recording):
         rotors = recording.rotor_speeds
-        erpm = messages.pack_erpm(rotors.time_ns, rotors.speeds * 7 * 30.0 / np.pi)
+        erpm = sensor_messages.pack_erpm(rotors.time_ns, rotors.speeds * 7 * 30.0 / np.pi)
         write_bag(bad, replace(recording, rotor_speeds=None), [output_topic("erpm", rotors.time_ns, erpm)])
         refused_everywhere("topic /erpm: vehicle neurobem: .*need `pole_pairs`")
 
@@ -187,11 +188,11 @@ def test_attitude_that_is_none(refused_everywhere, followed, bad, recording, top
 
 
 PACK = {
-    "imu": messages.pack_imu,
-    "rotor_speeds": messages.pack_rotor_speeds,
-    "pose": messages.pack_pose,
-    "odometry": messages.pack_odometry,
-    "wind": messages.pack_wind,
+    "imu": sensor_messages.pack_imu,
+    "rotor_speeds": sensor_messages.pack_rotor_speeds,
+    "pose": sensor_messages.pack_pose,
+    "odometry": sensor_messages.pack_odometry,
+    "wind": sensor_messages.pack_wind,
 }
 
 

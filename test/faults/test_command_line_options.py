@@ -245,10 +245,10 @@ class TestOutputs:
             raise AssertionError("began to work")
 
         for place in (
-            "quadpi_core.prepared.prepare_flights",
+            "quadpi_core.identification.prepared_flights.prepare_flights",
             "quadpi_core.simulation.run.simulate",
-            "quadpi_core.validation.chunks.run_realisations",
-            "quadpi_core.validation.published.published_case",
+            "quadpi_core.paper.realisation_chunks.run_realisations",
+            "quadpi_core.paper.published.published_case",
         ):
             monkeypatch.setattr(place, work)
         (tmp_path / "file").write_text("mine")
@@ -261,7 +261,7 @@ class TestOutputs:
         refused(message, "validate", *page)
 
     def test_model_folder_is_refused_before_the_work(self, refused, bags, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadpi_core.prepared.prepare_flights", None)
+        monkeypatch.setattr("quadpi_core.identification.prepared_flights.prepare_flights", None)
         (tmp_path / "mine").mkdir()
         (tmp_path / "mine" / "thesis.tex").write_text("mine")
         options = ("--vehicle", "neurobem", "-o", tmp_path / "mine")

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from quadpi_core.errors import ModelError
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs.adapters import AdapterSettings
 from quadpi_core.logs.mapping import Mapping
+from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.models import AerodynamicModel
-from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.paths import config_directory
 from quadpi_core.vehicle import Vehicle
 

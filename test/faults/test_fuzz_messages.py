@@ -10,33 +10,33 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadpi_core.logs import messages, result_messages
-from quadpi_core.logs.adapters import ADAPTERS, AdapterSettings
-from quadpi_core.logs.adapters.settings import BodySettings, RotorSettings, StateSettings
-from quadpi_core.logs.definitions import codec
-from quadpi_core.logs.payloads import Payloads
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
+from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.payloads import Payloads
 from quadpi_core.vehicle import Vehicle
 
-from ..core.logs.adapters.conftest import DEFINITIONS, PX4_1_18, Messages
-from ..core.logs.adapters.test_poses import frame, px4_odometry
-from ..core.logs.adapters.test_rotors import mavros_status, mavros_telemetry, px4_status
+from ..core.messages.adapters.conftest import DEFINITIONS, PX4_1_18, Messages
+from ..core.messages.adapters.test_poses import frame, px4_odometry
+from ..core.messages.adapters.test_rotor_messages import mavros_status, mavros_telemetry, px4_status
 from .damage import bounded, damaged, refusing
 
 EXAMPLES = 60
 CORE = {
-    messages.IMU: messages.unpack_imu,
-    messages.POSE: messages.unpack_pose,
-    messages.ODOMETRY: messages.unpack_odometry,
-    messages.TWIST: messages.unpack_twist,
-    messages.WIND: messages.unpack_wind,
-    messages.ROTOR_SPEEDS: messages.unpack_rotor_speeds,
-    messages.ERPM: partial(messages.unpack_erpm, vehicle=Vehicle.load("hdbeetle")),
-    messages.PREDICTION: result_messages.unpack_predictions,
-    messages.ALARM: result_messages.unpack_alarms,
-    messages.EVENT: lambda payloads: [
+    sensor_messages.IMU: sensor_messages.unpack_imu,
+    sensor_messages.POSE: sensor_messages.unpack_pose,
+    sensor_messages.ODOMETRY: sensor_messages.unpack_odometry,
+    sensor_messages.TWIST: sensor_messages.unpack_twist,
+    sensor_messages.WIND: sensor_messages.unpack_wind,
+    sensor_messages.ROTOR_SPEEDS: sensor_messages.unpack_rotor_speeds,
+    sensor_messages.ERPM: partial(sensor_messages.unpack_erpm, vehicle=Vehicle.load("hdbeetle")),
+    sensor_messages.PREDICTION: result_messages.unpack_predictions,
+    sensor_messages.ALARM: result_messages.unpack_alarms,
+    sensor_messages.EVENT: lambda payloads: [
         np.array([event.time_ns for event in result_messages.unpack_events(payloads)], dtype=np.int64)
     ],
-    messages.WRENCH: partial(messages.unpack_body_vectors, type_name=messages.WRENCH),
+    sensor_messages.WRENCH: partial(sensor_messages.unpack_body_vectors, type_name=sensor_messages.WRENCH),
 }
 
 
@@ -46,7 +46,7 @@ def sound(type_name):
         field.name: "map" if field.format == "string" else ("mu_x", "u") if field.format == "strings" else 0
         for field in codec(type_name)._fields
     }
-    if type_name in {messages.POSE, messages.ODOMETRY}:
+    if type_name in {sensor_messages.POSE, sensor_messages.ODOMETRY}:
         columns[next(name for name in columns if name.endswith("orientation"))] = [0.0, 0.0, 0.0, 1.0]
     return codec(type_name).encode(1, columns)[0]
 
@@ -77,7 +77,7 @@ def test_damaged_messages(type_name):
 
 
 def test_every_type_of_the_project_is_here():
-    known = {name for name in vars(messages).values() if isinstance(name, str) and "/msg/" in name}
+    known = {name for name in vars(sensor_messages).values() if isinstance(name, str) and "/msg/" in name}
     assert {name for name in known if name.startswith("quadpi/")} <= CORE.keys()
 
 

@@ -16,12 +16,12 @@ import pytest
 import quadpi_core
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import OdometryStream
-from quadpi_core.identification import identify
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models import load_pools
 from quadpi_core.models.methods import METHODS
-from quadpi_core.prepared import prepare_flights
 from quadpi_core.vehicle import Vehicle
 
 ENSEMBLES = [method for method in METHODS if method != "polynomial"]

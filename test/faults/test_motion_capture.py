@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.estimator.propagate import EstimatorStatus, Outcome
 from quadpi_core.monitor.alarm import BAD_DATA
-from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
 from test.faults.onboard import deviation
 
 AT_S = 3.0

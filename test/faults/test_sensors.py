@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.estimator.propagate import EstimatorStatus, Outcome
 from quadpi_core.flight import WindStream
-from quadpi_core.logs import messages
-from quadpi_core.logs.definitions import codec
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.definitions import codec
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, MISCOVERAGE
-from quadpi_core.signals.ekf_kernels import EstimatorStatus, Outcome
-from quadpi_core.signals.limits import SPECIFIC_FORCE_MAX_M_S2
-from quadpi_core.simulation.faults import Sent
+from quadpi_core.sample_limits import SPECIFIC_FORCE_MAX_M_S2
+from quadpi_core.simulation.failures import Sent
 from quadpi_core.vehicle import ROTORS
 from test.faults.onboard import deviation
 
@@ -207,7 +207,11 @@ def test_quaternions_that_are_not_unit(altered, calm, norm):
 def test_every_sensor_at_once(sensors, fly_onboard, calm):
     """Messages of noise and numbers that are none, for a second: no number that is none comes out."""
     rng = np.random.default_rng(1)
-    types = {"imu": messages.IMU, "rotor_speeds": messages.ROTOR_SPEEDS, "mocap/pose": messages.POSE}
+    types = {
+        "imu": sensor_messages.IMU,
+        "rotor_speeds": sensor_messages.ROTOR_SPEEDS,
+        "mocap/pose": sensor_messages.POSE,
+    }
 
     def spoil(topic, payloads):
         """What is infinite is so in the message: turned into other axes it would no longer be."""

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.estimator.propagate import EstimatorStatus
 from quadpi_core.flight import Recording
 from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.monitor.alarm import BAD_DATA
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
-from quadpi_core.signals.ekf_kernels import EstimatorStatus
-from quadpi_core.simulation.faults import Sent
+from quadpi_core.simulation.failures import Sent
 from test.faults.onboard import deviation, sent_by
 
 AT_S = 3.0

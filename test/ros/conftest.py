@@ -19,8 +19,8 @@ from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.interval_rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
-from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.spread import SpreadShape
 from quadpi_core.vehicle import Vehicle
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from quadpi_ros.live import create_nodes
+from quadpi_ros.live_process import create_nodes
 from quadpi_ros.runtime import run, serve
 
 MONITOR_FAILS_HZ, ESTIMATOR_FAILS_HZ = 123.0, 321.0

@@ -29,8 +29,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.logs import messages
-from quadpi_ros.discovery import await_listeners
+from quadpi_core.messages import sensor_messages
+from quadpi_ros.dds_profile import await_listeners
 from quadpi_ros.runtime import SENSOR_QOS
 
 IMU_HZ = 500.0
@@ -118,7 +118,7 @@ class Rig:
             self._publish(count, change)
             self.now_ns += step_ns
         last_ns = self.now_ns - step_ns
-        self._send("rotor_speeds", messages.pack_rotor_speeds(self._rotors(self.now_ns, 0)))
+        self._send("rotor_speeds", sensor_messages.pack_rotor_speeds(self._rotors(self.now_ns, 0)))
         return first_ns, last_ns
 
     def tick(self) -> None:
@@ -138,9 +138,9 @@ class Rig:
             },
         )
         if count % 4 == 0:
-            self._send("mocap/pose", messages.pack_pose(sample["mocap/pose"]))
-        self._send("imu", messages.pack_imu(sample["imu"]))
-        self._send("rotor_speeds", messages.pack_rotor_speeds(sample["rotor_speeds"]))
+            self._send("mocap/pose", sensor_messages.pack_pose(sample["mocap/pose"]))
+        self._send("imu", sensor_messages.pack_imu(sample["imu"]))
+        self._send("rotor_speeds", sensor_messages.pack_rotor_speeds(sample["rotor_speeds"]))
 
     def _rotors(self, time_ns: int, index: int) -> RotorSpeedStream:
         return RotorSpeedStream(np.array([time_ns]), self._hover.rotor_speeds.speeds[[index]])

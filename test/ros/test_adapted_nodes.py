@@ -23,22 +23,23 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
 from quadpi_core.flight import ImuStream, Recording
-from quadpi_core.logs import messages, read_recording
-from quadpi_core.logs.adapters import ADAPTERS
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_outputs, write_bag
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.adapters import ADAPTERS
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros.adapters import AdapterError
 from quadpi_ros.collector import Collector
+from quadpi_ros.foreign_messages import AdapterError
+from quadpi_ros.input_sources import AdaptedSources
+from quadpi_ros.live_session import play
 from quadpi_ros.player import playable
 from quadpi_ros.processes import Child, isolated_domain
-from quadpi_ros.session import play
-from quadpi_ros.sources import AdaptedSources
 
-from ..core.logs.adapters.conftest import DEFINITIONS, Messages
-from ..core.logs.adapters.test_poses import frame, px4_odometry
-from ..core.logs.adapters.test_rotors import mavros_status, mavros_telemetry, px4_status
+from ..core.messages.adapters.conftest import DEFINITIONS, Messages
+from ..core.messages.adapters.test_poses import frame, px4_odometry
+from ..core.messages.adapters.test_rotor_messages import mavros_status, mavros_telemetry, px4_status
 
 VEHICLE = "neurobem"
 RAD_S_TO_RPM = 60.0 / (2.0 * np.pi)
@@ -107,8 +108,8 @@ def rotor_messages(vendor: Messages, name: str, hover: Recording) -> list[bytes]
 def pose_messages(vendor: Messages, name: str, hover: Recording) -> list[bytes]:
     """Poses of two bodies."""
     found = []
-    for payload in messages.pack_pose(hover.pose):
-        message = vendor.store.deserialize_cdr(payload, messages.POSE)
+    for payload in sensor_messages.pack_pose(hover.pose):
+        message = vendor.store.deserialize_cdr(payload, sensor_messages.POSE)
         p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
         bodies = [("wand", [0, 0, 0], [0, 0, 0, 1]), ("quad", [p.x, p.y, p.z], [q.x, q.y, q.z, q.w])]
         found.append(frame(vendor, name, 10**9 * stamp.sec + stamp.nanosec, bodies))
@@ -163,7 +164,7 @@ def write_vendor_bag(vendor: Messages, path: Path, names: Sequence[str], hover: 
     # At 100 Hz, the most that PX4 exports.
     imu = hover.imu
     sampled = ImuStream(imu.time_ns[::5], imu.angular_velocity[::5], imu.specific_force[::5])
-    made = {"imu": ("/imu", messages.IMU, imu.time_ns, list(messages.pack_imu(imu)))}
+    made = {"imu": ("/imu", sensor_messages.IMU, imu.time_ns, list(sensor_messages.pack_imu(imu)))}
     for name in names:
         kind = ADAPTERS[name].kind
         made.pop(kind, None)

@@ -48,7 +48,7 @@ def test_mistakes_are_said(mistake: str, status: str, said: str, tmp_path: Path)
     topics = ("imu", "rotor_speeds", "mocap/pose")
     played = (str(tmp_path / "flight.mcap"), "--rate", str(RATE), "--topics", *topics, "--wait", "300")
     with (
-        Child("quadpi_ros.live", ("--ros-args", *arguments), tmp_path) as live,
+        Child("quadpi_ros.live_process", ("--ros-args", *arguments), tmp_path) as live,
         Child("quadpi_ros.player", (*played, "--nodes", "estimator", "monitor"), tmp_path),
     ):
         began_s = time.monotonic()

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from quadpi_core.flight import ImuStream, PoseStream, Recording
-from quadpi_core.logs import messages
+from quadpi_core.messages import sensor_messages
 from quadpi_ros import sensor_node
 from quadpi_ros.lifecycle import start
 from quadpi_ros.parameters import parameter
@@ -28,7 +28,7 @@ from quadpi_ros.processes import Child
 from quadpi_ros.runtime import TRANSFORMS_QOS
 from quadpi_ros.sensor_node import SensorNode
 
-from ..core.logs.test_frame_ids import BACKWARD, PLACE, transforms
+from ..core.messages.test_frame_ids import BACKWARD, PLACE, transforms
 from .rig import Rig, arguments, values_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
@@ -58,16 +58,16 @@ LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]])
 
 def test_other_frames_are_refused_with_their_reason(folder: Path, hover: Recording, tmp_path: Path) -> None:
     strict = (*arguments(str(folder / "model")), "-p", "frames:=strict")
-    with Child("quadpi_ros.live", strict, tmp_path) as nodes:
+    with Child("quadpi_ros.live_process", strict, tmp_path) as nodes:
         rig = Rig(hover)
         try:
             rig.listen()
             for k in range(10):
                 stamp = np.array([rig.now_ns + 2_000_000 * k])
                 imu = ImuStream(stamp, np.zeros((1, 3)), np.array([[0.0, 0.0, -9.81]]))
-                rig._send("imu", messages.pack_imu(imu, "imu_link"))
+                rig._send("imu", sensor_messages.pack_imu(imu, "imu_link"))
                 pose = PoseStream(stamp, np.zeros((1, 3)), LEVEL)
-                rig._send("mocap/pose", messages.pack_pose(pose, "world_ned"))
+                rig._send("mocap/pose", sensor_messages.pack_pose(pose, "world_ned"))
             for topic, reason in (
                 ("imu", "the frame `imu_link` is not the body's, `base_link`, and no static transform"),
                 ("mocap/pose", "the frame `world_ned` says north-east-down: east-north-up is expected"),

@@ -13,8 +13,8 @@ pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from quadpi_core.flight import Recording
-from quadpi_core.logs.payloads import Payloads
-from quadpi_core.logs.result_messages import unpack_alarms
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.result_messages import unpack_alarms
 from quadpi_core.monitor.alarm import BAD_DATA, LEVEL_ALARM
 from quadpi_ros.processes import Child
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 def test_a_rate_that_is_given_wrong_predicts_nothing(folder: Path, hover: Recording, tmp_path: Path) -> None:
     given = (*arguments(str(folder / "model")), "-p", "imu_rate_hz:=400.0")
-    with Child("quadpi_ros.live", given, tmp_path) as nodes:
+    with Child("quadpi_ros.live_process", given, tmp_path) as nodes:
         rig = Rig(hover)
         try:
             rig.listen()

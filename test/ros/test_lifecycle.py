@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 def live(ros_domain: int, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Child]:
     del ros_domain
     models = f"[{folder / 'model'}, {folder / 'other'}]"
-    with Child("quadpi_ros.live", arguments(models), tmp_path_factory.mktemp("err")) as nodes:
+    with Child("quadpi_ros.live_process", arguments(models), tmp_path_factory.mktemp("err")) as nodes:
         yield nodes
 
 
@@ -307,7 +307,7 @@ def test_the_process_can_be_restarted_in_flight(
 ) -> None:
     live.__exit__(None, None, None)
     running.forget()
-    with Child("quadpi_ros.live", arguments(str(folder / "model")), tmp_path) as nodes:
+    with Child("quadpi_ros.live_process", arguments(str(folder / "model")), tmp_path) as nodes:
         while not running.heard["prediction"]:
             assert not nodes.finished()
             running.fly(0.5)

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import AXES, OdometryStream, Recording, TwistStream, WindStream
-from quadpi_core.logs import messages
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
 from quadpi_core.logs.mcap import Bag
+from quadpi_core.messages import sensor_messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import MonitorSettings
 from quadpi_core.monitor.alarm import LEVEL_ALARM
@@ -29,9 +29,9 @@ from quadpi_core.vehicle import Vehicle
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 
 from quadpi_ros.collector import AlarmChange, Collector
+from quadpi_ros.live_session import SessionResult, run_session
 from quadpi_ros.player import PlayerError
 from quadpi_ros.processes import ChildError
-from quadpi_ros.session import SessionResult, run_session
 
 VEHICLE = "neurobem"
 OUTSIDE_FROM_S = 2.3
@@ -51,7 +51,7 @@ def test_every_imu_sample_gets_its_prediction(session: SessionResult, hover: Rec
     assert session.dropped == 0
     expected = hover.imu.time_ns
     assert len(session.imu_stamps_ns) == len(expected)
-    odometry_ns = messages.unpack_stamps(session.odometry)
+    odometry_ns = sensor_messages.unpack_stamps(session.odometry)
     initialised = expected[expected >= odometry_ns[0]]
     np.testing.assert_array_equal(odometry_ns, initialised)
     np.testing.assert_array_equal(session.predictions.time_ns, initialised)
@@ -65,7 +65,7 @@ def test_what_comes_out_is_finite_and_ordered(session: SessionResult) -> None:
     assert (predictions.predicted[:, held] < predictions.upper[:, held]).all()
     assert not np.delete(predictions.predicted, held, axis=1).any()
     assert np.isfinite(predictions.measured).all()
-    odometry = messages.unpack_odometry(session.odometry)
+    odometry = sensor_messages.unpack_odometry(session.odometry)
     np.testing.assert_allclose(np.linalg.norm(odometry.attitude, axis=1), 1.0)
     assert np.abs(odometry.velocity).max() < 0.5
 
@@ -146,8 +146,8 @@ def test_live_equals_replay_with_erpm_odometry_wind_and_adaptive_intervals(
         bag,
         replace(hover, rotor_speeds=None, pose=None, wind=WindStream(stamps, wind)),
         (
-            output_topic("erpm", rotor_ns, messages.pack_erpm(rotor_ns, erpm)),
-            output_topic("mocap/odometry", pose_ns, messages.pack_odometry(odometry)),
+            output_topic("erpm", rotor_ns, sensor_messages.pack_erpm(rotor_ns, erpm)),
+            output_topic("mocap/odometry", pose_ns, sensor_messages.pack_odometry(odometry)),
         ),
     )
     session = run_session(bag, folder / "model", vehicle=str(vehicle), parameters={"adaptive": True})
@@ -203,7 +203,10 @@ def test_nodes_in_processes_of_their_own(folder: Path, hover: Recording) -> None
                 lambda: collector.silent_for(0.5) and len(collector.arrived_ns) == len(collector.odometry()),
                 10.0,
             )
-            predictions, odometry_ns = collector.predictions(), messages.unpack_stamps(collector.odometry())
+            predictions, odometry_ns = (
+                collector.predictions(),
+                sensor_messages.unpack_stamps(collector.odometry()),
+            )
     finally:
         for child in children:
             child.terminate()

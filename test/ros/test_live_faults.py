@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quadpi_core.logs import messages
 from quadpi_core.logs.bags import read_bag, write_bag
+from quadpi_core.messages import sensor_messages
 from quadpi_core.models import AerodynamicModel
-from quadpi_core.models.storage import ARRAYS_FILE
+from quadpi_core.models.model_folder import ARRAYS_FILE
 from quadpi_core.monitor.alarm import BAD_DATA
 from quadpi_core.paths import bags_directory
-from quadpi_core.simulation.faults import Fault
+from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
@@ -30,8 +30,8 @@ from quadpi.msg import ExtrapolationAlarm
 from quadpi.srv import LoadModel
 from rclpy.serialization import deserialize_message
 
+from quadpi_ros.live_session import run_session
 from quadpi_ros.processes import Child
-from quadpi_ros.session import run_session
 from test.faults.onboard import Onboard, sent_by, spoilt
 
 from .rig import STARTED_S, STEP_NS, Rig, arguments, assert_whole
@@ -54,7 +54,7 @@ def flying(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def live(ros_domain: int, flying: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Child]:
     del ros_domain
-    with Child("quadpi_ros.live", arguments(str(flying)), tmp_path_factory.mktemp("err")) as nodes:
+    with Child("quadpi_ros.live_process", arguments(str(flying)), tmp_path_factory.mktemp("err")) as nodes:
         yield nodes
 
 
@@ -92,8 +92,8 @@ def test_flood(rig: Rig, live: Child) -> None:
 
     def ten_times(_: int, sample: dict[str, Any]) -> dict[str, Any]:
         payloads = {
-            "imu": messages.pack_imu(sample["imu"]),
-            "rotor_speeds": messages.pack_rotor_speeds(sample["rotor_speeds"]),
+            "imu": sensor_messages.pack_imu(sample["imu"]),
+            "rotor_speeds": sensor_messages.pack_rotor_speeds(sample["rotor_speeds"]),
         }
         for _ in range(9):
             for topic, payload in payloads.items():

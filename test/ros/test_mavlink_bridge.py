@@ -32,8 +32,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import Imu
 
-from quadpi_core.logs import messages
 from quadpi_core.logs.mavlink_dialect import load_dialect
+from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
 from quadpi_ros.mavlink_bridge import BridgeParameters, MavlinkBridge
 from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
@@ -106,7 +106,7 @@ class Listener:
 
     def samples(self) -> np.ndarray:
         """Numbers of the IMU samples that came, which the vehicle sends as rates."""
-        numbers = [messages.unpack_imu(p).angular_velocity[0, 0] * 1024 for p in self.payloads["imu"]]
+        numbers = [sensor_messages.unpack_imu(p).angular_velocity[0, 0] * 1024 for p in self.payloads["imu"]]
         return np.rint(numbers).astype(int)
 
 
@@ -156,9 +156,9 @@ def test_nothing_is_lost_at_500_hz_and_values_and_clock_are_right() -> None:
         told = vehicle.stdout.read() if vehicle.stdout else ""
         heard.until(lambda: int(heard.statuses[-1]["frames"]) > 4000)
         assert (heard.samples() == np.arange(2000)).all()
-        imu = [messages.unpack_imu(payload) for payload in heard.payloads["imu"]]
-        rotors = messages.unpack_rotor_speeds(heard.payloads["rotor_speeds"][-1])
-        state = messages.unpack_odometry(heard.payloads["mocap/odometry"][-1])
+        imu = [sensor_messages.unpack_imu(payload) for payload in heard.payloads["imu"]]
+        rotors = sensor_messages.unpack_rotor_speeds(heard.payloads["rotor_speeds"][-1])
+        state = sensor_messages.unpack_odometry(heard.payloads["mocap/odometry"][-1])
         statuses, status = heard.statuses, heard.statuses[-1]
     assert imu[-1].specific_force[0] == pytest.approx([0.25, -0.5, -9.75])
     assert imu[-1].angular_velocity[0, 1:] == pytest.approx([0.0, -0.5])
@@ -218,7 +218,7 @@ def test_a_vehicle_that_starts_again_is_followed() -> None:
         # Its clock begins anew with it.
         with flying(port, "--seconds", "20", "--rate", "100", ago_s=1.0):
             heard.until(lambda: heard.count() > before + 50)
-        stamps = [messages.unpack_imu(payload).time_ns[0] for payload in heard.payloads["imu"]]
+        stamps = [sensor_messages.unpack_imu(payload).time_ns[0] for payload in heard.payloads["imu"]]
     assert np.all(np.diff(stamps) > 0)
     assert abs(time.time_ns() - stamps[-1]) < 30e9
 
@@ -406,7 +406,11 @@ def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Pa
     node = rclpy.create_node("listener")
     stamps: list[int] = []
     node.create_subscription(
-        Imu, "imu", lambda p: stamps.append(int(messages.unpack_imu(p).time_ns[0])), SENSOR_QOS, raw=True
+        Imu,
+        "imu",
+        lambda p: stamps.append(int(sensor_messages.unpack_imu(p).time_ns[0])),
+        SENSOR_QOS,
+        raw=True,
     )
     executor = EventsExecutor()
     executor.add_node(node)

@@ -59,7 +59,7 @@ def children(
     common = ("--ros-args", "-p", "vehicle:=neurobem")
     live = ("-p", "autostart:=false", "-p", f"monitor:model:={folder / 'model'}")
     with (
-        Child("quadpi_ros.live", (*common, *live), errors) as nodes,
+        Child("quadpi_ros.live_process", (*common, *live), errors) as nodes,
         Child(
             "quadpi_ros.mavlink_bridge", (*common, "-p", "connection:=udp:127.0.0.1:5999"), errors
         ) as bridge,

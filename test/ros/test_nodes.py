@@ -19,7 +19,7 @@ pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from quadpi_core.errors import ModelError
-from quadpi_core.logs.result_messages import ReportedAlarms
+from quadpi_core.messages.result_messages import ReportedAlarms
 from quadpi_core.monitor import MonitorSettings
 from quadpi_ros.collector import AlarmFollower
 from quadpi_ros.estimator_node import EstimatorParameters
@@ -105,7 +105,7 @@ def test_live_process_refuses_wrong_parameters(run_main: Main, overrides: list[s
 
 def test_wrong_ros_argument_is_one_line() -> None:
     process = subprocess.run(
-        [sys.executable, "-m", "quadpi_ros.live", "--ros-args", "--nonsense"],
+        [sys.executable, "-m", "quadpi_ros.live_process", "--ros-args", "--nonsense"],
         capture_output=True,
         text=True,
         timeout=60,
@@ -203,14 +203,14 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Imu
 
-    from quadpi_core.logs import messages
+    from quadpi_core.messages import sensor_messages
     from quadpi_ros.sensor_node import SensorNode
 
     class Watched(SensorNode[NoParameters]):
         def activate(self) -> None:
-            self.listen(Imu, "imu", messages.unpack_imu, lambda _: None)
-            self.listen(PoseStamped, "mocap/pose", messages.unpack_pose, lambda _: None)
-            self.listen(PoseStamped, "wind", messages.unpack_pose, lambda _: None, required=False)
+            self.listen(Imu, "imu", sensor_messages.unpack_imu, lambda _: None)
+            self.listen(PoseStamped, "mocap/pose", sensor_messages.unpack_pose, lambda _: None)
+            self.listen(PoseStamped, "wind", sensor_messages.unpack_pose, lambda _: None, required=False)
 
     node, receivers = Watched("watched", NoParameters), {}
     create = node.create_subscription

@@ -16,8 +16,8 @@ pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from quadpi_core.flight import Recording
-from quadpi_core.logs.payloads import Payloads
-from quadpi_core.logs.result_messages import ReportedAlarms, unpack_alarms
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.result_messages import ReportedAlarms, unpack_alarms
 from quadpi_core.monitor.alarm import BAD_DATA, LEVEL_ALARM
 from quadpi_ros.processes import Child
 
@@ -38,7 +38,7 @@ def assert_stale(rig: Rig, *parts: str) -> None:
 
 
 def test_silence_is_said(folder: Path, hover: Recording, tmp_path: Path) -> None:
-    with Child("quadpi_ros.live", arguments(str(folder / "model")), tmp_path) as nodes:
+    with Child("quadpi_ros.live_process", arguments(str(folder / "model")), tmp_path) as nodes:
         rig = Rig(hover)
         try:
             rig.listen()

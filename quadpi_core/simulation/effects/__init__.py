@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physical effects that simulations miss, each one small function that can be switched on by name."""
 
-from quadpi_core.simulation.effects.apply import (
+from quadpi_core.simulation.effects.applied_effects import (
     FUNCTION_TYPE,
     added_wind,
     altered_recording,
@@ -11,9 +11,9 @@ from quadpi_core.simulation.effects.apply import (
     effect_wrench,
     state_modulators,
 )
-from quadpi_core.simulation.effects.definition import SHAPE, Effect, Effects, Parameter, effect
-from quadpi_core.simulation.effects.reading import read_effects
-from quadpi_core.simulation.effects.registry import EFFECTS
+from quadpi_core.simulation.effects.effect_definition import SHAPE, Effect, Effects, Parameter, effect
+from quadpi_core.simulation.effects.effect_registry import EFFECTS
+from quadpi_core.simulation.effects.effect_settings import read_effects
 
 __all__ = [
     "EFFECTS",

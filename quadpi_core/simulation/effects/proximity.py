@@ -8,8 +8,13 @@ from typing import Any
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.definition import AERODYNAMIC, Parameter, Wrench, effect
-from quadpi_core.simulation.effects.kernels import NO_WRENCH, hub_height, in_plane_speed, with_hub_force
+from quadpi_core.simulation.effects.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
+from quadpi_core.simulation.effects.effect_kernels import (
+    NO_WRENCH,
+    hub_height,
+    in_plane_speed,
+    with_hub_force,
+)
 from quadpi_core.vehicle import ROTORS
 
 # Of the rotor radius: nearer to a surface than this the formulas are not valid, and the effect grows no more.

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
-from quadpi_core.discrepancy.formulas import python_source
+from quadpi_core.discrepancy.effect_formulas import python_source
 from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
-from quadpi_core.simulation.records import STATE, VEHICLE
 from quadpi_core.simulation.rotor_local import RotorLocalModel
+from quadpi_core.simulation.state_records import STATE, VEHICLE
 
 ROOT = Path(__file__).parents[3]
 EACH = pytest.mark.parametrize("effect", EFFECTS.values(), ids=lambda effect: effect.name)

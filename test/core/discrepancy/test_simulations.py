@@ -19,15 +19,15 @@ from quadpi_core.discrepancy import (
     VehicleSimulation,
     load_simulation,
 )
-from quadpi_core.discrepancy.simulations.recorded import RecordedSimulation
+from quadpi_core.discrepancy.simulations.recorded_simulation import RecordedSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError, SimulationError, VehicleError
+from quadpi_core.estimator.fusion import fuse, fuse_airborne
 from quadpi_core.flight import WrenchStream
-from quadpi_core.identification import identify
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
-from quadpi_core.models.pool import load_pools
-from quadpi_core.prepared import prepare_flights
-from quadpi_core.signals.fusion import fuse, fuse_airborne
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effects import EFFECTS, read_effects
 from quadpi_core.vehicle import Vehicle

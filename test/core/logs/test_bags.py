@@ -17,12 +17,13 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import messages, read_recording, result_messages
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import bag_topics, has_topic, output_topic, read_bag, read_outputs, write_bag
-from quadpi_core.logs.definitions import codec
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
-from quadpi_core.monitor.output import Alarms, Predictions
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.definitions import codec
+from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
 N = 40
@@ -76,7 +77,7 @@ def assert_same_streams(actual, expected):
 
 
 def imu_topic(recording, name="/imu"):
-    return Topic(name, messages.IMU, recording.imu.time_ns, messages.pack_imu(recording.imu))
+    return Topic(name, sensor_messages.IMU, recording.imu.time_ns, sensor_messages.pack_imu(recording.imu))
 
 
 def test_round_trip_with_provenance(tmp_path, recording):
@@ -107,9 +108,9 @@ def test_topics_in_a_namespace_are_found(tmp_path, recording):
 def test_truth_of_a_simulation_is_no_sensor(tmp_path, recording, namespace):
     path = tmp_path / "simulated.mcap"
     odometry = recording.odometry
-    state = messages.pack_odometry(odometry)
+    state = sensor_messages.pack_odometry(odometry)
     true_imu = imu_topic(recording, f"{namespace}/imu")
-    true_state = Topic(f"{namespace}/odometry", messages.ODOMETRY, odometry.time_ns, state)
+    true_state = Topic(f"{namespace}/odometry", sensor_messages.ODOMETRY, odometry.time_ns, state)
     write_mcap(path, [imu_topic(recording), true_imu, true_state], {})
     assert_same_streams(read_bag(path), replace(recording, **dict.fromkeys(OPTIONAL)))
     assert not has_topic(path, "odometry")
@@ -134,7 +135,9 @@ def test_name_must_match_a_whole_topic_level(tmp_path, recording):
 def test_erpm_is_converted_with_the_pole_pairs(tmp_path, recording, vehicle, rng):
     path = tmp_path / "electrical.mcap"
     erpm = rng.uniform(1e4, 5e4, size=(N, 4))
-    electrical = output_topic("erpm", recording.imu.time_ns, messages.pack_erpm(recording.imu.time_ns, erpm))
+    electrical = output_topic(
+        "erpm", recording.imu.time_ns, sensor_messages.pack_erpm(recording.imu.time_ns, erpm)
+    )
     write_bag(path, replace(recording, vehicle="", rotor_speeds=None), [electrical])
     found = read_bag(path, vehicle)
     np.testing.assert_allclose(found.rotor_speeds.speeds, erpm * 2 * np.pi / 60 / 6)

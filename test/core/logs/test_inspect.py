@@ -18,7 +18,7 @@ from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
 from quadpi_core.logs import decode_recording, identify_format, read_recording
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.inspect import inspect_recording
-from quadpi_core.logs.plausibility import check_plausible, thrust_coefficient
+from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
 from quadpi_core.vehicle import Vehicle
 
 RATE_HZ = 500

@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
-from quadpi_core.logs import messages
 from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4, MavlinkSamples, stream_of
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
-from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.messages import sensor_messages
+from quadpi_core.rotor_order import RotorOrder
 
 S = 1_000_000_000
 START = 1_700_000_000 * S
 ORDER = RotorOrder((3, 0, 1, 2), "rpm")
 TIMESYNC = 111
 PACK: dict[str, Any] = {
-    "imu": messages.pack_imu,
-    "rotor_speeds": messages.pack_rotor_speeds,
-    "mocap/pose": messages.pack_pose,
-    "odometry": messages.pack_odometry,
+    "imu": sensor_messages.pack_imu,
+    "rotor_speeds": sensor_messages.pack_rotor_speeds,
+    "mocap/pose": sensor_messages.pack_pose,
+    "odometry": sensor_messages.pack_odometry,
 }
 FORM = re.compile(r"(\d*)([a-zA-Z])")
 EXTREMES = (np.inf, -np.inf, np.nan, 0.0, 3.4e38, -3.4e38, 1e-45, 1e19)

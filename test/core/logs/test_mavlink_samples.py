@@ -17,7 +17,7 @@ pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder
 from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4, MavlinkSamples, Sample, stream_of
-from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 
 RAD_S = 2 * np.pi / 60

@@ -12,7 +12,7 @@ pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, Verifier
 from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4
 from quadpi_core.logs.mavlink_session import MavlinkSession, Received, SessionSettings
-from quadpi_core.logs.rotor_order import RotorOrder
+from quadpi_core.rotor_order import RotorOrder
 
 MS, S = 1_000_000, 1_000_000_000
 START = 1_700_000_000 * S

@@ -10,11 +10,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import RotorSpeedStream, WindStream
-from quadpi_core.logs import messages
-from quadpi_core.logs.definitions import typestore
 from quadpi_core.logs.mcap import MAGIC, Bag, Topic, cut_topic, join_topics
 from quadpi_core.logs.mcap_writer import mcap_writer, write_mcap
-from quadpi_core.logs.payloads import Payloads
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.payloads import Payloads
 
 N = 3000
 
@@ -26,10 +26,15 @@ def topics():
     rotor_time, wind_time = np.arange(N) * 2_000_000 + 10, np.arange(N) * 7_000_000
     rotors = RotorSpeedStream(rotor_time, rng.uniform(0, 900, size=(N, 4)))
     wind = WindStream(wind_time, rng.normal(size=(N, 3)))
-    big_wind_frame = messages.pack_wind(wind, frame_id="w" * 400)
+    big_wind_frame = sensor_messages.pack_wind(wind, frame_id="w" * 400)
     return [
-        Topic("/rotor_speeds", messages.ROTOR_SPEEDS, rotor_time, messages.pack_rotor_speeds(rotors)),
-        Topic("/wind", messages.WIND, wind_time, big_wind_frame),
+        Topic(
+            "/rotor_speeds",
+            sensor_messages.ROTOR_SPEEDS,
+            rotor_time,
+            sensor_messages.pack_rotor_speeds(rotors),
+        ),
+        Topic("/wind", sensor_messages.WIND, wind_time, big_wind_frame),
     ]
 
 
@@ -78,7 +83,7 @@ def test_rosbags_reads_every_message_in_order_from_embedded_definitions(tmp_path
             if connection.topic == "/rotor_speeds":
                 speeds.append(message.rotor_speeds)
     assert times == sorted(times)
-    unpacked = messages.unpack_rotor_speeds(topics[0].payloads)
+    unpacked = sensor_messages.unpack_rotor_speeds(topics[0].payloads)
     np.testing.assert_array_equal(speeds, unpacked.speeds)
 
 
@@ -124,7 +129,9 @@ def test_reads_messages_outside_chunks_without_a_summary(tmp_path, topics):
 
     few = topics[0].payloads.take(np.arange(3))
     body = MAGIC + record(0x01, sized(b"ros2") + sized(b"test"))
-    schema = struct.pack("<H", 5) + sized(messages.ROTOR_SPEEDS.encode()) + sized(b"ros2msg") + sized(b"")
+    schema = (
+        struct.pack("<H", 5) + sized(sensor_messages.ROTOR_SPEEDS.encode()) + sized(b"ros2msg") + sized(b"")
+    )
     body += record(0x03, schema)
     body += record(0x04, struct.pack("<HH", 9, 5) + sized(b"/rotor_speeds") + sized(b"cdr") + sized(b""))
     for time_ns in (30, 10, 20):
@@ -132,7 +139,7 @@ def test_reads_messages_outside_chunks_without_a_summary(tmp_path, topics):
     body += record(0x0F, bytes(4)) + record(0x02, bytes(20)) + MAGIC
     path = tmp_path / "flat.mcap"
     path.write_bytes(body)
-    ordered = Topic("/rotor_speeds", messages.ROTOR_SPEEDS, np.array([10, 20, 30]), few)
+    ordered = Topic("/rotor_speeds", sensor_messages.ROTOR_SPEEDS, np.array([10, 20, 30]), few)
     assert_holds(path, [ordered])
     assert_blocks_are_the_whole(path, [ordered], 1)
 
@@ -180,7 +187,7 @@ def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
         # One by one, each of a time that some other may still be before.
         for message in range(500):
             payload = topics[1].payloads.cut(slice(message, message + 1))
-            writer.add(Topic("/wind", messages.WIND, np.array([message]), payload))
+            writer.add(Topic("/wind", sensor_messages.WIND, np.array([message]), payload))
             writer.flush()
     with Bag(path) as bag:
         (survey,) = bag._surveys.values()
@@ -226,9 +233,9 @@ def test_rosbags_reads_the_quality_of_service_that_the_nodes_offer(tmp_path):
     nothing = {
         name: Topic(name, kind, np.empty(0, np.int64), Payloads.join([]))
         for name, kind in (
-            ("/imu", messages.IMU),
-            ("/prediction", messages.PREDICTION),
-            ("/alarm_log", messages.EVENT),
+            ("/imu", sensor_messages.IMU),
+            ("/prediction", sensor_messages.PREDICTION),
+            ("/alarm_log", sensor_messages.EVENT),
         )
     }
     write_mcap(path, list(nothing.values()), {})
@@ -259,7 +266,7 @@ def test_head_reads_only_the_first_bytes(tmp_path, topics):
 
 def test_topic_without_messages(tmp_path):
     path = tmp_path / "empty.mcap"
-    nothing = Topic("/wind", messages.WIND, np.empty(0, np.int64), Payloads.join([]))
+    nothing = Topic("/wind", sensor_messages.WIND, np.empty(0, np.int64), Payloads.join([]))
     write_mcap(path, [nothing], {})
     assert_holds(path, [nothing])
 
@@ -268,7 +275,7 @@ def test_topic_without_messages(tmp_path):
 def test_stamps_that_ros_cannot_hold_are_refused_and_nothing_written(tmp_path, topics, shift_ns):
     path = tmp_path / "bag.mcap"
     times = topics[1].log_time_ns + shift_ns
-    early = Topic("/wind", messages.WIND, times, topics[1].payloads)
+    early = Topic("/wind", sensor_messages.WIND, times, topics[1].payloads)
     with pytest.raises(LogError, match=r"bag\.mcap: topic /wind: sample 0: the stamp is before 1970 or"):
         write_mcap(path, [early], {})
     assert list(tmp_path.iterdir()) == []

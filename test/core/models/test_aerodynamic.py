@@ -24,7 +24,7 @@ from quadpi_core.models import (
     load_pools,
 )
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.storage import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.vehicle import Vehicle
 
 POOLS = {

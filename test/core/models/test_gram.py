@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic_inputs import smooth_inputs
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.gram import flight_grams
-from quadpi_core.models.pool import load_pools
 from quadpi_core.models.regressors import RegressorProgram
 
 

@@ -12,8 +12,8 @@ from benchmarks.direct_stepwise import direct_stepwise, squared_error
 from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.gram import Gram
-from quadpi_core.models.pool import load_pools
 from quadpi_core.models.regressors import RegressorProgram
 from quadpi_core.models.selection import (
     HELD_OUT_FLOOR,

@@ -12,7 +12,7 @@ import numpy as np
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
-from quadpi_core.monitor.output import Alarms
+from quadpi_core.results import Alarms
 
 RATE_HZ = 500
 STEP_NS = 1_000_000_000 // RATE_HZ

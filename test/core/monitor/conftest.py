@@ -17,9 +17,9 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models import AerodynamicModel, FittedPolynomial
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.interval_rules import ResidualRule
 from quadpi_core.models.methods import METHODS, FittedAxis
 from quadpi_core.models.regressors import Regressor, RegressorProgram
-from quadpi_core.models.rules import ResidualRule
 from quadpi_core.models.spread import SpreadShape
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation

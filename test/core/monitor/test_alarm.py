@@ -20,8 +20,8 @@ from quadpi_core.monitor.alarm import (
     Alarm,
     MonitorSettings,
 )
-from quadpi_core.monitor.output import Alarms
 from quadpi_core.monitor.reasons import reasons
+from quadpi_core.results import Alarms
 from test.core.monitor.alarm_samples import FX, LIMITS, MY, RATE_HZ, SETTINGS, Q, Samples, U, changes
 
 

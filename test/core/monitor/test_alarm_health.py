@@ -19,7 +19,7 @@ from quadpi_core.monitor.alarm import (
     WAITING,
     Alarm,
 )
-from quadpi_core.monitor.faults import GYRO_FROZEN, ROTOR_HALF, STAMP_REPEATED
+from quadpi_core.monitor.data_quality import GYRO_FROZEN, ROTOR_HALF, STAMP_REPEATED
 from quadpi_core.monitor.reasons import reasons
 from test.core.monitor.alarm_samples import FX, LIMITS, OMEGA, SETTINGS, Samples, U
 

@@ -14,9 +14,9 @@ from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models import Evaluation
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.output import Alarms, Predictions
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import SETTLE_NS, Preparation
+from quadpi_core.results import Alarms, Predictions
 
 RATE_HZ = 500.0
 FX, MY = 0, 4

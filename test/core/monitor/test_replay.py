@@ -11,20 +11,22 @@ import numpy as np
 import pytest
 
 from benchmarks.swings import write_long_bag
+from quadpi_core import recording_blocks
 from quadpi_core.errors import LogError, ModelError, SignalError
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.odometry import fused_sample
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
-from quadpi_core.logs import blocks, mcap, messages
+from quadpi_core.logs import mcap
 from quadpi_core.logs.bags import read_bag, read_outputs, recording_topics, write_bag
 from quadpi_core.logs.mcap import Bag, join_topics
 from quadpi_core.logs.mcap_writer import write_mcap
-from quadpi_core.logs.payloads import Payloads
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.payloads import Payloads
 from quadpi_core.monitor import replay as replay_module
 from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.replay import recorded_flight, replay, replay_all
-from quadpi_core.signals.ekf import Ekf
-from quadpi_core.signals.odometry import fused_sample
 
 RATE_HZ = 500.0
 START_NS = 1_700_000_000_000_000_000
@@ -195,7 +197,7 @@ def test_a_clock_that_is_set_back_keeps_what_was_before(model, vehicle, odd_bag,
     with Bag(tmp_path / "out.mcap") as bag:
         blocks = list(bag.blocks(["/odometry", "/prediction"]))
     stamps = {
-        name: messages.unpack_stamps(join_topics([block[name] for block in blocks]).payloads)
+        name: sensor_messages.unpack_stamps(join_topics([block[name] for block in blocks]).payloads)
         for name in ("/odometry", "/prediction")
     }
     # The estimator begins anew: 1.3 s after the clock was set back come again.
@@ -211,7 +213,7 @@ def test_blocks_of_a_log_are_followed_like_those_of_its_bag(
     """Logs that are no bags are read whole: what arrived when follows from the stamps."""
     bag = bag_of(with_pose)
     replay(model, vehicle, bag, tmp_path / "bag.mcap")
-    monkeypatch.setattr(blocks, "BLOCK_SAMPLES", samples)
+    monkeypatch.setattr(recording_blocks, "BLOCK_SAMPLES", samples)
     recording = read_bag(bag, vehicle)
 
     @contextmanager
@@ -318,7 +320,7 @@ def test_estimated_odometry_is_in_the_bag(model, vehicle, with_pose, bag_of, tmp
     replay(model, vehicle, bag_of(with_pose), tmp_path / "out.mcap")
     predictions, _ = read_outputs(tmp_path / "out.mcap")
     with Bag(tmp_path / "out.mcap") as bag:
-        estimated = messages.unpack_odometry(bag.read(["/odometry"])["/odometry"].payloads)
+        estimated = sensor_messages.unpack_odometry(bag.read(["/odometry"])["/odometry"].payloads)
     time = (estimated.time_ns - START_NS) * 1e-9
     settled = time > 3.0
     np.testing.assert_allclose(estimated.velocity[settled, 0], np.cos(2.0 * time[settled]), atol=0.1)

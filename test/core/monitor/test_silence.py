@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.logs.result_messages import pack_alarms, unpack_alarms
+from quadpi_core.messages.result_messages import pack_alarms, unpack_alarms
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm import BAD_DATA, LEVEL_ALARM, UNAVAILABLE
 from quadpi_core.monitor.pairing import Pairing

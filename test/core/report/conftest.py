@@ -9,16 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.intervals.evaluate import FlightResult, evaluate_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.interval_rules import LEVELS, HeldOutRule
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import Regressor
-from quadpi_core.models.rules import LEVELS, HeldOutRule
 from quadpi_core.models.spread import SpreadShape
-from quadpi_core.report.live import LiveReplay
+from quadpi_core.report.live_figure import LiveReplay
 
 VOID = {"meta", "br", "link", "img", "input"}
 

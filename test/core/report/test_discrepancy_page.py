@@ -12,8 +12,8 @@ from rich.console import Console
 
 from quadpi_core.discrepancy.residuals import Residual
 from quadpi_core.discrepancy.simulations import CallableSimulation
-from quadpi_core.report.discrepancy import write_discrepancy_page
 from quadpi_core.report.discrepancy_figures import mean_map
+from quadpi_core.report.discrepancy_page import write_discrepancy_page
 from quadpi_core.report.discrepancy_tables import discrepancy_tables
 
 

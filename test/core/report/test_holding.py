@@ -8,10 +8,10 @@ from copy import deepcopy
 
 import pytest
 
-from quadpi_core.report import comparison
+from quadpi_core.report import comparison_page
+from quadpi_core.report.evaluation_sections import verdict
 from quadpi_core.report.holding import Coverage, Holding, in_cells, joint
-from quadpi_core.report.sections import verdict
-from quadpi_core.report.validation import _header
+from quadpi_core.report.validation_page import _header
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_headlines_of_page_and_comparison_go_by_the_same_rule(case):
         "95 % prediction intervals are not shown to hold on few (1 of 6 axes; Mz 83.4 %, 61.9 % to 95.5 %)."
     )
     compared = {"confidence": 0.95, "groups": {"few": []}, "models": {"m": evaluation}}
-    assert comparison.verdict(compared) == (
+    assert comparison_page.verdict(compared) == (
         "95\u00a0% prediction intervals hold in 5 of 6 on few; are not shown to hold in 1 on few "
         "(m Mz 83.4 %, 61.9 % to 95.5 %) (axes of all models)."
     )

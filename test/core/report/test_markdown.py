@@ -5,10 +5,10 @@ from copy import deepcopy
 import pytest
 
 from quadpi_core.flight import AXES
+from quadpi_core.paper.published import published_tables
 from quadpi_core.report import markdown
-from quadpi_core.report.comparison import rows
-from quadpi_core.report.tables import final_terms
-from quadpi_core.validation.published import published_tables
+from quadpi_core.report.comparison_page import rows
+from quadpi_core.report.terminal_tables import final_terms
 
 
 def cells(text):

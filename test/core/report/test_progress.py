@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from quadpi_core.identification import Step
+from quadpi_core.identification.identify import Step
 from quadpi_core.report.progress import counting, flying, identifying
 
 EPOCHS = [

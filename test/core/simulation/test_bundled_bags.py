@@ -11,7 +11,7 @@ from llvmlite.binding import get_host_cpu_features
 
 from quadpi_core.logs.mcap import Bag
 from quadpi_core.paths import bags_directory
-from quadpi_core.simulation import bags
+from quadpi_core.simulation import simulated_bags
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
 
@@ -42,6 +42,6 @@ def test_bag_holds_the_plan_as_it_is_now(name):
 def test_a_bag_is_made_again_byte_for_byte(monkeypatch, tmp_path):
     original = bags_directory() / f"{REMADE}.mcap"
     # A later version of quadpi need not ship new bags that differ in nothing but its name.
-    monkeypatch.setattr(bags, "__version__", metadata(original)["version"])
+    monkeypatch.setattr(simulated_bags, "__version__", metadata(original)["version"])
     (flight,) = simulate([PLANS[REMADE]], tmp_path)
     assert flight.bag.read_bytes() == original.read_bytes()

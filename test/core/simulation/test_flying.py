@@ -11,9 +11,9 @@ from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.reference import STEP_HZ, Reference
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.trim import trim
 from quadpi_core.simulation.truth import LOG_HZ
-from quadpi_core.simulation.vehicle import SimulatedVehicle
 
 STATION = np.array([0.0, 0.0, -3.0])
 VEHICLES = ("bebop2", "hdbeetle")

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from quadpi_core.errors import OutputError
-from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 
 HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
@@ -15,7 +15,7 @@ HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, dura
 SEVERAL_WITH_EFFECTS = """
 import sys
 from pathlib import Path
-from quadpi_core.simulation.plan import FlightPlan
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 
 hover = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)

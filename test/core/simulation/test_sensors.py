@@ -9,8 +9,8 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.signals.rotations import from_rotation_vector, inverse, matrix, product, to_rotation_vector
 from quadpi_core.simulation.effects import read_effects
-from quadpi_core.simulation.faults import read_faults
-from quadpi_core.simulation.noise import (
+from quadpi_core.simulation.failures import read_faults
+from quadpi_core.simulation.sensor_noise import (
     Anemometer,
     Imu,
     InertialSensor,

@@ -16,14 +16,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from quadpi_core.discrepancy import CallableSimulation
+from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.identification import CUTOFF_HZ
-from quadpi_core.signals.fusion import fuse_airborne
+from quadpi_core.identification.identify import CUTOFF_HZ
+from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import START_NS
-from quadpi_core.simulation.noise import SensorSuite
-from quadpi_core.simulation.plan import FlightPlan
 from quadpi_core.simulation.reference import Reference
+from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.truth import LOG_HZ, Truth
 from quadpi_core.vehicle import Vehicle

@@ -13,7 +13,7 @@ import numpy as np
 
 from blind.cases import Case, noise_alone
 from quadpi_core.discrepancy import Simulation, discover
-from quadpi_core.discrepancy.addition import augmented
+from quadpi_core.discrepancy.effect_sets import augmented
 from quadpi_core.errors import one_line
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array

@@ -11,7 +11,7 @@ from numba import types
 from quadpi_core.compiled import njit
 from quadpi_core.errors import SimulationError
 from quadpi_core.simulation.effects import EFFECTS, FUNCTION_TYPE, compose, effect_wrench, read_effects
-from quadpi_core.simulation.records import STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
 
 WRENCH = [name for name, effect in EFFECTS.items() if effect.kind == "wrench"]
 _STATES, _VEHICLES = types.Array(STATE_TYPE, 1, "C"), types.Array(VEHICLE_TYPE, 1, "C")

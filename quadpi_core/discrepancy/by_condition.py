@@ -1,0 +1,280 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where simulation and flights disagree beyond what noise and tolerances allow: conditions, and times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.discrepancy.residual_bins import SEGMENT_S, Cells, Held, against_draws
+from quadpi_core.discrepancy.residuals import VARIABLES, Residual, residuals
+from quadpi_core.discrepancy.search import Found
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+
+# Of the energy that noise and tolerances do not account for: ranges hold as much, in the fewest samples.
+_BULK = 0.8
+_LEAST_SHARE = 0.03
+# A range tells something where its share of the energy exceeds its share of the time by this factor.
+_LIFT = 1.5
+WORDS = {
+    "speed": ("airspeed", "m/s"),
+    "u": ("forward airspeed", "m/s"),
+    "v": ("rightward airspeed", "m/s"),
+    "w": ("downward airspeed", "m/s"),
+    "height": ("height", "m"),
+    "rotor_speed": ("mean rotor speed", "rad/s"),
+    "rates": ("turn rate", "rad/s"),
+    "heading": ("heading", "degrees"),
+    "north": ("position north", "m"),
+    "east": ("position east", "m"),
+    "time": ("time", "s"),
+}
+
+
+@dataclass(frozen=True)
+class Range:
+    """Conditions in which an axis disagrees.
+
+    Attributes:
+        axis: of `AXES`.
+        variable: of `residuals.VARIABLES`; None for an axis that disagrees alike in all conditions.
+        low, high: in its unit; None where nothing that was flown lies beyond the range.
+        share: of the energy of the axis that noise and tolerances do not account for.
+        time_share: of all samples.
+        p_value: adjusted for all bins, variables and axes.
+    """
+
+    axis: str
+    variable: str | None
+    low: float | None
+    high: float | None
+    share: float
+    time_share: float
+    p_value: float
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        if self.variable is None:
+            return f"{self.axis} {self.conditions}"
+        return (
+            f"{self.axis} at {self.conditions}: {100.0 * self.share:.0f} % of the residual energy "
+            f"in {100.0 * self.time_share:.0f} % of the time"
+        )
+
+    @property
+    def conditions(self) -> str:
+        """The range in words."""
+        if self.variable is None:
+            return "everywhere alike"
+        words, unit = WORDS[self.variable]
+        if self.low is None and self.high is None:
+            return f"any {words}"
+        if self.high is None:
+            return f"{words} above {self.low:g} {unit}"
+        if self.low is None:
+            return f"{words} below {self.high:g} {unit}"
+        return f"{words} from {self.low:g} to {self.high:g} {unit}"
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A time in which an axis of one flight disagrees.
+
+    Attributes:
+        flight: its name.
+        axis: of `AXES`.
+        start_s, end_s: of the flight.
+        share: of the energy of the axis in all flights.
+        p_value: adjusted for all times, flights and axes.
+    """
+
+    flight: str
+    axis: str
+    start_s: float
+    end_s: float
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Profile:
+    """An axis over the variable that tells most of it.
+
+    Attributes:
+        axis, variable: see :class:`Range`.
+        edges: (K + 1,) of the bins.
+        beyond, after: (K,) root mean square, N or Nm, of what :class:`Residual` has.
+        allowed: (K,) what 95 % of draws without any effect stay below.
+    """
+
+    axis: str
+    variable: str
+    edges: Array
+    beyond: Array
+    after: Array
+    allowed: Array
+
+
+@dataclass(frozen=True)
+class Where:
+    """All of it.
+
+    Attributes:
+        ranges: that hold more energy than their share of the time: of each axis those of the variable that
+            tells most, then those of the next; among these the axes that stand furthest above their noise
+            first.
+        segments: of axes that have ranges, most energy first.
+        profiles: of each axis.
+        residuals: of the flights, in their order.
+    """
+
+    ranges: tuple[Range, ...]
+    segments: tuple[Segment, ...]
+    profiles: tuple[Profile, ...]
+    residuals: tuple[Residual, ...]
+
+    @property
+    def telling(self) -> tuple[Range, ...]:
+        """Of each axis the ranges of the variable that tells most."""
+        first: dict[str, str | None] = {}
+        for part in self.ranges:
+            first.setdefault(part.axis, part.variable)
+        return tuple(part for part in self.ranges if first[part.axis] == part.variable)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON can hold it."""
+        return {
+            "where": [vars(part) | {"text": part.text} for part in self.ranges],
+            "segments": [vars(segment) for segment in self.segments],
+        }
+
+
+def locate(found: Found, seed: int = 0) -> Where:
+    """Find where the flights of a search disagree with its simulation.
+
+    Coefficients of the simulation are first put where they fit best within their tolerances, beside the
+    effects that were found, so that what one of them explains stands nowhere.
+
+    Args:
+        found: by a search.
+        seed: of the draws.
+    """
+    flights = residuals(found)
+    cells = Cells.of(flights)
+    result = against_draws(found, flights, cells, seed)
+    profiles, groups = [], []
+    for axis in range(len(AXES)):
+        order = sorted(VARIABLES, key=lambda name: -_told(result.excess[cells.bins[name], axis], cells, name))
+        profiles.append(_profile(axis, order[0], flights, cells, result))
+        groups.append(_of_axis(axis, order, cells, result))
+    energy = result.excess[cells.bins["time"]].sum(axis=0) / found.design.noise.sum(axis=1)
+    loudest = [groups[axis] for axis in np.argsort(-energy)]
+    ranges = tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group)
+    loud = {part.axis for part in ranges}
+    segments = sorted(
+        (segment for segment in _segments(flights, cells, result) if segment.axis in loud),
+        key=lambda segment: -segment.share,
+    )
+    return Where(ranges, tuple(segments), tuple(profiles), tuple(flights))
+
+
+def _of_axis(axis: int, order: Sequence[str], cells: Cells, result: Held) -> list[tuple[Range, ...]]:
+    """Ranges of an axis by variable, those that tell most first."""
+    found = [tuple(_ranges(axis, name, cells, result)) for name in order]
+    telling = [tuple(part for part in parts if part.share > _LIFT * part.time_share) for parts in found]
+    if any(telling) or not any(found):
+        return [parts for parts in telling if parts]
+    smallest = min(part.p_value for parts in found for part in parts)
+    return [(Range(AXES[axis], None, None, None, 1.0, 1.0, smallest),)]
+
+
+def _told(excess: Array, cells: Cells, name: str) -> float:
+    """How much the bins of a variable tell of where energy lies: its divergence from that of time."""
+    if not excess.any():
+        return 0.0
+    samples = cells.samples[cells.bins[name]]
+    share, time_share = excess / excess.sum(), samples / samples.sum()
+    some = share > 0.0
+    return float(np.sum(share[some] * np.log(share[some] / time_share[some])))
+
+
+def _ranges(axis: int, name: str, cells: Cells, result: Held) -> Iterator[Range]:
+    own, edges = cells.bins[name], cells.edges[name]
+    excess, samples, p_value = result.excess[own, axis], cells.samples[own], result.p_value[own, axis]
+    last = len(excess) - 1
+    for first, end in _runs(_bulk(excess, samples, result.stands_out[own, axis])):
+        share = float(excess[first:end].sum() / excess.sum())
+        if share >= _LEAST_SHARE:
+            yield Range(
+                axis=AXES[axis],
+                variable=name,
+                low=None if first == 0 else float(edges[first]),
+                high=None if end > last else float(edges[end]),
+                share=share,
+                time_share=float(samples[first:end].sum() / samples.sum()),
+                p_value=float(p_value[first:end].min()),
+            )
+
+
+def _segments(flights: Sequence[Residual], cells: Cells, result: Held) -> Iterator[Segment]:
+    first = cells.seconds[0].start
+    for axis, name in enumerate(AXES):
+        excess, p_value = result.excess[first:, axis], result.p_value[first:, axis]
+        kept = _bulk(excess, cells.samples[first:], result.stands_out[first:, axis])
+        for flight, seconds in zip(flights, cells.seconds, strict=True):
+            own = slice(seconds.start - first, seconds.stop - first)
+            for start, end in _runs(kept[own]):
+                part = slice(own.start + start, own.start + end)
+                whole = end == own.stop - own.start
+                yield Segment(
+                    flight=flight.flight,
+                    axis=name,
+                    start_s=float(flight.time[0] + start * SEGMENT_S),
+                    end_s=float(flight.time[-1] if whole else flight.time[0] + end * SEGMENT_S),
+                    share=float(excess[part].sum() / excess.sum()),
+                    p_value=float(p_value[part].min()),
+                )
+
+
+def _bulk(excess: Array, samples: Array, stands_out: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Of the cells (C,) that stand out those that hold the bulk of the energy in the fewest samples."""
+    kept = np.zeros(len(excess), dtype=bool)
+    held, bulk = 0.0, _BULK * excess.sum()
+    for cell in np.argsort(-excess / samples):
+        if held >= bulk:
+            break
+        if stands_out[cell]:
+            kept[cell] = True
+            held += excess[cell]
+    return kept
+
+
+def _runs(kept: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last but one of each run of cells that are kept."""
+    steps = np.diff(np.concatenate(([0], kept.astype(int), [0])))
+    return list(zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True))
+
+
+def _profile(axis: int, name: str, flights: Sequence[Residual], cells: Cells, result: Held) -> Profile:
+    own = cells.bins[name]
+
+    def rms(energy: Array) -> Array:
+        root: Array = np.sqrt(energy[own, axis] / cells.samples[own])
+        return root
+
+    return Profile(
+        axis=AXES[axis],
+        variable=name,
+        edges=cells.edges[name],
+        beyond=rms(cells.energy([flight.beyond for flight in flights])),
+        after=rms(cells.energy([flight.after for flight in flights])),
+        allowed=rms(result.allowed),
+    )

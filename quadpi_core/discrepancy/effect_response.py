@@ -1,0 +1,261 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect adds to the residual of a flight: the difference that undoing it would make.
+
+The residual is the measured wrench less the simulated one. An effect can hide in either: a force that the
+simulation lacks, a mass that the vehicle file has wrong, wind that nothing measured, a sensor that reports
+what did not happen. All are brought to one form, the residual as it is less the residual with the effect
+undone, so that one search treats them alike.
+
+Accelerations that an effect is proportional to are those that the simulation predicts. The measured ones
+carry the noise of the residual itself: a vehicle of no mass in no air would fit every flight to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+
+from quadpi_core.discrepancy.bias_response import BiasResponse
+from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
+from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.frames import Array
+from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.simulation.effects import EFFECTS, Effect, effect_wrench
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+# Content of a flight above a quarter of this is not looked at: see `whitening.BAND_HZ`.
+RATE_HZ = 125.0
+# Angular accelerations are slow below this.
+SLOW_HZ = 1.0
+_NO_NUMBERS = np.random.default_rng(0)
+
+
+class Compared:
+    """A flight beside a simulation.
+
+    Columns and residuals are thinned: the low-pass that a flight has passed leaves nothing that needs more.
+
+    Attributes:
+        flight: that the simulation is asked for: at its own rate, or thinned where that makes no difference.
+        simulation: that it is compared with.
+        thinned: the flight at about RATE_HZ.
+    """
+
+    def __init__(self, flight: Flight, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self._imu_rate_hz = flight.rate_hz
+        step = max(1, int(flight.rate_hz / RATE_HZ + 0.5))
+        self.thinned = _every(flight, step)
+        self.flight, self.step = (self.thinned, 1) if simulation.memoryless else (flight, step)
+
+    @cached_property
+    def simulated(self) -> Array:
+        """Wrench (M, 6) of the simulation, thinned."""
+        return self.simulation.wrench(self.flight)[:: self.step]
+
+    @cached_property
+    def measured(self) -> Array:
+        """Measured wrench (M, 6), thinned."""
+        return measured_wrench(self.thinned, self.simulation.vehicle)
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated wrench (M, 6), thinned."""
+        return self.measured - self.simulated
+
+    @cached_property
+    def expected(self) -> Flight:
+        """The flight, with the accelerations that the simulation predicts of it."""
+        return expected(self.flight, self.simulation)
+
+    @cached_property
+    def states(self) -> npt.NDArray[np.void]:
+        """Records (M,) that wrench effects look at, thinned; the force in them is the measured one.
+
+        A force acts where it acts whatever the simulation knows of it, and its noise has no part in moments.
+        """
+        states = self.simulation.states(self.flight)[:: self.step].copy()
+        states["wrench"][:, :3] = self.measured[:, :3]
+        return states
+
+    @cached_property
+    def record(self) -> npt.NDArray[np.void]:
+        """Record (1,) that wrench effects look at."""
+        return self.simulation.record()
+
+    @cached_property
+    def expected_thinned(self) -> Flight:
+        """:attr:`expected` at the rate of the residual."""
+        return _every(self.expected, self.step)
+
+    @cached_property
+    def expected_measured(self) -> Array:
+        """Wrench (M, 6) that would be measured of :attr:`expected`, thinned."""
+        return measured_wrench(self.expected_thinned, self.simulation.vehicle)
+
+    @cached_property
+    def expected_residual(self) -> Array:
+        """Residual (M, 6) that would be left of :attr:`expected`, thinned."""
+        return residual(self.expected, self.simulation)[:: self.step]
+
+    @cached_property
+    def bias_response(self) -> BiasResponse:
+        """What the estimator takes for biases where the IMU reports what did not happen."""
+        return BiasResponse(self.flight, self.simulation.vehicle, self._imu_rate_hz)
+
+    def uncertain(self) -> list[Column]:
+        """What tolerances allow, a column (M, 6) each."""
+        tolerances = self.simulation.tolerances
+        columns = [
+            Column(name, wrench[:: self.step]) for name, wrench in self.simulation.uncertain(self.flight)
+        ]
+        for rotor, values in enumerate(tolerances.thrust * np.eye(ROTORS)):
+            wrench = self.added(EFFECTS["rotor_thrusts"], values)
+            columns.append(Column(f"thrust of rotor {rotor + 1}", wrench))
+        for name, share in body_tolerances(tolerances):
+            effect = EFFECTS[name]
+            for index, parameter in enumerate(effect.parameters):
+                values = np.zeros(len(effect.parameters))
+                values[index] = share
+                columns.append(Column(f"{name}.{parameter.name}", self.added(effect, values)))
+        return columns
+
+    def added(self, effect: Effect, values: Array) -> Array:
+        """What an effect adds to the residual (M, 6).
+
+        Args:
+            effect: of any kind.
+            values: of its parameters, in their order, within their bounds or not.
+        """
+        return _KINDS[effect.kind](self, effect, values)
+
+
+def body_tolerances(tolerances: Tolerances) -> tuple[tuple[str, float], ...]:
+    """Effects that stand for what is uncertain in the body, with a standard deviation of their parameters."""
+    # A centre of gravity that is elsewhere is elsewhere from the accelerometer, too.
+    return (
+        ("inertia", tolerances.inertia),
+        ("cg_offset", tolerances.cg_m),
+        ("imu_lever_arm", tolerances.cg_m),
+    )
+
+
+def share_of_wrench(effect: Effect, vehicle: Vehicle, values: Array) -> Array:
+    """Share (6, 6) of the wrench by which an effect on the vehicle changes the residual.
+
+    The wrench is that of the vehicle's accelerations, :attr:`Compared.expected_measured`.
+    """
+    altered = effect.function(vehicle, values)
+    share = np.zeros((6, 6))
+    share[:3, :3] = (1.0 - altered.mass_kg / vehicle.mass_kg) * np.eye(3)
+    share[3:, 3:] = np.eye(3) - altered.inertia @ np.linalg.inv(vehicle.inertia)
+    return share
+
+
+def expected(flight: Flight, simulation: Simulation) -> Flight:
+    """A flight with the accelerations that a simulation predicts of it; slowly turning as it did."""
+    vehicle = simulation.vehicle
+    wrench = simulation.wrench(flight)
+    momentum = flight.rates @ vehicle.inertia
+    moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
+    turning = moment @ np.linalg.inv(vehicle.inertia)
+    # A moment that the simulation has wrong would spin up the vehicle of its prediction, and another inertia
+    # would seem to have a share of that moment. Of slow turning as measured, noise is a small part.
+    smoothing = flight.rate_hz / (2.0 * np.pi * SLOW_HZ)
+    turning += gaussian_filter1d(flight.angular_acceleration - turning, smoothing, axis=0, mode="nearest")
+    return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
+
+
+def residual(flight: Flight, simulation: Simulation) -> Array:
+    """Measured less simulated wrench (N, 6)."""
+    return measured_wrench(flight, simulation.vehicle) - simulation.wrench(flight)
+
+
+def _every(flight: Flight, step: int) -> Flight:
+    """Every `step`-th sample, side by side in memory as the kernels want them."""
+    taken = flight.slice(slice(None, None, step))
+    changes: Any = {n: np.ascontiguousarray(v) for n, v in vars(taken).items() if isinstance(v, np.ndarray)}
+    return replace(taken, **changes)
+
+
+def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
+    parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
+    return effect_wrench(effect.name, parameters, compared.states, compared.record)
+
+
+def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
+    vehicle = effect.function(compared.simulation.vehicle, values)
+    return compared.expected_measured - measured_wrench(compared.expected_thinned, vehicle)
+
+
+def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
+    flight = compared.flight
+    wind = flight.wind + effect.function(flight.time, values, _NO_NUMBERS)
+    windy = compared.simulation.wrench(replace(flight, wind=wind))[:: compared.step]
+    return windy - compared.simulated
+
+
+def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
+    vehicle, biases = compared.simulation.vehicle, compared.bias_response
+    altered = undone(compared.expected, effect, vehicle, values, biases)
+    return compared.expected_residual - residual(altered, compared.simulation)[:: compared.step]
+
+
+def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array, biases: BiasResponse) -> Flight:
+    """The flight as sensors without this effect would have given it, through the same estimator.
+
+    What an effect adds to the IMU for long, the estimator took for a bias: the flight is without it.
+    """
+    time_ns = np.round(1e9 * flight.time).astype(np.int64)
+    recording = Recording(
+        name=flight.name,
+        vehicle=flight.vehicle,
+        source=flight.source,
+        imu=ImuStream(time_ns, flight.rates, flight.specific_force),
+        rotor_speeds=RotorSpeedStream(time_ns, flight.rotor_speeds),
+        pose=PoseStream(time_ns, flight.position, flight.attitude),
+    )
+    altered = effect.function(recording, vehicle, effect.undo(values))
+    rotors, pose = altered.rotor_speeds, altered.pose
+    rates, force = altered.imu.angular_velocity, altered.imu.specific_force
+    acceleration = flight.angular_acceleration
+    if rates is not flight.rates:
+        # The derivative belongs to the rates as they were filtered: turn it as they are turned.
+        turned = replace(recording, imu=ImuStream(time_ns, acceleration, flight.specific_force))
+        acceleration = effect.function(turned, vehicle, effect.undo(values)).imu.angular_velocity
+    if altered.imu is not recording.imu:
+        gyro_bias, accelerometer_bias = biases(rates - flight.rates, force - flight.specific_force)
+        rates, force = rates - gyro_bias, force - accelerometer_bias
+
+    def shifted(values: Array, delay_s: float) -> Array:
+        return values if delay_s == 0.0 else _delayed(flight.time, values, delay_s)
+
+    rotor_delay = 1e-9 * float(rotors.time_ns[0] - time_ns[0])
+    pose_delay = 1e-9 * float(pose.time_ns[0] - time_ns[0])
+    return replace(
+        flight,
+        rates=rates,
+        angular_acceleration=acceleration,
+        specific_force=force,
+        rotor_speeds=shifted(rotors.speeds, rotor_delay),
+        position=shifted(pose.position, pose_delay),
+        attitude=shifted(pose.attitude, pose_delay),
+        velocity=shifted(flight.velocity, pose_delay),
+    )
+
+
+def _delayed(time: Array, values: Array, delay_s: float) -> Array:
+    """Values (N, C) that come later by a delay; the first and the last hold beyond the ends."""
+    at = time - delay_s
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+_Added: TypeAlias = Callable[[Compared, Effect, Array], Array]
+_KINDS: dict[str, _Added] = {"wrench": _wrench, "vehicle": _vehicle, "wind": _wind, "sensor": _sensor}

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A simulation that is known by its answers alone: any function from a flight to its wrench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from quadpi_core.discrepancy.simulations.simulation_base import Column, Simulation, Tolerances
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.flight import AXES, Flight
+from quadpi_core.frames import Array
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+_HOVER_ROUNDS = 10
+
+
+@dataclass(frozen=True)
+class CallableSimulation(Simulation):
+    """Any function from a flight to its wrench.
+
+    It is known by its answers alone: what it says of the same rotor speeds in still air without rotation is
+    taken for thrust and torque of the rotors, what rates add and what the airspeed adds for coefficients of
+    their own, axis by axis.
+    """
+
+    name: str
+    vehicle: Vehicle
+    function: Callable[[Flight], Array]
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    vehicle_file: str = ""
+    code: str = ""
+
+    def wrench(self, flight: Flight) -> Array:
+        """See :class:`Simulation`."""
+        try:
+            wrench = np.asarray(self.function(flight), dtype=float)
+        except Exception as error:  # the user's code may raise anything
+            raise DiscrepancyError(
+                f"{self.name}: raised {type(error).__name__} for flight {flight.name}: {error}"
+            ) from error
+        if wrench.shape != (len(flight), len(AXES)):
+            raise DiscrepancyError(
+                f"{self.name}: flight {flight.name}: expected a wrench of shape "
+                f"{(len(flight), len(AXES))}, found {wrench.shape}"
+            )
+        finite = np.isfinite(wrench).all(axis=1)
+        if not finite.all():
+            sample = int(np.argmin(finite))
+            raise DiscrepancyError(f"{self.name}: flight {flight.name}: sample {sample}: not finite")
+        return wrench
+
+    @cached_property
+    def hover_rotor_speed(self) -> float:
+        """See :class:`Simulation`: from its answers to hovers, thrust being about quadratic in the speed."""
+        vehicle = self.vehicle
+        weight = vehicle.mass_kg * vehicle.gravity_m_s2
+        speed = self._about_hover
+        for _ in range(_HOVER_ROUNDS):
+            thrust = -float(self.wrench(_hover(vehicle, speed))[0, 2])
+            if thrust <= 0.0:
+                raise DiscrepancyError(f"{self.name}: gives no thrust at rotor speeds of {speed:.0f} rad/s")
+            speed *= np.sqrt(weight / thrust)
+        return float(speed)
+
+    @property
+    def _about_hover(self) -> float:
+        """Rotor speed [rad/s] that the search for hover starts from."""
+        return 0.5 * self.vehicle.rotor_speed_max_rad_s
+
+    def thrusts(self, flight: Flight) -> tuple[Array, Array]:
+        """See :class:`Simulation`: what it says of hover, shared among the rotors by their speeds squared."""
+        still = self.wrench(_still(flight))
+        squares = np.square(flight.rotor_speeds)
+        total = squares.sum(axis=1)
+        thrust = -(still[:, 2] @ total) / max(float(total @ total), np.finfo(float).tiny)
+        signed = squares @ self.vehicle.rotor_spins
+        torque = (still[:, 5] @ signed) / max(float(signed @ signed), float(np.finfo(float).tiny))
+        return thrust * squares, torque * squares * self.vehicle.rotor_spins
+
+    def uncertain(self, flight: Flight) -> list[Column]:
+        """Per axis: of the rotors at rest, of what rates add, of what the airspeed adds."""
+        tolerances = self.tolerances
+        moved, still = self.wrench(_without_airspeed(flight)), self.wrench(_still(flight))
+        columns = []
+        for part, wrench in (
+            ("rotors", still),
+            ("rates", moved - still),
+            ("airspeed", self.wrench(flight) - moved),
+        ):
+            for axis, name in enumerate(AXES):
+                share = tolerances.thrust if (part, name) == ("rotors", "Fz") else tolerances.coefficient
+                single = np.zeros_like(wrench)
+                single[:, axis] = share * wrench[:, axis]
+                if np.any(single):
+                    columns.append(Column(f"{name} of {part}", single))
+        return columns
+
+
+def _without_airspeed(flight: Flight) -> Flight:
+    none = np.zeros((len(flight), 3))
+    return replace(flight, velocity=none, wind=none)
+
+
+def _still(flight: Flight) -> Flight:
+    none = np.zeros((len(flight), 3))
+    return replace(_without_airspeed(flight), rates=none, angular_acceleration=none)
+
+
+def _hover(vehicle: Vehicle, rotor_speed: float) -> Flight:
+    """A hover of two samples."""
+    none = np.zeros((2, 3))
+    force = np.tile([0.0, 0.0, -vehicle.gravity_m_s2], (2, 1))
+    return Flight(
+        name="hover",
+        vehicle=vehicle.name,
+        source="hover",
+        start_ns=0,
+        time=np.array([0.0, 0.002]),
+        position=np.tile([0.0, 0.0, -10.0], (2, 1)),
+        attitude=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
+        velocity=none,
+        rates=none,
+        angular_acceleration=none,
+        specific_force=force,
+        rotor_speeds=np.full((2, ROTORS), rotor_speed),
+        wind=none,
+    )

@@ -1,0 +1,243 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What no effect of the library explains: is there anything left that one flight tells of another?
+
+Noise cannot be predicted. So what the effects leave is given to many functions of motion, rotors, place,
+heading and time that know no physics; if coefficients found on all other flights predict a flight, something
+is there that has no name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+from scipy.signal import lfilter
+
+from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.whitening import Spectrum, band_means, expected_squares, spectrum
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array, rotation_matrix
+
+_LAGS_S = (0.1, 0.4)
+# A force that depends on the place alone, as of a draught, is looked for at points so many arms of the
+# vehicle apart, where two flights at least were for so long, and at so many points at most.
+_SPACING_ARMS, _STAY_S, _POINTS = 7.0, 0.25, 60
+_CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+_ROUNDS = 4
+_RIDGE = (1.0, 10.0, 100.0, 1e3)
+
+
+class Left(NamedTuple):
+    """What generic functions predict of flights that they were not fitted on.
+
+    Attributes:
+        gain: (6,) squares that prediction takes away from flights left out, in variances of `noise`.
+        functions: per axis, names of those that predict most, best first.
+        noise: (6, BANDS) variance of what the functions leave.
+    """
+
+    gain: Array
+    functions: list[list[str]]
+    noise: Array
+
+
+def functions(compared: Compared) -> tuple[list[str], Array]:
+    """Names and values (M, J) of the generic functions for one flight."""
+    flight = compared.expected.slice(slice(None, None, compared.step))
+    states = compared.states
+    vehicle = compared.simulation.vehicle
+    hover = compared.simulation.hover_rotor_speed
+    velocity = states["velocity_air"] / vehicle.hover_induced_velocity
+    u, v, w = velocity.T
+    p, q, r = (states["rates"] / 3.0).T
+    speed = np.linalg.norm(velocity, axis=1)
+    loads = np.square(flight.rotor_speeds / hover)
+    load = loads.mean(axis=1)
+    rotation = rotation_matrix(flight.attitude)
+    height = np.maximum(-flight.position[:, 2], vehicle.rotor_radius_m)
+    named: dict[str, Array] = {
+        "u": u, "v": v, "w": w, "|V|u": speed * u, "|V|v": speed * v, "|V|w": speed * w,
+        "|u|": np.abs(u), "|v|": np.abs(v), "|w|": np.abs(w), "u²": u * u, "v²": v * v, "w²": w * w,
+        "uv": u * v, "uw": u * w, "vw": v * w, "u³": u**3, "v³": v**3, "w³": w**3,
+        "p": p, "q": q, "r": r, "|p|p": np.abs(p) * p, "|q|q": np.abs(q) * q, "|r|r": np.abs(r) * r,
+        "pq": p * q, "qr": q * r, "pr": p * r, "qu": q * u, "pv": p * v, "ru": r * u, "rv": r * v,
+        "load": load, "load·u": load * u, "load·v": load * v, "load·w": load * w,
+        "load·|V|": load * speed, "load·speed²": load * speed**2,
+        "1/height": vehicle.rotor_radius_m / height, "1/height²": (vehicle.rotor_radius_m / height) ** 2,
+        "time": flight.time / 20.0, "load·time": load * flight.time / 20.0,
+    }  # fmt: skip
+    for rotor in range(4):
+        named[f"load {rotor + 1}"] = loads[:, rotor] - load
+        named[f"spin-up {rotor + 1}"] = states["rotor_accelerations"][:, rotor] / (10.0 * hover)
+    for axis, name in enumerate(("north", "east", "down")):
+        for body, letter in enumerate("xyz"):
+            named[f"{name} along {letter}"] = rotation[:, axis, body]
+            place = flight.position[:, axis] / 3.0
+            named[f"{name} place along {letter}"] = rotation[:, axis, body] * place
+        named[f"place {name}"] = flight.position[:, axis] / 3.0
+        named[f"place {name} squared"] = np.square(flight.position[:, axis] / 3.0)
+    heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    for name, turned in (("cos", np.cos(heading)), ("sin", np.sin(heading))):
+        named[f"{name} heading"] = turned
+        for letter, moved in (("u", u), ("v", v), ("|V|", speed)):
+            named[f"{name} heading·{letter}"] = turned * moved
+    # No derivative of velocity or rates: the estimator's velocity follows the noise of the accelerometer, and
+    # its derivative would predict the noise of the measured force.
+    for body, letter in enumerate("xyz"):
+        named[f"force {letter}"] = flight.specific_force[:, body] / vehicle.gravity_m_s2
+    for lag in _LAGS_S:
+        keep = np.exp(-1.0 / (lag * flight.rate_hz))
+        for name in ("u", "v", "w", "load"):
+            start = [keep * named[name][0]]
+            named[f"{name} {lag:g} s ago"] = lfilter([1.0 - keep], [1.0, -keep], named[name], zi=start)[0]
+    return list(named), np.stack(list(named.values()), axis=1)
+
+
+def places(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
+    """Names and, per flight, values (M, 3, 3 P) of a vector of the world at P points of the ground.
+
+    It falls to nothing at the points around. What an axis of the body sees of north, east and down is a
+    function of that axis, for a force as for a moment.
+    """
+    arm = np.linalg.norm(flights[0].simulation.vehicle.rotor_positions[:, :2], axis=1).mean()
+    positions = [flight.thinned.position[:, :2] / (_SPACING_ARMS * arm) for flight in flights]
+    corners = [(np.floor(position)[:, None] + _CORNERS).reshape(-1, 2) for position in positions]
+    points, which = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
+    ends = np.cumsum([len(own) for own in corners])[:-1]
+    stays = [
+        np.bincount(at, _hats(np.repeat(position, 4, axis=0) - own), len(points)) / flight.thinned.rate_hz
+        for at, position, own, flight in zip(
+            np.split(which.ravel(), ends), positions, corners, flights, strict=True
+        )
+    ]
+    second = np.sort(stays, axis=0)[-2]
+    known = np.argsort(-second, kind="stable")[:_POINTS]
+    known = known[second[known] > _STAY_S]
+    names = [f"place {axis}" for axis in ("north", "east", "down") for _ in known]
+    values = []
+    for flight, position in zip(flights, positions, strict=True):
+        near = _hats(position[:, None] - points[known])
+        seen = np.swapaxes(rotation_matrix(flight.thinned.attitude), 1, 2)
+        values.append((seen[:, :, :, None] * near[:, None, None]).reshape(len(near), 3, -1))
+    return names, values
+
+
+def courses(flight: Compared) -> tuple[list[str], Array]:
+    """Names and values (M, 3, 18) of a vector of the world that goes with the velocity through the air.
+
+    As of a cable that unrolls, or of air that one direction of flight stirs up.
+    """
+    rotation = rotation_matrix(flight.thinned.attitude)
+    scale = flight.simulation.vehicle.hover_induced_velocity
+    velocity = np.einsum("nij,nj->ni", rotation, flight.states["velocity_air"]) / scale
+    going = np.concatenate((velocity, np.abs(velocity)), axis=1)
+    parts = [f"{way} {axis}" for way in ("flight", "speed") for axis in ("north", "east", "down")]
+    names = [f"{part} along {axis}" for axis in ("north", "east", "down") for part in parts]
+    values = np.swapaxes(rotation, 1, 2)[:, :, :, None] * going[:, None, None]
+    return names, values.reshape(len(values), 3, -1)
+
+
+def _hats(away: Array) -> Array:
+    """1 at a point and 0 from one spacing on, of distances (…, 2) north and east in spacings."""
+    hats: Array = np.prod(np.maximum(1.0 - np.abs(away), 0.0), axis=-1)
+    return hats
+
+
+def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectrum]]:
+    """Names of the functions and their spectra for each flight: rows (6, B, J)."""
+    place_names, place_values = places(flights)
+    names: list[str] = []
+    spectra = []
+    for flight, place in zip(flights, place_values, strict=True):
+        names, values = functions(flight)
+        course_names, course = courses(flight)
+        rate = flight.thinned.rate_hz
+        alike = spectrum(values[:, None, :], rate)
+        local = spectrum(np.concatenate((course, place), axis=2), rate)
+        rows = (np.tile(alike.rows, (len(AXES), 1, 1)), np.tile(local.rows, (2, 1, 1)))
+        spectra.append(Spectrum(np.concatenate(rows, axis=2), alike.band))
+    return [*names, *course_names, *place_names], spectra
+
+
+def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:
+    """What the functions predict of each flight from the others.
+
+    The noise is what the functions leave: what the effects leave is more, where something has no name.
+
+    Args:
+        left: per flight, rows (6, B) that effects leave of the residual.
+        spectra: of the functions, see :func:`generic_spectra`.
+        names: of the functions.
+    """
+    bands = [flight.band for flight in spectra]
+    noise = band_means([np.square(rows) for rows in left], bands)
+    gain, best = np.zeros(len(AXES)), []
+    for axis in range(len(AXES)):
+        own = [
+            Spectrum(np.column_stack((rows[axis], flight.rows[axis]))[None], flight.band)
+            for rows, flight in zip(left, spectra, strict=True)
+        ]
+        for _ in range(_ROUNDS):
+            noise[axis] = _noise_left(own, noise[axis])
+        grams, projections = _projections(own, noise[axis])
+        gain[axis], coefficients = left_out_gain(grams, projections)
+        size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams))
+        best.append([names[index] for index in np.argsort(-size)[:3]])
+    return Left(gain, best, noise)
+
+
+def _noise_left(spectra: Sequence[Spectrum], noise: Array) -> Array:
+    """Variance (BANDS,) of what the functions leave of one axis, with what their uncertainty hides of it."""
+    grams, projections = _projections(spectra, noise)
+    total = grams.sum(axis=0)
+    lower = cholesky(total + _penalty(total, _RIDGE[0]), lower=True)
+    coefficients = cho_solve((lower, True), projections.sum(axis=0))
+    squares = [expected_squares(flight.rows, coefficients, lower) for flight in spectra]
+    means = band_means(squares, [flight.band for flight in spectra])[0]
+    noise_left: Array = np.maximum(means, np.finfo(float).tiny)
+    return noise_left
+
+
+def _projections(spectra: Sequence[Spectrum], noise: Array) -> tuple[Array, Array]:
+    """Gram matrices (F, J, J) of the functions and projections (F, J) on them of what is left, whitened.
+
+    Args:
+        spectra: per flight (1, B, 1 + J): what is left of an axis, and the functions.
+        noise: (BANDS,) variance of the axis.
+    """
+    grams, projections = [], []
+    for flight in spectra:
+        rows = flight.rows[0] / np.sqrt(noise[flight.band])[:, None]
+        grams.append(rows[:, 1:].T @ rows[:, 1:])
+        projections.append(rows[:, 1:].T @ rows[:, 0])
+    return np.array(grams), np.array(projections)
+
+
+def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
+    """Squares that prediction takes from flights left out in turn, and coefficients, with the best ridge.
+
+    Args:
+        grams: (F, J, J).
+        projections: (F, J).
+    """
+    total, aim = grams.sum(axis=0), projections.sum(axis=0)
+    best, kept = -np.inf, np.zeros(len(total))
+    for ridge in _RIDGE:
+        penalty = _penalty(total, ridge)
+        gain = 0.0
+        for own, projection in zip(grams, projections, strict=True):
+            coefficients = np.linalg.solve(total - own + penalty, aim - projection)
+            gain += float(2.0 * coefficients @ projection - coefficients @ own @ coefficients)
+        if gain > best:
+            best, kept = gain, np.linalg.solve(total + penalty, aim)
+    return best, kept
+
+
+def _penalty(total: Array, ridge: float) -> Array:
+    # What stays zero, such as a force that a simulation does not have, must leave the matrix regular.
+    scale = np.sqrt(np.diag(total))
+    penalty: Array = np.diag(1e-4 * ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
+    return penalty

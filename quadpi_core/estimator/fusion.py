@@ -1,0 +1,167 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the sensor streams of a recording to a flight: one grid, the state estimated, one low-pass."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from quadpi_core.errors import LogError, SignalError
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.smoother import smooth
+from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, Stamps, Stream, WindStream
+from quadpi_core.frames import Array
+from quadpi_core.signals.chain import filter_zero_phase
+from quadpi_core.signals.resample import (
+    first_gap,
+    interpolate,
+    interpolate_attitude,
+    nominal_rate,
+    uniform_stamps,
+)
+from quadpi_core.vehicle import Vehicle
+
+# The rotors carry the vehicle while their thrust exceeds this share of its weight.
+_CARRYING_SHARE = 0.5
+
+
+class Estimate(NamedTuple):
+    """State and IMU biases at stamps (M,); position in the world, velocity in body axes."""
+
+    time_ns: Stamps
+    position: Array
+    attitude: Array
+    velocity: Array
+    gyro_bias: Array
+    accelerometer_bias: Array
+
+
+def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
+    """Estimate the state, bring every stream to the IMU's nominal grid and low-pass all of it alike.
+
+    The state comes from the smoother over the EKF's model where the recording has motion capture, else from
+    its odometry, whose biases are taken as zero. The IMU is corrected by the bias estimates of each instant,
+    which wander at the pace of the bias walk in the vehicle file. The flight covers the time in which every
+    stream has samples and the estimator is initialised; wind may be absent (still air), else its first and
+    last sample hold beyond its ends.
+
+    Args:
+        recording: checked streams.
+        vehicle: for sensor noise and gravity.
+        cutoff_hz: of the fourth-order Butterworth low-pass, run both ways
+            (see :func:`quadpi_core.signals.filters.zero_phase`).
+
+    Raises:
+        LogError: naming the topic that is missing or pauses for more than 0.1 s, or if the streams share too
+            little time.
+        SignalError: if the estimator never starts, or the cut-off is impossible.
+    """
+    recording.check()
+    imu, rotor_speeds = recording.imu, recording.rotor_speeds
+    if rotor_speeds is None:
+        raise LogError(f"{recording.source}: topic rotor_speeds is missing")
+    for stream in (imu, rotor_speeds):
+        _require_no_gap(recording.source, stream)
+    estimate = _estimate(recording, vehicle)
+
+    grid = uniform_stamps(imu.time_ns)
+    start_ns = max(estimate.time_ns[0], rotor_speeds.time_ns[0])
+    end_ns = min(estimate.time_ns[-1], rotor_speeds.time_ns[-1])
+    grid = grid[(grid >= start_ns) & (grid <= end_ns)]
+    if len(grid) == 0:
+        raise LogError(f"{recording.source}: the estimate and topic rotor_speeds share no time")
+
+    def on_grid(time_ns: Stamps, values: Array) -> Array:
+        return interpolate(time_ns, values, grid, MAX_GAP_NS).values
+
+    rates = on_grid(imu.time_ns, imu.angular_velocity) - on_grid(estimate.time_ns, estimate.gyro_bias)
+    specific_force = on_grid(imu.time_ns, imu.specific_force) - on_grid(
+        estimate.time_ns, estimate.accelerometer_bias
+    )
+    try:
+        filtered = filter_zero_phase(
+            on_grid(estimate.time_ns, estimate.velocity),
+            interpolate_attitude(estimate.time_ns, estimate.attitude, grid, MAX_GAP_NS).values,
+            rates,
+            specific_force,
+            on_grid(rotor_speeds.time_ns, rotor_speeds.speeds),
+            _wind(recording.wind, grid),
+            rate_hz=nominal_rate(grid),
+            cutoff_hz=cutoff_hz,
+        )
+    except SignalError as error:
+        raise SignalError(f"{recording.source}: {error}") from error
+    return Flight(
+        name=recording.name,
+        vehicle=recording.vehicle,
+        source=recording.source,
+        start_ns=int(grid[0]),
+        time=1e-9 * (grid - grid[0]),
+        position=on_grid(estimate.time_ns, estimate.position),
+        quality=recording.quality,
+        **filtered._asdict(),
+    )
+
+
+def fuse_airborne(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
+    """The part of a flight in the air: :func:`fuse`, then :func:`airborne`, and what they raise."""
+    return airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
+
+
+def airborne(flight: Flight, gravity: float) -> Flight:
+    """The flight from lift-off to touch-down: on the ground the wrench is not aerodynamic.
+
+    Thrust is taken as the multiple of Σω² that fits the specific force over the whole flight, so that neither
+    hover before a fast flight nor a long wait on the ground shifts the bound.
+
+    Raises:
+        LogError: naming the file, if the rotors never carry the vehicle.
+    """
+    squares = np.square(flight.rotor_speeds).sum(axis=1)
+    thrust_m_s2 = -squares * (flight.specific_force[:, 2] @ squares) / max(squares @ squares, 1.0)
+    carrying = np.flatnonzero(thrust_m_s2 > _CARRYING_SHARE * gravity)
+    if len(carrying) == 0:
+        raise LogError(f"{flight.source}: topic rotor_speeds: the rotors never carry the vehicle")
+    return flight.slice(slice(int(carrying[0]), int(carrying[-1]) + 1))
+
+
+def _estimate(recording: Recording, vehicle: Vehicle) -> Estimate:
+    if recording.pose is not None or recording.twist is not None:
+        smoothed = smooth(recording, Ekf(vehicle, nominal_rate(recording.imu.time_ns)))
+        return Estimate(
+            smoothed.time_ns,
+            smoothed.position,
+            smoothed.attitude,
+            smoothed.velocity_body,
+            smoothed.gyro_bias,
+            smoothed.accelerometer_bias,
+        )
+    odometry = recording.odometry
+    if odometry is None:
+        raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
+    _require_no_gap(recording.source, odometry)
+    no_bias = np.zeros((len(odometry), 3))
+    return Estimate(
+        odometry.time_ns, odometry.position, odometry.attitude, odometry.velocity, no_bias, no_bias
+    )
+
+
+def _wind(wind: WindStream | None, grid: Stamps) -> Array:
+    """Wind (M, 3) m/s on the grid; it changes slowly, so gaps are interpolated however long."""
+    if wind is None:
+        return np.zeros((len(grid), 3))
+    return interpolate(wind.time_ns, wind.velocity, grid, np.iinfo(np.int64).max).values
+
+
+def _require_no_gap(source: str, stream: Stream) -> None:
+    if len(stream) < 2:
+        raise LogError(f"{source}: topic {stream.topic}: one sample is too few")
+    index = first_gap(stream.time_ns, MAX_GAP_NS)
+    if index is not None:
+        pause = 1e-9 * float(stream.time_ns[index] - stream.time_ns[index - 1])
+        raise LogError(
+            f"{source}: topic {stream.topic}: sample {index}: comes {pause:.3f} s after the one before; "
+            f"pauses above {1e-9 * MAX_GAP_NS:g} s cannot be bridged"
+        )

@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How good the alarm is on flights: false alarms, delay of detection, and what each signal tells of misses.
+
+A model is off at an instant if of the three seconds that follow, more than half of the samples of an axis
+lie outside their interval. Detection is late by the time from the first such instant to the alarm; an alarm
+that is raised already is not late.
+
+A flight is outside the envelope while an input is beyond its warning limit (10 % of its training range). An
+alarm that begins there is counted apart and never false: there the model promises nothing. One that begins
+inside is false if no span of three seconds that contains its begin is off. Leverage and width do not decide
+what is outside: the alarm goes by them, and would be its own judge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import rankdata
+
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.identification.causal_states import LiveSamples
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.monitor.alarm import LEVEL_ALARM, Alarm, Judged, MonitorSettings
+
+SIGNALS = ("inputs", "leverage", "width", "miscoverage")
+# Least monitored flight for a rate per hour: of less, a single alarm would make more than 60 per hour.
+SHORTEST_HOURS = 1.0 / 60.0
+_OFF_SHARE, _OFF_S = 0.5, 3.0
+# A row of the alarm for every sample.
+_EVERY_SAMPLE_HZ = 1e9
+
+
+@dataclass(frozen=True)
+class FlightAlarm:
+    """What the alarm says of one flight, sample by sample.
+
+    Attributes:
+        scores: by name of :data:`SIGNALS` (N,), the worst input's or axis' value over its limit.
+        raised: (N,) whether EXTRAPOLATION or MISCOVERAGE stands at alarm level.
+        missed: (N, 6) whether the measured wrench lay outside its interval, order as `AXES`.
+        monitored: (N,) False where the alarm had nothing to judge.
+        outside: (N,) whether an input is outside the envelope: beyond its warning limit.
+    """
+
+    scores: Mapping[str, Array]
+    raised: npt.NDArray[np.bool_]
+    missed: npt.NDArray[np.bool_]
+    monitored: npt.NDArray[np.bool_]
+    outside: npt.NDArray[np.bool_]
+
+
+def alarm_of_flight(
+    model: AerodynamicModel, time: Array, live: LiveSamples, confidence: float
+) -> FlightAlarm:
+    """Run the alarm over a flight in the air.
+
+    Args:
+        model: that the alarm is of.
+        time: (N,) s.
+        live: what a monitor would have had.
+        confidence: of the intervals.
+    """
+    known, wrench = live.known, live.wrench[live.known]
+    inputs = live.inputs[known]
+    evaluation = model.evaluate(inputs, confidence)
+    alarm = Alarm(
+        model.envelope,
+        model.alarm_limits,
+        MonitorSettings(alarm_rate_hz=_EVERY_SAMPLE_HZ),
+        np.array([axis in model.axes for axis in AXES]),
+        model.interval_ratio(confidence),
+    )
+    samples = len(time)
+    # A flight in the air never stands: a speed beyond all measure tells the gate so.
+    rows = alarm.step(
+        np.round(1e9 * time).astype(np.int64),
+        known,
+        np.zeros(samples, dtype=np.int64),
+        Judged(
+            inputs,
+            np.full((len(inputs), 3), np.inf),
+            evaluation.leverage,
+            evaluation.relative_width,
+            wrench,
+            evaluation.lower,
+            evaluation.upper,
+            # What is known has settled.
+            np.ones(len(inputs), dtype=np.bool_),
+        ),
+    )
+    missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
+    missed[known] = (wrench < evaluation.lower) | (wrench > evaluation.upper)
+    outside = np.zeros(samples, dtype=np.bool_)
+    outside[known] = (model.envelope.input_excess(inputs) > model.envelope.near.margin).any(axis=1)
+    scores = (rows.input_score, rows.leverage, rows.width, rows.miscoverage)
+    return FlightAlarm(
+        {name: score.max(axis=1) for name, score in zip(SIGNALS, scores, strict=True)},
+        (rows.cause_level[:, :2] == LEVEL_ALARM).any(axis=1),
+        missed,
+        known,
+        outside,
+    )
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Alarms of flights, and the hours in which they could have come.
+
+    Attributes:
+        false_alarms, hours_inside: inside the envelope, while the model is not off.
+        alarms_outside, hours_outside: outside the envelope, whatever the model.
+        hours_monitored: inside, outside and off.
+    """
+
+    false_alarms: int
+    hours_inside: float
+    alarms_outside: int
+    hours_outside: float
+    hours_monitored: float
+
+    @classmethod
+    def total(cls, parts: Sequence[Counted]) -> Counted:
+        """Those of several flights together."""
+        return cls(*(sum(getattr(part, field.name) for part in parts) for field in fields(cls)))
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """One flight: its alarm beside what it should have said.
+
+    Attributes:
+        time: (N,) s.
+        missed: (N, A) whether the measured wrench lies outside the interval, per axis held.
+        alarm: what the alarm says.
+    """
+
+    time: Array
+    missed: npt.NDArray[np.bool_]
+    alarm: FlightAlarm
+
+    def off(self) -> npt.NDArray[np.bool_]:
+        """Instants (N,) at which the model is off."""
+        return self._shares_above(np.searchsorted(self.time, self.time + _OFF_S))
+
+    def _shares_above(self, stops: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        starts = np.arange(len(self.time))
+        counts: Array = np.zeros((len(self.time) + 1, self.missed.shape[1]))
+        np.cumsum(self.missed, axis=0, out=counts[1:])
+        shares = (counts[stops] - counts[starts]) / np.maximum(stops - starts, 1)[:, None]
+        whole = self.time + _OFF_S <= self.time[-1]
+        above: npt.NDArray[np.bool_] = (shares > _OFF_SHARE).any(axis=1) & whole
+        return above
+
+    def delay_s(self) -> float | None:
+        """Seconds from where the model is off to the alarm; infinite without one, None if it is never off."""
+        off = self.off()
+        if not off.any():
+            return None
+        start = int(np.argmax(off))
+        raised = np.flatnonzero(self.alarm.raised[start:])
+        return float(self.time[start + raised[0]] - self.time[start]) if len(raised) else float("inf")
+
+    def counted(self) -> Counted:
+        """Alarms inside and outside the envelope."""
+        off = np.flatnonzero(self.off())
+        bad = np.zeros(len(self.time) + 1)
+        np.add.at(bad, off, 1.0)
+        np.add.at(bad, np.searchsorted(self.time, self.time[off] + _OFF_S), -1.0)
+        outside = self.alarm.outside
+        inside = (np.cumsum(bad)[:-1] <= 0.0) & ~outside
+        begins = self.alarm.raised & ~np.concatenate(([False], self.alarm.raised[:-1]))
+        hours = np.diff(self.time, append=self.time[-1]) * self.alarm.monitored / 3600.0
+        return Counted(
+            false_alarms=int(np.sum(begins & inside)),
+            hours_inside=float(hours[inside].sum()),
+            alarms_outside=int(np.sum(begins & outside)),
+            hours_outside=float(hours[outside].sum()),
+            hours_monitored=float(hours.sum()),
+        )
+
+
+def per_hour(count: float, hours: float) -> float | None:
+    """A rate; None for less time than :data:`SHORTEST_HOURS`, which is too short to state one."""
+    return count / hours if hours >= SHORTEST_HOURS else None
+
+
+def assess(flights: Sequence[Assessed]) -> dict[str, Any]:
+    """The alarm on flights as plain JSON; keys as of `flight_results.evaluate_flights`."""
+    counted = Counted.total([flight.counted() for flight in flights])
+    delays = [delay for flight in flights if (delay := flight.delay_s()) is not None]
+    detected = [delay for delay in delays if np.isfinite(delay)]
+    missed = np.concatenate([flight.missed.any(axis=1) for flight in flights])
+    return {
+        **asdict(counted),
+        "false_alarms_per_hour": per_hour(counted.false_alarms, counted.hours_inside),
+        "flights_off": len(delays),
+        "flights_undetected": len(delays) - len(detected),
+        "detection_delay_s": float(np.median(detected)) if detected else None,
+        "auroc": {
+            name: auroc(np.concatenate([flight.alarm.scores[name] for flight in flights]), missed)
+            for name in SIGNALS
+        },
+    }
+
+
+def auroc(scores: Array, positive: npt.NDArray[np.bool_]) -> float | None:
+    """Chance that the score (N,) of a positive is above that of another, ties half; None without both."""
+    count = int(positive.sum())
+    others = len(positive) - count
+    if count == 0 or others == 0:
+        return None
+    ranks = rankdata(scores)
+    return float((ranks[positive].sum() - 0.5 * count * (count + 1)) / (count * others))

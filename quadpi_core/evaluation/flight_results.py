@@ -1,0 +1,306 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Prediction intervals of a model judged on flights, per axis, per flight and per group of flights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import quadpi_core
+from quadpi_core.errors import ModelError, QuadpiError
+from quadpi_core.evaluation import metrics
+from quadpi_core.evaluation.alarm_assessment import Assessed, FlightAlarm, assess
+from quadpi_core.evaluation.autocorrelation import effective_sample_size
+from quadpi_core.evaluation.coverage_interval import coverage_interval
+from quadpi_core.evaluation.regimes import by_bin, round_edges
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+
+# Confidences of the calibration curve.
+LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
+# What coverage is binned by, see FlightResult.regimes.
+REGIMES = ("speed_m_s", "rotor_speed_rad_s", "height_m")
+# Methods whose intervals are those of a normal distribution, so that CRPS is defined.
+NORMAL_METHODS = ("polynomial", "bootstrap")
+
+_VELOCITY = [INPUT_INDEX[name] for name in ("u", "v", "w")]
+
+
+class EvaluationError(QuadpiError):
+    """Flights, groups and model do not fit together."""
+
+
+@dataclass(frozen=True)
+class FlightResult:
+    """What a model says about one flight; columns Fx, Fy, Fz (N), Mx, My, Mz (Nm), body axes.
+
+    Attributes:
+        name: file stem of the flight.
+        axes: axes that the model holds; the other columns of predicted, lower and upper mean nothing.
+        time: (N,) seconds.
+        measured, predicted, lower, upper: (N, 6).
+        inputs: (N, 19), columns as :data:`quadpi_core.inputs.INPUT_NAMES`.
+        height: (N,) m above the origin of the world.
+        alarm: what the alarm says, sample by sample; None where it was not run.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    time: Array
+    measured: Array
+    predicted: Array
+    lower: Array
+    upper: Array
+    inputs: Array
+    height: Array
+    alarm: FlightAlarm | None = None
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def speed(self) -> Array:
+        """(N,) m/s relative to the air."""
+        return np.asarray(np.linalg.norm(self.inputs[:, _VELOCITY], axis=1))
+
+    @property
+    def regimes(self) -> dict[str, Array]:
+        """What coverage is binned by, (N,) each."""
+        values = (self.speed, self.inputs[:, INPUT_INDEX["omega_avg"]], self.height)
+        return dict(zip(REGIMES, values, strict=True))
+
+    def column(self, quantity: str, axis: str) -> Array:
+        """One axis (N,) of `measured`, `predicted`, `lower` or `upper`."""
+        values: Array = getattr(self, quantity)[:, AXES.index(axis)]
+        return values
+
+    def check(self) -> None:
+        """Refuse what no metric is defined for.
+
+        Raises:
+            EvaluationError: naming flight, axis and sample, for no samples, a value that is not finite,
+                bounds that cross, and shapes that do not fit.
+        """
+        if len(self) == 0:
+            raise EvaluationError(f"flight {self.name}: holds no samples")
+        for axis in self.axes:
+            lower, upper = self.column("lower", axis), self.column("upper", axis)
+            for quantity in ("measured", "predicted", "lower", "upper"):
+                finite = np.isfinite(self.column(quantity, axis))
+                if not finite.all():
+                    sample = int(np.argmin(finite))
+                    raise EvaluationError(
+                        f"flight {self.name}: {axis}: sample {sample}: {quantity} not finite"
+                    )
+            if np.any(lower > upper):
+                sample = int(np.argmax(lower > upper))
+                raise EvaluationError(f"flight {self.name}: {axis}: sample {sample}: lower bound above upper")
+        if self.inputs.shape != (len(self), len(INPUT_NAMES)):
+            raise EvaluationError(f"flight {self.name}: inputs of shape {self.inputs.shape}")
+        for quantity, values in self.regimes.items():
+            if values.shape != (len(self),) or not np.all(np.isfinite(values)):
+                raise EvaluationError(f"flight {self.name}: {quantity} not finite, or not one per sample")
+
+
+def evaluate_flights(
+    results: Sequence[FlightResult],
+    groups: Mapping[str, Sequence[str]],
+    training_range: Mapping[str, float],
+    confidence: float,
+    *,
+    model: str,
+    vehicle: str,
+    method: str = "polynomial",
+    adaptive: bool = False,
+    at_confidence: Callable[[float], Iterable[FlightResult]] | None = None,
+) -> dict[str, Any]:
+    """Judge the intervals; the result is plain JSON, with null and never NaN where a metric is undefined.
+
+    Keys: `model`, `vehicle`, `method`, `adaptive`, `confidence`, `quadpi_version`, `training_range.AXIS`,
+    `nmpiw_denominator`, `cwc.{eta, mu}`, `calibration_levels`, `regime_edges.QUANTITY`,
+    `groups.NAME.{flights, axes.AXIS, alarm}` and `flights.NAME.{duration_s, axes.AXIS, alarm}`. Each axis
+    holds
+
+    - `picp`: coverage as a fraction; `picp_ci`: its 95 % confidence interval [low, high], see
+      :func:`quadpi_core.evaluation.coverage_interval.coverage_interval`;
+    - `mpiw`, `rmse`, `winkler` in N or Nm; `nmpiw`: mpiw over the range of the measured training data;
+    - `cwc`: coverage width criterion; `crps` in N or Nm of the normal distribution that the interval implies,
+      null for methods that imply none (see :mod:`quadpi_core.evaluation.metrics`);
+    - `r2`: null where the measurement is constant;
+    - `calibration`: coverage at each of `calibration_levels`, null where the model has no such interval;
+    - `regimes.QUANTITY.{n, picp, mpiw}`: the same in each bin between `regime_edges`, null for an empty one.
+      All groups and flights share the bins;
+    - `n` samples; `n_eff`: how many independent samples the prediction errors are worth.
+
+    `alarm` is null where the alarm was not run, else holds (see `evaluation.alarm_assessment`)
+
+    - `false_alarms` in `hours_inside`: alarms that begin inside the envelope while the model is not off, and
+      the time there was; `false_alarms_per_hour`, null for less than a minute of it;
+    - `alarms_outside` in `hours_outside`: alarms that begin outside the envelope, where an input is beyond
+      its warning limit; `hours_monitored`: all time in which the alarm had something to judge;
+    - `flights_off`: flights in which the model is off; `flights_undetected`: those without an alarm from then
+      on; `detection_delay_s`: median delay of the others, null without any;
+    - `auroc.{inputs, leverage, width, miscoverage}`: area under the ROC curve of each signal for samples
+      that lie outside their interval in any axis, null where all or none do.
+
+    Args:
+        results: one per flight.
+        groups: names of the flights in each group; a flight may be in several.
+        training_range: range (max − min) of the measured training data per axis.
+        confidence: nominal coverage of the intervals, between 0 and 1.
+        model: identity of the model.
+        vehicle: name of the vehicle file.
+        method: of the model.
+        adaptive: whether the intervals adapted to the measurement; only told.
+        at_confidence: gives the results of the same flights with intervals of another confidence, or raises
+            ModelError where there are none; without it there is no calibration curve.
+
+    Raises:
+        EvaluationError: for a flight present twice, an empty group, a group with an unknown flight, a
+            training range that is not positive, and what :meth:`FlightResult.check` refuses.
+    """
+    by_name: dict[str, FlightResult] = {}
+    for result in results:
+        if result.name in by_name:
+            raise EvaluationError(f"flight {result.name}: present twice")
+        result.check()
+        by_name[result.name] = result
+    members = {name: _members(name, flights, by_name) for name, flights in groups.items()}
+    for axis, extent in training_range.items():
+        if not 0.0 < extent < np.inf:
+            raise EvaluationError(f"{axis}: the measured training data spans {extent}, so nmpiw is undefined")
+    edges = {
+        name: round_edges(np.concatenate([result.regimes[name] for result in results])) for name in REGIMES
+    }
+    curve = [_covered(at_confidence, level) for level in LEVELS]
+
+    def judge(flights: Sequence[FlightResult]) -> dict[str, dict[str, Any]]:
+        axes = [axis for axis in AXES if all(axis in flight.axes for flight in flights)]
+        normal = method in NORMAL_METHODS
+        return {
+            axis: _evaluate_axis(flights, axis, training_range[axis], confidence, normal, edges)
+            | {"calibration": [_pooled(covered, flights, axis) for covered in curve]}
+            for axis in axes
+        }
+
+    return {
+        "quadpi_version": quadpi_core.__version__,
+        "model": model,
+        "vehicle": vehicle,
+        "method": method,
+        "adaptive": adaptive,
+        "confidence": confidence,
+        "training_range": dict(training_range),
+        "nmpiw_denominator": "training_range",
+        "cwc": {"eta": metrics.CWC_ETA, "mu": confidence},
+        "calibration_levels": list(LEVELS),
+        "regime_edges": {quantity: values.tolist() for quantity, values in edges.items()},
+        "groups": {
+            name: {
+                "flights": [flight.name for flight in flights],
+                "axes": judge(flights),
+                "alarm": _assess(flights),
+            }
+            for name, flights in members.items()
+        },
+        "flights": {
+            name: {
+                "duration_s": float(flight.time[-1] - flight.time[0]),
+                "axes": judge([flight]),
+                "alarm": _assess([flight]),
+            }
+            for name, flight in by_name.items()
+        },
+    }
+
+
+def _assess(flights: Sequence[FlightResult]) -> dict[str, Any] | None:
+    """The alarm on the flights; None where it was not run on all of them."""
+    assessed = []
+    for flight in flights:
+        if flight.alarm is None:
+            return None
+        columns = [AXES.index(axis) for axis in flight.axes]
+        assessed.append(Assessed(flight.time, flight.alarm.missed[:, columns], flight.alarm))
+    return assess(assessed)
+
+
+def _evaluate_axis(
+    flights: Sequence[FlightResult],
+    axis: str,
+    training_range: float,
+    confidence: float,
+    normal: bool,
+    edges: Mapping[str, Array],
+) -> dict[str, Any]:
+    """Metrics of one axis over the samples of all `flights`; keys as in :func:`evaluate_flights`."""
+    measured, predicted, lower, upper = (
+        np.concatenate([flight.column(quantity, axis) for flight in flights])
+        for quantity in ("measured", "predicted", "lower", "upper")
+    )
+    regime = {name: np.concatenate([flight.regimes[name] for flight in flights]) for name in edges}
+    labels = np.repeat(np.arange(len(flights)), [len(flight) for flight in flights])
+    inside = metrics.inside_interval(measured, lower, upper)
+    errors = measured - predicted
+    std = metrics.implied_std(lower, upper, confidence)
+    return {
+        "picp": metrics.picp(measured, lower, upper),
+        "picp_ci": list(coverage_interval(inside, errors, labels)),
+        "mpiw": metrics.mpiw(lower, upper),
+        "nmpiw": metrics.nmpiw(lower, upper, training_range),
+        "rmse": metrics.rmse(measured, predicted),
+        "r2": metrics.r_squared(measured, predicted),
+        "winkler": metrics.winkler(measured, lower, upper, confidence),
+        "cwc": metrics.cwc(measured, lower, upper, training_range, confidence),
+        "crps": metrics.crps_normal(measured, predicted, std) if normal else None,
+        "regimes": {name: by_bin(regime[name], inside, upper - lower, edges[name]) for name in edges},
+        "n": len(measured),
+        "n_eff": effective_sample_size(errors, labels),
+    }
+
+
+def _covered(
+    at_confidence: Callable[[float], Iterable[FlightResult]] | None, level: float
+) -> dict[tuple[str, str], float] | None:
+    """Coverage by flight and axis at another confidence; None where the model has no such intervals."""
+    if at_confidence is None:
+        return None
+    try:
+        return {
+            (result.name, axis): metrics.picp(
+                *(result.column(quantity, axis) for quantity in ("measured", "lower", "upper"))
+            )
+            for result in at_confidence(level)
+            for axis in result.axes
+        }
+    except ModelError:
+        return None
+
+
+def _pooled(
+    covered: Mapping[tuple[str, str], float] | None, flights: Sequence[FlightResult], axis: str
+) -> float | None:
+    """Coverage over the samples of all flights."""
+    if covered is None:
+        return None
+    return float(
+        np.average(
+            [covered[flight.name, axis] for flight in flights], weights=[len(flight) for flight in flights]
+        )
+    )
+
+
+def _members(group: str, names: Sequence[str], by_name: Mapping[str, FlightResult]) -> list[FlightResult]:
+    if not names:
+        raise EvaluationError(f"group {group}: holds no flights")
+    for name in names:
+        if name not in by_name:
+            raise EvaluationError(f"group {group}: no flight {name}; evaluated: {', '.join(by_name)}")
+    if len(set(names)) < len(names):
+        raise EvaluationError(f"group {group}: a flight is present twice")
+    return [by_name[name] for name in names]

@@ -1,0 +1,317 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of the alarm from flights left out in turn, to a stated rate of false alarms.
+
+A flight that the model and the envelope of the others have not seen, but that lies mostly within their
+ranges, is what the alarm must keep quiet on: `tail_limits` says how far the next one of its kind may go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.identification.causal_states import LiveSamples
+from quadpi_core.identification.tail_limits import Walk, lasting_maximum, next_flight, sums_of_misses
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
+from quadpi_core.models.axis_evaluation import Evaluation
+from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
+from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule
+from quadpi_core.monitor.alarm import MonitorSettings
+
+
+class _Spread(NamedTuple):
+    """Standard deviations between flights of the logarithms of their largest values."""
+
+    distance: float
+    leverage: float
+    width: float
+
+
+# Root mean squares over 24 models of 8 and of 12 simulated flights (docs/alarm.md); of the width, that of its
+# square beyond the usual.
+_USUAL_SPREAD = _Spread(0.15, 0.8, 1.4)
+
+
+class Judged(Protocol):
+    """What is needed of a flight: what it was identified on, and what a monitor would have had of it."""
+
+    @property
+    def time(self) -> Array:
+        """(N,) s."""
+
+    @property
+    def inputs(self) -> Array:
+        """(N, 19) columns as `quadpi_core.inputs.INPUT_NAMES`."""
+
+    @property
+    def wrench(self) -> Array:
+        """(N, 6) measured."""
+
+    @property
+    def judged(self) -> LiveSamples:
+        """The same as the live path has it."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Signals of one flight under what the other flights support; columns zero for axes not held.
+
+    Attributes:
+        time: (N,) s.
+        inputs: (N, 19) as the live path has them.
+        lower, upper: (19,) :meth:`Envelope.flight_range` of the flight.
+        leverage, width: (N, 6) over their peaks in the other flights.
+        miss: (N, 6) whether the measured wrench left the interval, 0 or 1; NaN where not known.
+    """
+
+    time: Array
+    inputs: Array
+    lower: Array
+    upper: Array
+    leverage: Array
+    width: Array
+    miss: Array
+
+
+def calibrate_alarm(
+    envelope: Envelope,
+    flights: Sequence[LeftOut],
+    *,
+    confidence: float,
+    rate_per_hour: float,
+    hover_rotor_speed: float,
+) -> tuple[Envelope, AlarmLimits]:
+    """Envelope and limits for a rate of false alarms, shared evenly by EXTRAPOLATION and MISCOVERAGE.
+
+    Args:
+        envelope: of all flights, with its plain limits; what it gives back has calibrated ones.
+        flights: each under the model of the others, at least one.
+        confidence: of the intervals that `miss` was told by.
+        rate_per_hour: false alarms per flight hour.
+        hover_rotor_speed: see :class:`~quadpi_core.models.alarm_limits.AlarmLimits`.
+    """
+    limits = AlarmLimits(
+        allowance=allowance(confidence), hover_rotor_speed=hover_rotor_speed, rate_per_hour=rate_per_hour
+    )
+    if len(flights) < FEWEST_FLIGHTS:
+        return envelope, limits
+    usual = [
+        (flight, others)
+        for flight, others in zip(flights, _ranges_of_others(flights), strict=True)
+        if _share_inside(flight, others) >= FEWEST_INSIDE
+    ]
+    if len(usual) < FEWEST_FLIGHTS:
+        return envelope, limits
+    times = [flight.time for flight, _ in usual]
+    hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
+    ratio, leverage, width = _limits_of_extrapolation(usual, 0.5 * rate_per_hour * hours / len(usual))
+    calibrated = replace(
+        envelope,
+        margin=np.full(len(INPUT_NAMES), 0.5 * (ratio - 1.0)),
+        leverage_limit=envelope.of_peak(envelope.leverage_peak, leverage),
+        width_limit=envelope.of_peak(envelope.width_peak, width),
+    )
+    sums = [sums_of_misses(flight.time, flight.miss, limits.allowance) for flight, _ in usual]
+    misses = limits.miscoverage_s.copy()
+    usual_axes = ~np.isnan(usual[0][0].miss[0])
+    walks = {k: Walk.of([s[:, k] for s in sums], times) for k in np.flatnonzero(usual_axes)}
+    pooled = float(np.mean([walk.mean for walk in walks.values()]))
+    for axis, walk in walks.items():
+        # Which axes fail in which manoeuvre takes more flights to tell than how they do.
+        misses[axis] = replace(walk, mean=max(walk.mean, pooled)).limit(0.5 * rate_per_hour / len(walks))
+    return calibrated, replace(limits, miscoverage_s=misses, flights=len(usual), hours=hours)
+
+
+def _limits_of_extrapolation(
+    usual: Sequence[tuple[LeftOut, tuple[Array, Array]]], alarms_per_flight: float
+) -> tuple[float, float, float]:
+    """Limits of distance, leverage and width over what training reached; plain where there is no such signal.
+
+    Args:
+        usual: flights, each with the ranges of the others.
+        alarms_per_flight: expected number that may be false, of all signals together.
+    """
+    settings = MonitorSettings()
+
+    def largest(series: Sequence[Array]) -> Array:
+        return np.array(
+            [
+                lasting_maximum(values, flight.time, settings.persistence_s, settings.release_s)
+                for values, (flight, _) in zip(series, usual, strict=True)
+            ]
+        )
+
+    distances = largest([_worst_distance(flight.inputs, others) for flight, others in usual])
+    leverages = largest([flight.leverage.max(axis=1) for flight, _ in usual])
+    of_width = [flight.width.max(axis=1) for flight, _ in usual]
+    widths, typical = largest(of_width), float(np.median(np.concatenate(of_width)))
+    signals = 1 + bool(np.any(leverages)) + bool(np.any(widths))
+    chance = -float(np.expm1(-alarms_per_flight / signals))
+    leverage, width = LEVERAGE_HEADROOM, WIDTH_HEADROOM
+    if np.any(leverages):
+        leverage = next_flight(leverages, chance, _USUAL_SPREAD.leverage)
+    if np.any(widths):
+        # Variances add: what widens an interval beyond the usual is the part of it that varies by flight.
+        width = float(np.sqrt(typical**2 + next_flight(widths**2 - typical**2, chance, _USUAL_SPREAD.width)))
+    # What the training flights reached is never beyond.
+    distance = next_flight(distances, chance, _USUAL_SPREAD.distance)
+    return max(distance, 1.0), max(leverage, 1.0), max(width, 1.0)
+
+
+class LiveErrors(NamedTuple):
+    """One flight, left out, as the live path would have had it.
+
+    Attributes:
+        rows: (M,) which of its samples these are.
+        errors: by axis held, of M samples.
+    """
+
+    rows: npt.NDArray[np.int64]
+    errors: dict[str, FlightErrors]
+
+
+def live_errors(
+    flights: Sequence[Judged],
+    held_out: Mapping[str, Sequence[FlightErrors]],
+    evaluate: Callable[[Array], Evaluation],
+) -> list[LiveErrors]:
+    """Errors on each flight, left out, of the live path.
+
+    Errors, spread and leverage of a flight left out are known for the smoothed states that it would have been
+    identified on. What the causal states of the live path change of them, the model of all flights tells: to
+    first order in the error of the state, one flight more or less makes no difference to that.
+
+    Args:
+        flights: that were identified on.
+        held_out: by axis held, the errors on each flight, left out; every so manieth sample of it.
+        evaluate: the model of all flights.
+    """
+    live = []
+    for k, flight in enumerate(flights):
+        errors = {axis: of_flights[k] for axis, of_flights in held_out.items()}
+        step = -(-len(flight.time) // len(next(iter(errors.values())).error))
+        known = flight.judged.known[::step]
+        rows = np.arange(0, len(flight.time), step)[known]
+        changes = _changes(flight, rows, evaluate)
+        live.append(
+            LiveErrors(rows, {axis: changes.of(one, known, AXES.index(axis)) for axis, one in errors.items()})
+        )
+    return live
+
+
+def left_out(
+    flights: Sequence[Judged],
+    rules: Mapping[str, HeldOutRule],
+    live: Sequence[LiveErrors],
+    confidence: float,
+) -> list[LeftOut]:
+    """Signals of the flights of an identification, each left out, on the live path.
+
+    Args:
+        flights: that were identified on.
+        rules: by axis held.
+        live: as :func:`live_errors` gives it.
+        confidence: of the intervals.
+    """
+    misses = {
+        axis: rule.held_out_misses([one.errors[axis] for one in live], confidence)
+        for axis, rule in rules.items()
+    }
+    signals = []
+    for k, (flight, (rows, errors)) in enumerate(zip(flights, live, strict=True)):
+        leverage, width = np.zeros((2, len(rows), len(AXES)))
+        miss = np.full((len(rows), len(AXES)), np.nan)
+        for axis, now in errors.items():
+            column = AXES.index(axis)
+            width[:, column] = 0.0 if now.width is None else now.width
+            leverage[:, column] = 0.0 if now.leverage is None else now.leverage
+            miss[:, column] = misses[axis][k]
+        signals.append(
+            LeftOut(
+                flight.time[rows],
+                flight.judged.inputs[rows],
+                *Envelope.flight_range(flight.inputs),
+                leverage,
+                width,
+                miss,
+            )
+        )
+    return signals
+
+
+class _Changes(NamedTuple):
+    """What live states change, (M, 6) each: added to the error, and factors of spread and leverage."""
+
+    error: Array
+    spread: Array
+    leverage: Array
+
+    def of(self, errors: FlightErrors, known: npt.NDArray[np.bool_], column: int) -> FlightErrors:
+        """The errors at the samples that the live path knows, as it has them."""
+        spread = self.spread[:, column]
+        return FlightErrors(
+            errors.error[known] + self.error[:, column],
+            errors.spread[known] * spread,
+            errors.inside[known],
+            None if errors.width is None else errors.width[known] * spread,
+            None if errors.leverage is None else errors.leverage[known] * self.leverage[:, column],
+        )
+
+
+def _changes(flight: Judged, rows: Any, evaluate: Callable[[Array], Evaluation]) -> _Changes:
+    was, now = evaluate(flight.inputs[rows]), evaluate(flight.judged.inputs[rows])
+    error = flight.judged.wrench[rows] - 0.5 * (now.lower + now.upper)
+    return _Changes(
+        error - (flight.wrench[rows] - 0.5 * (was.lower + was.upper)),
+        _ratio(now.relative_width, was.relative_width),
+        _ratio(now.leverage, was.leverage),
+    )
+
+
+def _ratio(now: Array, was: Array) -> Array:
+    """1 where there is no such signal."""
+    return np.divide(now, was, out=np.ones_like(now), where=was > 0.0)
+
+
+def _ranges_of_others(flights: Sequence[LeftOut]) -> list[tuple[Array, Array]]:
+    """Range of the inputs (19,), (19,) over all flights but one, for each."""
+    lower, upper = np.array([(flight.lower, flight.upper) for flight in flights]).swapaxes(0, 1)
+    ranges = []
+    for k in range(len(flights)):
+        others = np.arange(len(flights)) != k
+        ranges.append((lower[others].min(axis=0), upper[others].max(axis=0)))
+    return ranges
+
+
+def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
+    if len(flight.inputs) == 0:
+        return 0.0
+    lower, upper = others
+    return float(np.mean(np.all((flight.inputs >= lower) & (flight.inputs <= upper), axis=1)))
+
+
+def _worst_distance(inputs: Array, others: tuple[Array, Array]) -> Array:
+    """Distance (N,) of the worst input from the middle of its range over half of it."""
+    distance: Array = 1.0 + 2.0 * Envelope.outside(inputs, *others).max(axis=1)
+    return distance
+
+
+def hover_rotor_speed(inputs: Array, wrench: Array, weight: float) -> float:
+    """Mean rotor speed, rad/s, at which thrust, taken as a multiple of its square, carries the weight.
+
+    Args:
+        inputs: (N, 19) of flights.
+        wrench: (N, 6) measured there.
+        weight: N.
+    """
+    squares = np.square(inputs[:, INPUT_INDEX["omega_avg"]])
+    thrust = -float(squares @ wrench[:, 2])
+    return float(np.sqrt(weight * float(squares @ squares) / thrust)) if thrust > 0.0 else 0.0

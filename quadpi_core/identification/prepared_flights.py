@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""From bags to flights ready for identification or evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from quadpi_core.estimator.fusion import fuse_airborne
+from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
+from quadpi_core.flight import Flight, Recording
+from quadpi_core.frames import Array
+from quadpi_core.identification.causal_states import LiveSamples, live_samples
+from quadpi_core.inputs import flight_inputs
+from quadpi_core.logs import read_recording
+from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+from quadpi_core.parallel import map_files
+from quadpi_core.screening.consistency import checked
+from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class PreparedFlight:
+    """A flight ready for identification or evaluation.
+
+    Attributes:
+        name: file stem.
+        sha256: hash of the sensor streams, the same for every copy of the flight.
+        time: (N,) s.
+        inputs: (N, 19) input vectors X.
+        wrench: (N, 6) measured wrench.
+        height: (N,) m above the origin of the world.
+        live: what a monitor would have had of the flight, which the alarm is calibrated and assessed on. None
+            where the states are given and no sensor was read: then these are what it would have had.
+        quality: what is to be said of the data.
+    """
+
+    name: str
+    sha256: str
+    time: Array
+    inputs: Array
+    wrench: Array
+    height: Array
+    live: LiveSamples | None = None
+    quality: DataQuality = NOTHING_TO_SAY
+
+    @classmethod
+    def of(
+        cls, flight: Flight, vehicle: Vehicle, sha256: str, live: LiveSamples | None = None
+    ) -> PreparedFlight:
+        """Of a flight that passed the low-pass of its model."""
+        return cls(
+            name=flight.name,
+            sha256=sha256,
+            time=flight.time,
+            inputs=flight_inputs(flight, vehicle),
+            wrench=measured_wrench(flight, vehicle),
+            height=-flight.position[:, 2],
+            live=live,
+            quality=flight.quality,
+        )
+
+    @property
+    def judged(self) -> LiveSamples:
+        """What the alarm goes by."""
+        if self.live is not None:
+            return self.live
+        return LiveSamples(self.inputs, self.wrench, np.ones(len(self.time), dtype=np.bool_))
+
+
+def prepare_flights(
+    paths: Sequence[Path],
+    vehicle: Vehicle,
+    cutoff_hz: float,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> list[PreparedFlight]:
+    """Read, fuse and filter bags; only the part in the air is kept.
+
+    Args:
+        paths: bags, or logs that need no mapping.
+        vehicle: that flew.
+        cutoff_hz: of the low-pass over all signals.
+        workers: see :func:`quadpi_core.parallel.map_files`; the flights are the same whatever does the work.
+        scheduler: see there.
+        progress: see there.
+
+    Raises:
+        LogError: for what cannot be read or used, and a flight present twice, naming the files.
+        SignalError: naming the file, where the signals cannot be fused.
+        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
+    """
+    flights = map_files(
+        _prepare, paths, shared=(vehicle, cutoff_hz), workers=workers, scheduler=scheduler, progress=progress
+    )
+    refuse_duplicates(zip(map(str, paths), (flight.sha256 for flight in flights), strict=True))
+    return flights
+
+
+def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
+    vehicle, cutoff_hz = task
+    recording = _read(path, vehicle)
+    flight = fuse_airborne(recording, vehicle, cutoff_hz)
+    at_ns = flight.start_ns + np.rint(1e9 * flight.time).astype(np.int64)
+    live = live_samples(recording, vehicle, cutoff_hz, at_ns)
+    return PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
+
+
+def _read(path: Path, vehicle: Vehicle) -> Recording:
+    return checked(read_recording(path, vehicle), vehicle)
+
+
+def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight, str]:
+    """A flight read, fused and filtered, the part in the air, with the hash of its sensor streams.
+
+    Raises:
+        LogError: for what cannot be read or used, naming the file.
+        SignalError: naming the file, where the signals cannot be fused.
+    """
+    recording = _read(path, vehicle)
+    flight = fuse_airborne(recording, vehicle, cutoff_hz)
+    return flight, recording_hash(recording)

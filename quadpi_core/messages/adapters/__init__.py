@@ -1,0 +1,12 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of other packages (mavros, PX4, motion capture) as the streams of the core.
+
+:data:`ADAPTERS` lists them. None needs the package that defines the message: the layout comes from the
+definition that a bag embeds, or that an installed package gives (:mod:`quadpi_ros.foreign_messages`).
+"""
+
+from quadpi_core.messages.adapters.adapter_registry import ADAPTERS, Adapter, Unpacker
+from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+
+__all__ = ["ADAPTERS", "Adapter", "AdapterSettings", "Unpacker"]

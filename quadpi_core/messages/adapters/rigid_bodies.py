@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of one body among those that a motion capture follows."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import SampleError
+from quadpi_core.flight import PoseStream, Stamps
+from quadpi_core.frames import (
+    Array,
+    quaternion_flu_enu_to_frd_ned,
+    quaternion_fur_eus_to_flu_enu,
+    world_enu_to_ned,
+    world_eus_to_enu,
+)
+from quadpi_core.messages.adapters.adapter_settings import FRD_NED, FUR_EUS, BodySettings
+from quadpi_core.messages.foreign_arrays import Items
+from quadpi_core.units import NORM_TOLERANCE
+
+_WXYZ = [3, 0, 1, 2]
+_SEEN_MAX = 8
+
+
+class BodyReader:
+    """Poses of the body that the settings name.
+
+    A body that is hidden is absent from a message, or comes with an orientation that is none (NaN, zeros).
+    """
+
+    def __init__(self, settings: BodySettings) -> None:
+        self._settings = settings
+        self._body = settings.body.encode()
+        self._seen: set[str] = set()
+        self._absent, self._untracked = 0, 0
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """How many messages gave no sample, by reason."""
+        body = self._settings.body
+        return +Counter(
+            {
+                f"{body} is not in it (others: {self.seen})": self._absent,
+                f"{body} has no pose in it": self._untracked,
+            }
+        )
+
+    @property
+    def seen(self) -> str:
+        """Names of other bodies in the messages so far, some of them if there are many."""
+        return ", ".join(sorted(self._seen)) or "none"
+
+    def read(self, time_ns: Stamps, bodies: Items, name: str) -> PoseStream:
+        """The poses at stamps (N,) among the bodies that N messages hold.
+
+        Args:
+            time_ns: of the messages.
+            bodies: with the columns `pose.position`, `pose.orientation` (x, y, z, w) and that of the names.
+            name: of that column.
+
+        Raises:
+            SampleError: if two bodies of a message have the name.
+        """
+        names = bodies.columns[name]
+        rows = np.flatnonzero(names == self._body)
+        sample = bodies.message[rows]
+        if len(rows) > 1 and np.any(np.diff(sample) == 0):
+            index = int(sample[np.argmin(np.diff(sample))])
+            raise SampleError(index, f"two bodies are named {self._settings.body}")
+        if absent := len(time_ns) - len(rows):
+            self._note(names)
+            self._absent += absent
+        position = bodies.columns["pose.position"][rows]
+        orientation = bodies.columns["pose.orientation"][rows][:, _WXYZ]
+        norm = np.sqrt(np.einsum("ni,ni->n", orientation, orientation))
+        tracked = (np.abs(norm - 1.0) <= NORM_TOLERANCE) & np.isfinite(position).all(axis=1)
+        if not tracked.all():
+            self._untracked += int(np.sum(~tracked))
+            sample, position, orientation, norm = (
+                values[tracked] for values in (sample, position, orientation, norm)
+            )
+        return PoseStream(
+            time_ns[sample], *_to_ned(self._settings, position, orientation / norm[:, np.newaxis])
+        )
+
+    def _note(self, names: npt.NDArray[np.bytes_]) -> None:
+        """Remember names of other bodies, for whoever has to find out what the own one is called."""
+        if len(self._seen) < _SEEN_MAX:
+            others = {other.decode(errors="replace") for other in np.unique(names)[: _SEEN_MAX + 1]}
+            self._seen |= others - {self._settings.body}
+
+
+def _to_ned(settings: BodySettings, position: Array, attitude: Array) -> tuple[Array, Array]:
+    """Position (N, 3) in NED and attitude (N, 4) FRD to NED."""
+    if settings.frames == FRD_NED:
+        return position, attitude
+    if settings.frames == FUR_EUS:
+        position, attitude = world_eus_to_enu(position), quaternion_fur_eus_to_flu_enu(attitude)
+    return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)

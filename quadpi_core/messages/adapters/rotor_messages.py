@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""ESC reports of mavros and PX4 as rotor speeds.
+
+Whatever the message, each row becomes four speeds and four marks, numbers that change when the ESC reports
+anew. Autopilots and bridges repeat what an ESC said last: a row in which nothing is new is no sample, and one
+in which an ESC has been silent for SILENT_NS is none that can be trusted.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.compiled import njit
+from quadpi_core.flight import RotorSpeedStream, Stamps
+from quadpi_core.frames import Array
+from quadpi_core.messages.cdr import Columns
+from quadpi_core.messages.foreign_arrays import Items
+from quadpi_core.messages.message_stamps import header_stamps, microsecond_stamps
+from quadpi_core.messages.payloads import Indices
+from quadpi_core.rotor_order import ERPM, RotorOrder
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+# PX4 takes an ESC that has not reported for as long for gone (MavlinkStreamESCStatus).
+SILENT_NS = 100_000_000
+
+_PX4_MOTOR_1 = 101
+
+
+class Verdict(IntEnum):
+    """Whether reports are a sample, or why not."""
+
+    SAMPLE = 0
+    NONE_ANNOUNCED = 1
+    TOO_FEW = 2
+    MOTOR_MISSING = 3
+    MOTOR_TWICE = 4
+    OFFLINE = 5
+    NEVER_REPORTED = 6
+    SILENT = 7
+    REPEATED = 8
+
+
+REASONS = {
+    Verdict.NONE_ANNOUNCED: "no ESC is announced yet",
+    Verdict.TOO_FEW: "fewer ESCs than `rotors` names",
+    Verdict.MOTOR_MISSING: "no report of a motor that `rotors` names",
+    Verdict.MOTOR_TWICE: "two reports of one motor",
+    Verdict.OFFLINE: "an ESC is offline",
+    Verdict.NEVER_REPORTED: "an ESC has not reported yet",
+    Verdict.SILENT: "an ESC has fallen silent",
+    Verdict.REPEATED: "repeats the reports before it",
+}
+
+
+class EscReports(NamedTuple):
+    """What N messages say of the vehicle's rotors, in their order.
+
+    Attributes:
+        time_ns: (N,).
+        rpm: (N, 4); any number where there is no sample.
+        marks: (N, 4) change when the ESC reports anew.
+        verdict: (N,) see :class:`Verdict`.
+    """
+
+    time_ns: Stamps
+    rpm: Array
+    marks: Indices
+    verdict: npt.NDArray[np.uint8]
+
+
+def mavros_status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
+    """Reports of mavros_msgs/ESCStatus: in ESC order; each item has the stamp of its own ESC_STATUS."""
+    array = items["esc_status"]
+    marks = array.columns["header.stamp.sec"].astype(np.int64) << 32 | array.columns["header.stamp.nanosec"]
+    return _in_esc_order(columns, array, marks, order)
+
+
+def mavros_telemetry(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
+    """Reports of mavros_msgs/ESCTelemetry: in ESC order, stamped on arrival; packets are counted."""
+    array = items["esc_telemetry"]
+    return _in_esc_order(columns, array, array.columns["count"].astype(np.int64), order)
+
+
+def _in_esc_order(columns: Columns, array: Items, marks: Indices, order: Indices) -> EscReports:
+    time_ns = header_stamps(columns)
+    rpm = array.columns["rpm"].astype(np.float64)
+    return EscReports(time_ns, *_numbered(array.counts, rpm, marks, order))
+
+
+def px4_status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
+    """Reports of px4_msgs/EscStatus: `actuator_function` names the motor, whatever the place in the array."""
+    array = items["esc"]
+    found = _named(
+        array.columns["actuator_function"].astype(np.int64),
+        array.columns["esc_rpm"].astype(np.float64),
+        array.columns["timestamp"].astype(np.int64),
+        columns["esc_online_flags"].astype(np.int64),
+        order + _PX4_MOTOR_1,
+    )
+    return EscReports(microsecond_stamps(columns["timestamp"]), *found)
+
+
+@njit(cache=True)
+def _numbered(
+    counts: Indices, rpm: Array, marks: Indices, order: Indices
+) -> tuple[Array, Indices, npt.NDArray[np.uint8]]:
+    """Reports of the wanted ESCs, where the place in the array is the number of the ESC.
+
+    Args:
+        counts: (N,) reports in each message.
+        rpm: (M,) of all reports.
+        marks: (M,).
+        order: (4,) numbers from 0.
+    """
+    speeds, own_marks = np.zeros((len(counts), len(order))), np.zeros((len(counts), len(order)), np.int64)
+    verdict = np.zeros(len(counts), np.uint8)
+    start = 0
+    for n in range(len(counts)):
+        if counts[n] == 0:
+            verdict[n] = Verdict.NONE_ANNOUNCED
+        elif counts[n] <= order.max():
+            verdict[n] = Verdict.TOO_FEW
+        else:
+            for rotor in range(len(order)):
+                speeds[n, rotor] = rpm[start + order[rotor]]
+                own_marks[n, rotor] = marks[start + order[rotor]]
+        start += counts[n]
+    return speeds, own_marks, verdict
+
+
+@njit(cache=True)
+def _named(
+    functions: Indices, rpm: Array, marks: Indices, online: Indices, wanted: Indices
+) -> tuple[Array, Indices, npt.NDArray[np.uint8]]:
+    """Reports of the wanted motors, where each report names its motor.
+
+    Args:
+        functions: (N E,) what each of the E reports of N messages is of.
+        rpm: (N E,).
+        marks: (N E,) 0 where the ESC has never reported.
+        online: (N,) bits, by place in the array.
+        wanted: (4,) functions.
+    """
+    count = len(online)
+    each = len(functions) // max(count, 1)
+    speeds, own_marks = np.zeros((count, len(wanted))), np.zeros((count, len(wanted)), np.int64)
+    verdict = np.zeros(count, np.uint8)
+    for n in range(count):
+        for rotor in range(len(wanted)):
+            found, own = -1, 0
+            for place in range(each):
+                if functions[n * each + place] != wanted[rotor]:
+                    continue
+                if found >= 0:
+                    verdict[n] = Verdict.MOTOR_TWICE
+                found, own = place, marks[n * each + place]
+            if found < 0:
+                verdict[n] = Verdict.MOTOR_MISSING
+            elif (online[n] >> found) & 1 == 0:
+                verdict[n] = Verdict.OFFLINE
+            elif own == 0:
+                verdict[n] = Verdict.NEVER_REPORTED
+            else:
+                speeds[n, rotor] = rpm[n * each + found]
+                own_marks[n, rotor] = own
+    return speeds, own_marks, verdict
+
+
+@njit(cache=True)
+def _judge_news(
+    time_ns: Stamps, marks: Indices, verdict: npt.NDArray[np.uint8], latest: Indices, heard_ns: Stamps
+) -> None:
+    """Find rows that hold nothing new, or in which an ESC has been silent for SILENT_NS.
+
+    Args:
+        time_ns: (N,).
+        marks: (N, 4).
+        verdict: (N,) changed where a row that was a sample is none.
+        latest: (4,) state: the marks of the last row; -1 before the first.
+        heard_ns: (4,) state: when they changed.
+    """
+    for n in range(len(time_ns)):
+        if verdict[n] != Verdict.SAMPLE:
+            continue
+        news, silent = False, False
+        for rotor in range(len(latest)):
+            if marks[n, rotor] != latest[rotor]:
+                latest[rotor], heard_ns[rotor] = marks[n, rotor], time_ns[n]
+                news = True
+            elif time_ns[n] - heard_ns[rotor] > SILENT_NS:
+                silent = True
+        if not news:
+            verdict[n] = Verdict.REPEATED
+        elif silent:
+            verdict[n] = Verdict.SILENT
+
+
+class RotorReader:
+    """Rotor speeds from the reports of any message; keeps what tells new reports from repeated ones.
+
+    Attributes:
+        dropped: how many messages gave no sample, by reason.
+    """
+
+    def __init__(self, order: RotorOrder, vehicle: Vehicle | None) -> None:
+        if order.unit == ERPM:
+            order.speeds(np.zeros(ROTORS), vehicle)
+        self._order = order
+        self._vehicle = vehicle
+        self._latest = np.full(ROTORS, -1, dtype=np.int64)
+        self._heard_ns = np.zeros(ROTORS, dtype=np.int64)
+        self.dropped: Counter[str] = Counter()
+
+    def read(self, reports: EscReports) -> RotorSpeedStream:
+        """The samples among the reports."""
+        time_ns, rpm, marks, verdict = reports
+        _judge_news(time_ns, marks, verdict, self._latest, self._heard_ns)
+        if verdict.any():
+            self.dropped.update(REASONS[Verdict(value)] for value in verdict[verdict > 0].tolist())
+            kept = verdict == Verdict.SAMPLE
+            time_ns, rpm = time_ns[kept], rpm[kept]
+        return RotorSpeedStream(time_ns, self._order.speeds(rpm, self._vehicle))

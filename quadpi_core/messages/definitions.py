@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Definitions of the message types that quadpi reads and writes: ROS 2 Jazzy's and those in msg/."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from quadpi_core.errors import LogError, one_line
+from quadpi_core.flight import AXES
+from quadpi_core.messages.cdr import Codec, Field
+from quadpi_core.messages.foreign_arrays import ArrayCodec, ItemsField
+from quadpi_core.paths import message_directory
+
+_FORMATS = {
+    "bool": "?",
+    "byte": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "uint16": "<u2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "int64": "<i8",
+    "uint64": "<u8",
+    "float32": "<f4",
+    "float64": "<f8",
+}
+_SEPARATOR = "=" * 80
+_REASON_LENGTH = 80
+
+
+@cache
+def typestore() -> Typestore:
+    """The rosbags type store of ROS 2 Jazzy with the project's own messages registered."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for path in sorted(message_directory().glob("*.msg")):
+        store.register(get_types_from_msg(path.read_text(), f"quadpi/msg/{path.stem}"))
+    return store
+
+
+@cache
+def definition_text(type_name: str) -> str:
+    """The definition of a type and all that it contains, as a bag embeds it (`ros2msg`).
+
+    The project's own messages keep their comments: units and frames travel with the bag.
+    """
+    generated = typestore().generate_msgdef(type_name, ros_version=2)[0]
+    package, _, stem = type_name.split("/")
+    if package != "quadpi":
+        return generated
+    own_text = (message_directory() / f"{stem}.msg").read_text()
+    _, *contained = generated.split(f"{_SEPARATOR}\n")
+    return f"{_SEPARATOR}\n".join([own_text, *contained])
+
+
+@cache
+def codec(type_name: str) -> Codec:
+    """The codec of a type; fields are named by their path, such as `pose.pose.position`.
+
+    A contained message whose members are all of one primitive type (a vector, a quaternion) is one
+    array field, and so are six scalars named for the axes of a wrench (`lower_fx` … `lower_mz`: `lower`).
+    """
+    fields = list(_flat_fields(typestore().fielddefs, type_name, ""))
+    if any(isinstance(field, ItemsField) for field in fields):
+        raise TypeError(f"{type_name} holds an array of messages: that takes an array codec")
+    return Codec(type_name, tuple(_join_wrenches(fields)))
+
+
+@cache
+def array_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int], ...]) -> ArrayCodec:
+    """The codec of a type that others define, and that may hold arrays of messages.
+
+    Args:
+        type_name: such as `px4_msgs/msg/EscStatus`.
+        definition: of that type and all that it contains, as a bag embeds it (`ros2msg`).
+        wanted: columns that are needed, those of items included, and how many numbers each has; 0 for text.
+
+    Raises:
+        LogError: for a definition that is none, or lacks a wanted column.
+    """
+    try:
+        types = get_types_from_msg(definition, type_name)
+        fields = tuple(_flat_fields({**typestore().fielddefs, **types}, type_name, ""))
+        _refuse_repeated(fields)
+    except (TypesysError, TypeError, KeyError, RecursionError) as error:
+        reason = one_line(error)[:_REASON_LENGTH]
+        raise LogError(f"the definition of {type_name} cannot be used: {reason}") from error
+    made = ArrayCodec(type_name, fields, [name for name, _ in wanted])
+    for name, width in wanted:
+        field = made.columns.get(name)
+        if field is None or width != ((field.count or 1) if field.is_number else 0):
+            raise LogError(f"this version of {type_name} has no field {name} of the kind known here")
+    return made
+
+
+def _refuse_repeated(fields: Sequence[Field]) -> None:
+    names = [field.name for field in fields]
+    for name in names:
+        if names.count(name) > 1:
+            raise TypeError(f"the field {name} stands twice")
+    for field in fields:
+        if isinstance(field, ItemsField):
+            _refuse_repeated(field.members)
+
+
+def _join_wrenches(fields: list[Field]) -> Iterator[Field]:
+    index = 0
+    while index < len(fields):
+        run = fields[index : index + len(AXES)]
+        stem = run[0].name.rpartition("_")[0]
+        names = [f"{stem}_{axis.lower()}" for axis in AXES]
+        is_wrench = [field.name for field in run] == names and len({field.format for field in run}) == 1
+        yield Field(stem, run[0].format, len(AXES)) if is_wrench else run[0]
+        index += len(run) if is_wrench else 1
+
+
+def _flat_fields(fielddefs: Mapping[str, Any], type_name: str, prefix: str) -> Iterator[Field]:
+    for name, description in fielddefs[type_name][1]:
+        path = f"{prefix}{name}"
+        match description:
+            case (Nodetype.BASE, ("string", _)):
+                yield Field(path, "string")
+            case (Nodetype.BASE, (str(base), _)):
+                yield Field(path, _FORMATS[base])
+            case (Nodetype.ARRAY, ((Nodetype.BASE, (str(base), _)), int(count))):
+                yield Field(path, _FORMATS[base], count)
+            case (Nodetype.SEQUENCE, ((Nodetype.BASE, ("string", _)), _)):
+                yield Field(path, "strings")
+            case (Nodetype.ARRAY, ((Nodetype.NAME, str(contained)), int(count))):
+                yield ItemsField(path, "items", count, tuple(_flat_fields(fielddefs, contained, "")))
+            case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(contained)), _)):
+                yield ItemsField(path, "items", None, tuple(_flat_fields(fielddefs, contained, "")))
+            case (Nodetype.NAME, str(contained)):
+                members = list(_flat_fields(fielddefs, contained, f"{path}."))
+                formats = {member.format for member in members}
+                if len(formats) == 1 and all(member.is_scalar for member in members):
+                    yield Field(path, formats.pop(), len(members))
+                else:
+                    yield from members
+            case _:
+                raise TypeError(f"{type_name}: {path}: there is no codec for this kind of field")

@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the frame_id of a message says of the axes that its numbers are in; live and in bags by the same rule.
+
+A world whose name ends in `ned` is not the east-north-up that these messages are read in: refused. An IMU in
+another frame than the body's is turned, and moved by its lever arm, where static transforms lead from its
+frame to the body's. Without any, one whose name ends in `frd` is turned by the half turn that this means, one
+that ends in `ned` is refused, and any other is taken as the body's, with a warning; where `strict`, it is
+refused, and so is any `frd` but the body's own. An empty frame_id says nothing: it is taken as it should be.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import struct
+import time
+from collections.abc import Callable, Iterator
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from quadpi_core.errors import SampleError
+from quadpi_core.flight import ImuStream
+from quadpi_core.messages.mounting import Mounting
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.sensor_messages import BODY_FRAME, without_namespace
+from quadpi_core.messages.transforms import StaticTransforms, plain_name
+
+_log = logging.getLogger(__name__)
+
+# Of a message that begins with a header: where its frame_id begins, after encapsulation and stamp.
+_TEXTS = 12
+_ORIGIN = 4
+_LENGTH = struct.Struct("<I")
+_DOWN = re.compile(r"(?:^|[^a-z])ned$", re.I)
+_RIGHT_DOWN = re.compile(r"(?:^|[^a-z])frd$", re.I)
+_WINDOW = 64
+# FRD and FLU are half a turn about x apart, either way.
+_HALF_TURN = np.diag([1.0, -1.0, -1.0])
+
+Content = TypeVar("Content")
+Judge = Callable[[tuple[str, ...]], Mounting | None]
+
+
+class FrameRefusedError(Exception):
+    """Why messages of a frame cannot be used."""
+
+
+class BodyFrames:
+    """Judges frames by what is known of the body.
+
+    Args:
+        body_frame: frame_id of the body, forward-left-up; the last part of its name counts.
+        strict: whether an IMU in a frame that nothing is known of is refused.
+        patience_s: for how long transforms may still come, from the first sample that needs one.
+        hint: why there may be none, for messages.
+        warn: told once of each frame that is taken as the body's.
+
+    Attributes:
+        transforms: the static ones; more may be taken at any time.
+    """
+
+    def __init__(
+        self,
+        body_frame: str = BODY_FRAME,
+        *,
+        strict: bool = False,
+        patience_s: float = 0.0,
+        hint: str = "",
+        warn: Callable[[str], None] = _log.warning,
+    ) -> None:
+        self.transforms = StaticTransforms()
+        self._body = plain_name(body_frame)
+        self._strict = strict
+        self._patience_s = patience_s
+        self._hint = hint
+        self._warn = warn
+        self._warned: set[str] = set()
+        self._since_s: float | None = None
+
+    def imu(self, frames: tuple[str, ...]) -> Mounting | None:
+        """How samples of an IMU have to be moved; None where they are the body's.
+
+        Raises:
+            FrameRefusedError: see the module.
+        """
+        frame = plain_name(frames[0])
+        if not frame or without_namespace(frame) == without_namespace(self._body):
+            return None
+        transform = self.transforms.between(frame, self._body)
+        if transform is not None:
+            return Mounting(_HALF_TURN @ transform.rotation @ _HALF_TURN, _HALF_TURN @ transform.translation)
+        if _DOWN.search(frame):
+            raise FrameRefusedError(
+                f"the frame `{frame}` of an IMU says north-east-down: its axes are the body's"
+            )
+        named = f"the frame `{frame}` is not the body's, `{self._body}`"
+        of_body = without_namespace(frame).lower() == f"{without_namespace(self._body)}_frd".lower()
+        if of_body or (_RIGHT_DOWN.search(frame) and not self._strict):
+            return Mounting(_HALF_TURN, np.zeros(3))
+        if self._waits():
+            raise FrameRefusedError(f"{named}: waiting for a static transform")
+        alone = f"{named}, and no static transform leads there{self._hint}"
+        if self._strict:
+            raise FrameRefusedError(alone)
+        if frame not in self._warned:
+            self._warned.add(frame)
+            self._warn(f"{alone}: taken as the body's")
+        return None
+
+    @staticmethod
+    def world(frames: tuple[str, ...]) -> None:
+        """Judge the frame of a pose, a velocity or the wind, and where there is one that of the body in it.
+
+        Raises:
+            FrameRefusedError: see the module.
+        """
+        if _DOWN.search(frames[0]):
+            raise FrameRefusedError(
+                f"the frame `{frames[0]}` says north-east-down: east-north-up is expected"
+            )
+        for frame in frames[1:]:
+            if _DOWN.search(frame) or _RIGHT_DOWN.search(frame):
+                raise FrameRefusedError(f"the child frame `{frame}` says z down: forward-left-up is expected")
+
+    def _waits(self) -> bool:
+        now_s = time.monotonic()
+        if self._since_s is None:
+            self._since_s = now_s
+        return now_s - self._since_s < self._patience_s
+
+
+class Framed(Generic[Content]):
+    """Unpacks the messages of a topic, in their order, and does what their frames ask for.
+
+    The frames are judged where they change; of messages one by one a few bytes are compared.
+
+    Args:
+        unpack: of N messages or one.
+        judge: such as :meth:`BodyFrames.imu`.
+        frames: that it belongs to.
+        texts: how many names follow the stamp: 2 where there is a child frame.
+    """
+
+    def __init__(
+        self,
+        unpack: Callable[[Payloads | bytes], Content],
+        judge: Judge | Callable[[tuple[str, ...]], None],
+        frames: BodyFrames,
+        texts: int = 1,
+    ) -> None:
+        self._unpack = unpack
+        self._judge = judge
+        self._transforms = frames.transforms
+        self._texts = texts
+        self._known = b""
+        self._end = _TEXTS
+        self._judged_at = -1
+        self._mounting: Mounting | None = None
+
+    def __call__(self, payloads: Payloads | bytes) -> Content:
+        """The samples.
+
+        Raises:
+            SampleError: saying which frame cannot be used, and why.
+            LogError: as `unpack` does.
+        """
+        content = self._unpack(payloads)
+        if isinstance(payloads, bytes):
+            self._meet(payloads, 0)
+            if self._mounting is not None:
+                self._move(content, slice(0, 1))
+            return content
+        for run in self._runs(payloads):
+            self._meet(payloads[run.start], run.start)
+            if self._mounting is not None:
+                self._move(content, run)
+        return content
+
+    def _meet(self, message: bytes, sample: int) -> None:
+        """Judge the frames of a message, unless they are those of the one before."""
+        if message[_TEXTS : self._end] == self._known and self._judged_at == self._transforms.changes:
+            return
+        names, end = _names(message, self._texts)
+        try:
+            self._mounting = self._judge(names)
+        except FrameRefusedError as refused:
+            self._judged_at = -1
+            raise SampleError(sample, str(refused)) from refused
+        self._known, self._end, self._judged_at = message[_TEXTS:end], end, self._transforms.changes
+
+    def _move(self, content: Content, run: slice) -> None:
+        assert isinstance(content, ImuStream)
+        assert self._mounting is not None
+        rates, force = content.angular_velocity[run], content.specific_force[run]
+        self._mounting.move(content.time_ns[run], rates, force)
+
+    def _runs(self, payloads: Payloads) -> Iterator[slice]:
+        """Runs of messages with the same frames; looked for in windows that grow with a run."""
+        start = 0
+        while start < len(payloads):
+            end = _names(payloads[start], self._texts)[1]
+            head = np.frombuffer(payloads[start], dtype=np.uint8, count=end)[_TEXTS:]
+            stop, window = start + 1, _WINDOW
+            while stop < len(payloads):
+                following = np.arange(stop, min(stop + window, len(payloads)))
+                same = payloads.lengths[following] >= end
+                same[same] = (payloads.rows(following[same], end)[:, _TEXTS:] == head).all(axis=1)
+                if not same.all():
+                    stop += int(np.argmin(same))
+                    break
+                stop, window = int(following[-1]) + 1, 2 * window
+            yield slice(start, stop)
+            start = stop
+
+
+def _names(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
+    """The strings that follow the stamp of a message that has been unpacked, and where they end."""
+    names, place = [], _TEXTS
+    for _ in range(count):
+        place = _ORIGIN - (_ORIGIN - place) // _LENGTH.size * _LENGTH.size
+        (length,) = _LENGTH.unpack_from(message, place)
+        place += _LENGTH.size + length
+        names.append(message[place - length : place].rstrip(b"\0").decode(errors="replace"))
+    return tuple(names), place

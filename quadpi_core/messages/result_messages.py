@@ -1,0 +1,246 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Between what the monitor says and its ROS messages; used as :mod:`quadpi_core.messages.sensor_messages`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.flight import AXES, Stamps
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.message_stamps import header_stamps
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.sensor_messages import (
+    ALARM,
+    BODY_FRAME,
+    EVENT,
+    FLU_SIGNS,
+    PREDICTION,
+    header_columns,
+    mirrored,
+)
+from quadpi_core.messages.values import PREDICTION_VALUES, prediction_values
+from quadpi_core.monitor.alarm_kernel import BAD_DATA, CAUSES, UNAVAILABLE
+from quadpi_core.monitor.events import AlarmEvent
+from quadpi_core.monitor.reasons import reasons
+from quadpi_core.results import Alarms, Predictions
+
+_NANOSECONDS = 1_000_000_000
+
+
+def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
+    """Decode quadpi/WrenchPrediction."""
+    (time_ns, values), places = codec(PREDICTION).decode_stamped(payloads), codec(PREDICTION).places
+    lower, upper = _mirrored_bounds(values[:, places["lower"]], values[:, places["upper"]])
+    return Predictions(
+        time_ns=time_ns,
+        predicted=mirrored(values[:, places["predicted"]]),
+        lower=lower,
+        upper=upper,
+        measured=mirrored(values[:, places["measured"]]),
+        relative_width=values[:, places["relative_width"]].copy(),
+    )
+
+
+def pack_predictions(
+    predictions: Predictions,
+    *,
+    model: str,
+    confidence: float,
+    axes: Sequence[str],
+    frame_id: str = BODY_FRAME,
+) -> Payloads:
+    """Encode as quadpi/WrenchPrediction.
+
+    Args:
+        predictions: N rows.
+        model: identity of the model.
+        confidence: nominal coverage of the interval.
+        axes: names of the axes that the model holds.
+        frame_id: body frame.
+    """
+    values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
+    prediction_values(
+        predictions.predicted,
+        predictions.lower,
+        predictions.upper,
+        predictions.measured,
+        predictions.relative_width,
+        values,
+    )
+    return codec(PREDICTION).encode_stamped(
+        predictions.time_ns,
+        values,
+        (
+            ("header.frame_id", frame_id),
+            ("model", model),
+            ("confidence", confidence),
+            ("axes", _axis_flags(tuple(axes))),
+        ),
+    )
+
+
+@cache
+def _axis_flags(axes: tuple[str, ...]) -> int:
+    return sum(1 << AXES.index(axis) for axis in axes)
+
+
+@dataclass(frozen=True)
+class ReportedAlarms:
+    """What alarm messages say; one row per message (see `results.Alarms`).
+
+    Attributes:
+        envelope_distance: (M,) how far the worst input lies outside its training range.
+        inputs_outside: names of the inputs outside the envelope, the farthest first, per message.
+        reasons: why the causes are not ok, in plain words, per message.
+    """
+
+    time_ns: Stamps
+    level: npt.NDArray[np.uint8]
+    causes: npt.NDArray[np.uint8]
+    cause_level: npt.NDArray[np.uint8]
+    cause_health: npt.NDArray[np.uint8]
+    cause_evidence: Array
+    leverage: Array
+    width: Array
+    miscoverage: Array
+    miss_share: Array
+    envelope_distance: Array
+    inputs_outside: list[tuple[str, ...]]
+    reasons: list[tuple[str, ...]]
+
+    @property
+    def of_samples(self) -> npt.NDArray[np.bool_]:
+        """(M,) False for a message that no sample led to: by the monitor's own clock, while nothing came."""
+        of_samples: npt.NDArray[np.bool_] = self.cause_health[:, CAUSES.index(BAD_DATA)] != UNAVAILABLE
+        return of_samples
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> ReportedAlarms:
+        """Those that a mask (M,) chooses."""
+        rows = np.flatnonzero(chosen)
+        columns = {column.name: getattr(self, column.name) for column in fields(self)}
+        kept: dict[str, Any] = {
+            name: [values[k] for k in rows] if isinstance(values, list) else values[rows]
+            for name, values in columns.items()
+        }
+        return replace(self, **kept)
+
+
+_ALARM_NUMBERS = (
+    "level",
+    "causes",
+    "cause_level",
+    "cause_health",
+    "cause_evidence",
+    "leverage",
+    "width",
+    "miscoverage",
+    "miss_share",
+)
+
+
+def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
+    """Decode quadpi/ExtrapolationAlarm."""
+    columns = codec(ALARM).decode(payloads)
+    return ReportedAlarms(
+        time_ns=header_stamps(columns),
+        **{name: columns[name].copy() for name in _ALARM_NUMBERS},
+        envelope_distance=columns["envelope_distance"].copy(),
+        inputs_outside=_texts(columns["inputs_outside"]),
+        reasons=_texts(columns["reasons"]),
+    )
+
+
+def pack_alarms(
+    alarms: Alarms, frame_id: str = BODY_FRAME, unheard: tuple[str, ...] | None = None
+) -> Payloads:
+    """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first.
+
+    Args:
+        alarms: of the monitor.
+        frame_id: body frame.
+        unheard: the reasons, where no samples led to these rows.
+    """
+    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
+    for row in range(len(alarms)):
+        told = reasons(alarms, row) if unheard is None else unheard
+        groups.setdefault((_inputs_outside(alarms.input_excess[row]), told), []).append(row)
+    parts, orders = [], []
+    for (outside, told), members in groups.items():
+        rows = np.array(members)
+        columns = {
+            **header_columns(alarms.time_ns[rows], frame_id),
+            **{name: getattr(alarms, name)[rows] for name in _ALARM_NUMBERS},
+            "envelope_distance": alarms.input_excess[rows].max(axis=1),
+            "inputs_outside": outside,
+            "reasons": told,
+        }
+        parts.append(codec(ALARM).encode(len(rows), columns))
+        orders.append(rows)
+    return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
+
+
+def pack_events(events: Sequence[AlarmEvent], frame_id: str = BODY_FRAME) -> Payloads:
+    """Encode as quadpi/AlarmEvent, one message per event."""
+    parts = []
+    for event in events:
+        columns = {
+            **header_columns(np.array([event.time_ns]), frame_id),
+            **_time("start", event.start_ns),
+            **_time("end", event.end_ns),
+            "number": event.number,
+            "cause": event.cause,
+            "peak_evidence": event.peak_evidence,
+            "reasons": event.reasons,
+        }
+        parts.append(codec(EVENT).encode(1, columns))
+    return Payloads.concatenate(parts)
+
+
+def unpack_events(payloads: Payloads | bytes) -> list[AlarmEvent]:
+    """Decode quadpi/AlarmEvent."""
+    columns = codec(EVENT).decode(payloads)
+    told = _texts(columns["reasons"])
+    times, starts, ends = (header_stamps(columns, prefix) for prefix in ("header.stamp.", "start.", "end."))
+    return [
+        AlarmEvent(
+            number=int(columns["number"][k]),
+            cause=int(columns["cause"][k]),
+            time_ns=int(times[k]),
+            start_ns=int(starts[k]),
+            end_ns=int(ends[k]),
+            peak_evidence=float(columns["peak_evidence"][k]),
+            reasons=words,
+        )
+        for k, words in enumerate(told)
+    ]
+
+
+def _inputs_outside(excess: Array) -> tuple[str, ...]:
+    if not excess.any():
+        return ()
+    return tuple(INPUT_NAMES[k] for k in np.argsort(-excess, kind="stable") if excess[k] > 0.0)
+
+
+def _texts(column: npt.NDArray[Any]) -> list[tuple[str, ...]]:
+    return [tuple(text.decode(errors="replace") for text in texts) for texts in column]
+
+
+def _time(name: str, time_ns: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(time_ns, _NANOSECONDS)
+    return {f"{name}.sec": seconds, f"{name}.nanosec": nanoseconds}
+
+
+def _mirrored_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Bounds (N, 6) between FRD and FLU: they swap on an axis that changes sign."""
+    one, other = mirrored(lower), mirrored(upper)
+    swapped = FLU_SIGNS < 0.0
+    return np.where(swapped, other, one), np.where(swapped, one, other)

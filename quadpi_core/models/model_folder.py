@@ -1,0 +1,238 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Models on disk: a folder with model.json (what and from where) and arrays.safetensors (numbers).
+
+model.json holds the hash of the arrays, and the model's identity is the hash of model.json, so any
+change of either shows. Both are data: reading them executes nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors.numpy import load as load_arrays
+from safetensors.numpy import save as save_arrays
+
+from quadpi_core import __version__
+from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
+from quadpi_core.errors import ModelError, OutputError
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.methods import METHODS, FittedAxis
+from quadpi_core.paths import require_folder, whole_output
+from quadpi_core.scratch import is_being_replaced
+
+MODEL_FILE = "model.json"
+ARRAYS_FILE = "arrays.safetensors"
+FORMAT = 5
+
+
+def save_model(model: AerodynamicModel, folder: Path) -> AerodynamicModel:
+    """Write `model` to `folder`, whole or not at all; returns it with name and identity.
+
+    Raises:
+        OutputError: if the folder cannot be written, or holds what is not part of a model and would be lost.
+    """
+    require_replaceable(folder)
+    arrays: dict[str, Array] = {}
+    axes: dict[str, Any] = {}
+    for axis, fitted in model.fitted.items():
+        arrays |= {f"{axis}.{name}": values for name, values in fitted.arrays().items()}
+        axes[axis] = fitted.to_json() | {
+            "training_range": model.training_range[axis],
+            "selection": model.selection[axis],
+            "held_out_coverage": model.held_out_coverage[axis],
+        }
+    array_bytes = save_arrays(arrays)
+    content = {
+        "format": FORMAT,
+        "method": model.method,
+        "settings": model.settings,
+        "vehicle": model.vehicle,
+        "vehicle_fingerprint": model.vehicle_fingerprint,
+        "cutoff_hz": model.cutoff_hz,
+        "confidence": model.confidence,
+        "axes": axes,
+        "envelope": model.envelope.to_json(),
+        "alarm": model.alarm_limits.to_json(),
+        "flights": [asdict(flight) for flight in model.flights],
+        "versions": {"quadpi": __version__, "numpy": np.__version__, "python": platform.python_version()},
+        "arrays_sha256": hashlib.sha256(array_bytes).hexdigest(),
+    }
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    with whole_output(folder) as temporary:
+        temporary.mkdir()
+        (temporary / ARRAYS_FILE).write_bytes(array_bytes)
+        (temporary / MODEL_FILE).write_text(text)
+    return replace(model, name=folder.name, identity=_identity(folder.name, text))
+
+
+def load_model(folder: Path) -> AerodynamicModel:
+    """Read a model folder.
+
+    Raises:
+        ModelError: naming the file that is missing, altered, not understood or no part of a model.
+    """
+    path = folder / MODEL_FILE
+    text, array_bytes = _read_files(folder)
+    try:
+        content = parse_json(text)
+        if content["format"] != FORMAT:
+            raise ModelError(
+                f"{MODEL_FILE}: format {content['format']!r} is not known to this version ({FORMAT})"
+            )
+        if content["method"] not in METHODS:
+            known = ", ".join(METHODS)
+            raise ModelError(
+                f"{MODEL_FILE}: method {content['method']!r} is not known to this version ({known})"
+            )
+        if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
+            raise ModelError(f"{ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered")
+        model = _parse(folder.name, content, load_arrays(array_bytes), _identity(folder.name, text))
+        # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
+        for fitted in model.fitted.values():
+            fitted.rule.factor(model.confidence)
+        return model
+    except ModelError as error:
+        raise ModelError(f"{folder}: {error}") from error
+    except Exception as error:  # what a part of a model raises depends on what stands in its place
+        raise ModelError(f"{path}: not a quadpi model: {type(error).__name__} {error}") from error
+
+
+def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identity: str) -> AerodynamicModel:
+    axes: dict[str, Any] = content["axes"]
+    if not axes or set(axes) - set(AXES):
+        raise ModelError(f"{MODEL_FILE}: axes {list(axes)}; expected some of {', '.join(AXES)}")
+    return AerodynamicModel(
+        name=name,
+        vehicle=str(content["vehicle"]),
+        vehicle_fingerprint=str(content["vehicle_fingerprint"]),
+        settings=str(content["settings"]),
+        cutoff_hz=float(content["cutoff_hz"]),
+        confidence=float(content["confidence"]),
+        fitted={axis: _axis(content["method"], axis, entry, arrays) for axis, entry in axes.items()},
+        envelope=Envelope.from_json(content["envelope"]),
+        training_range={axis: float(entry["training_range"]) for axis, entry in axes.items()},
+        flights=tuple(_training_flight(flight) for flight in content["flights"]),
+        selection={axis: [_step(row) for row in entry["selection"]] for axis, entry in axes.items()},
+        held_out_coverage={
+            axis: [float(c) for c in entry["held_out_coverage"]] for axis, entry in axes.items()
+        },
+        identity=identity,
+        alarm_limits=AlarmLimits.from_json(content["alarm"]),
+    )
+
+
+def _training_flight(entry: dict[str, Any]) -> TrainingFlight:
+    flight = TrainingFlight(**entry)
+    if not _are(str, flight.name, flight.sha256) or not _are(int, flight.samples):
+        raise ModelError(f"{MODEL_FILE}: a flight is {entry}")
+    return flight
+
+
+def _step(row: dict[str, Any]) -> dict[str, Any]:
+    """A step of the selection, see :meth:`quadpi_core.models.polynomial.StepwisePolynomial.selection_log`."""
+    numbers = [row[name] for name in ("coefficient", "r2")] + [row.get(name) for name in ("sse", "criterion")]
+    if (
+        not _are(str, row["term"], *row.get("removed", []))
+        or not _are(bool, row["fixed"])
+        or not _are((int, float), *(number for number in numbers if number is not None))
+    ):
+        raise ModelError(f"{MODEL_FILE}: a step of the selection is {row}")
+    return row
+
+
+def _are(kind: type | tuple[type, ...], *values: Any) -> bool:
+    """Whether all values are of a kind; true and false are no numbers."""
+    return all(isinstance(value, kind) and (kind is bool or not isinstance(value, bool)) for value in values)
+
+
+def _axis(method: str, axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedAxis:
+    prefix = f"{axis}."
+    own = {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
+    if not all(np.all(np.isfinite(values)) for values in own.values()):
+        raise ModelError(f"{ARRAYS_FILE}: {axis}: numbers that are not finite")
+    try:
+        return METHODS[method].stored(entry, own)
+    except ModelError as error:
+        raise ModelError(f"{axis}: {error}") from error
+
+
+def require_replaceable(folder: Path) -> None:
+    """Refuse a folder that a model cannot take the place of.
+
+    Raises:
+        OutputError: if it cannot be replaced, or holds what is not part of a model and would be lost.
+    """
+    require_folder(folder.parent)
+    if foreign := _foreign(folder):
+        raise OutputError(f"{folder}: holds {foreign}, which is not part of a model: not replaced")
+
+
+def _foreign(folder: Path) -> str | None:
+    """Name of something in a folder that is not part of a model."""
+    try:
+        names = sorted({path.name for path in folder.iterdir()} - {MODEL_FILE, ARRAYS_FILE})
+    except OSError:
+        return None
+    return names[0] if names else None
+
+
+def _read_files(folder: Path) -> tuple[str, bytes]:
+    """Both files of one model, also where a writer replaces the folder meanwhile."""
+    for _ in range(_READS_MAX):
+        before = _number(folder)
+        try:
+            # First, for what stands in a folder that is no model at all is nothing to take out.
+            text = _read(folder / MODEL_FILE).decode(errors="replace")
+            if foreign := _foreign(folder):
+                raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
+            array_bytes = _read(folder / ARRAYS_FILE)
+        except ModelError:
+            if _number(folder) == before and before is not None:
+                raise
+            missing = before is None
+        else:
+            if _number(folder) == before:
+                return text, array_bytes
+            missing = False
+        if missing and not is_being_replaced(folder):
+            _read(folder / MODEL_FILE)
+        time.sleep(_READ_AGAIN_S)
+    raise ModelError(f"{folder}: replaced while it was read, {_READS_MAX} times")
+
+
+# A writer replaces a folder in far less; several may do so one after the other.
+_READS_MAX, _READ_AGAIN_S = 50, 0.01
+
+
+def _number(folder: Path) -> tuple[int, int] | None:
+    """What tells a folder from another of the same name; None if there is none."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return read_bounded(path, JSON_BYTES_MAX)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise ModelError(f"{path}: {error}") from error
+
+
+def _identity(name: str, text: str) -> str:
+    return f"{name}@{hashlib.sha256(text.encode()).hexdigest()[:12]}"

@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Realisations of noise on flights, and what the models then say, counted.
+
+Every realisation of every flight has a seed of its own, so what is counted does not depend on which worker
+counts it, or in which order.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.compiled import njit
+from quadpi_core.flight import AXES, Flight
+from quadpi_core.frames import Array
+from quadpi_core.paper.validation_case import Samples, ValidationCase
+from quadpi_core.simulation.sensor_noise import contaminate
+
+Counts = npt.NDArray[np.int64]
+
+LOWEST, HIGHEST = 0, 1
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Counts and extremes over R realisations of F flights by M models, each axis by itself.
+
+    Attributes:
+        model: (R, M, F, 6) predictions from noisy inputs inside the interval at the noise-free ones.
+        measurement: (R, M, F, 6) noisy measurements inside the interval at the noise-free inputs.
+        combined: (R, M, F, 6) noisy measurements inside the interval at the noisy inputs.
+        width: (R, M, F, 6) sum of the widths at the noisy inputs.
+        predicted: (R, M, F, 6, 2) lowest and highest prediction from noisy inputs.
+        measured: (R, F, 6, 2) lowest and highest noisy measurement.
+    """
+
+    model: Counts
+    measurement: Counts
+    combined: Counts
+    width: Array
+    predicted: Array
+    measured: Array
+
+    @classmethod
+    def empty(cls, realisations: int, models: int, flights: int) -> Tally:
+        """Nothing counted yet."""
+        shape = (realisations, models, flights, len(AXES))
+        return cls(
+            model=np.zeros(shape, dtype=np.int64),
+            measurement=np.zeros(shape, dtype=np.int64),
+            combined=np.zeros(shape, dtype=np.int64),
+            width=np.zeros(shape),
+            predicted=np.zeros((*shape, 2)),
+            measured=np.zeros((realisations, flights, len(AXES), 2)),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Tally]) -> Tally:
+        """The realisations of all parts, one after the other."""
+        columns = [column.name for column in fields(cls)]
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in columns})
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Between what realisations of one flight lie, at each of its N samples.
+
+    Attributes:
+        measured: (2, N, 6) lowest and highest noisy measurement.
+        predicted: by model, (2, N, 6) lowest and highest prediction from noisy inputs.
+    """
+
+    measured: Array
+    predicted: dict[str, Array]
+
+
+def noisy_flight(case: ValidationCase, flight: Flight, realisation: int) -> Flight:
+    """The flight with noise that depends on seed, name of the flight and realisation alone."""
+    return contaminate(flight, case.noise, noise_seed(case.seed, flight.name, realisation))
+
+
+def noise_seed(seed: int, name: str, realisation: int) -> int:
+    """Seed of one realisation of one flight, independent of all others."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), realisation))
+    return int.from_bytes(sequence.generate_state(4).astype("<u4").tobytes(), "little")
+
+
+def realise(case: ValidationCase, realisations: range) -> Tally:
+    """Count what the models of a case say of some of its realisations."""
+    tally = Tally.empty(len(realisations), len(case.models), len(case.flights))
+    for row, realisation in enumerate(realisations):
+        for column, flight in enumerate(case.flights):
+            noisy = case.samples(noisy_flight(case, flight, realisation))
+            tally.measured[row, column, :, LOWEST] = noisy.wrench.min(axis=0)
+            tally.measured[row, column, :, HIGHEST] = noisy.wrench.max(axis=0)
+            for place, name in enumerate(case.models):
+                _count(tally, (row, place, column), case, name, noisy)
+    return tally
+
+
+def spread(case: ValidationCase, flight: str, realisations: range) -> Spread:
+    """Extremes over some realisations of the flight of that name."""
+    clean = next(candidate for candidate in case.flights if candidate.name == flight)
+    measured: Array | None = None
+    predicted: dict[str, Array] = {}
+    for realisation in realisations:
+        noisy = case.samples(noisy_flight(case, clean, realisation))
+        measured = _widened(measured, noisy.wrench)
+        for name, model in case.models.items():
+            said = model.evaluate(noisy.inputs, case.confidence).predicted
+            predicted[name] = _widened(predicted.get(name), said)
+    if measured is None:
+        raise ValueError("no realisation to look at")
+    return Spread(measured, predicted)
+
+
+def _widened(extremes: Array | None, values: Array) -> Array:
+    if extremes is None:
+        return np.stack((values, values))
+    return np.stack((np.minimum(extremes[LOWEST], values), np.maximum(extremes[HIGHEST], values)))
+
+
+def _count(
+    tally: Tally, where: tuple[int, int, int], case: ValidationCase, name: str, noisy: Samples
+) -> None:
+    reference = case.references[name][where[-1]]
+    said = case.models[name].evaluate(noisy.inputs, case.confidence)
+    _count_kernel(
+        reference.lower,
+        reference.upper,
+        noisy.wrench,
+        said.predicted,
+        said.lower,
+        said.upper,
+        tally.model[where],
+        tally.measurement[where],
+        tally.combined[where],
+        tally.width[where],
+        tally.predicted[where],
+    )
+
+
+@njit(cache=True, nogil=True)
+def _count_kernel(
+    reference_lower: Any,
+    reference_upper: Any,
+    measured: Any,
+    predicted: Any,
+    lower: Any,
+    upper: Any,
+    inside_model: Any,
+    inside_measurement: Any,
+    inside_combined: Any,
+    width: Any,
+    extremes: Any,
+) -> None:
+    extremes[:, LOWEST] = np.inf
+    extremes[:, HIGHEST] = -np.inf
+    for i in range(measured.shape[0]):
+        for axis in range(measured.shape[1]):
+            y, said = measured[i, axis], predicted[i, axis]
+            low, high = reference_lower[i, axis], reference_upper[i, axis]
+            inside_model[axis] += low <= said <= high
+            inside_measurement[axis] += low <= y <= high
+            inside_combined[axis] += lower[i, axis] <= y <= upper[i, axis]
+            width[axis] += upper[i, axis] - lower[i, axis]
+            extremes[axis, LOWEST] = min(extremes[axis, LOWEST], said)
+            extremes[axis, HIGHEST] = max(extremes[axis, HIGHEST], said)

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is validated: models, on noise-free flights, under noise."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from quadpi_core import __version__
+from quadpi_core.errors import QuadpiError, SignalError
+from quadpi_core.flight import Flight
+from quadpi_core.frames import Array
+from quadpi_core.inputs import flight_inputs
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.paper.model_cache import code_fingerprint
+from quadpi_core.signals.chain import filter_zero_phase
+from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.simulation.sensor_noise import StateNoise
+from quadpi_core.vehicle import Vehicle
+
+
+class ValidationError(QuadpiError):
+    """Models, flights and noise do not make a validation."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a model is given and what it should say.
+
+    Attributes:
+        inputs: (N, 19) input vectors.
+        wrench: (N, 6) N and Nm.
+    """
+
+    inputs: Array
+    wrench: Array
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A noise-free flight, and the intervals of a model on it.
+
+    Attributes:
+        wrench: (N, 6).
+        predicted, lower, upper: (N, 6).
+    """
+
+    wrench: Array
+    predicted: Array
+    lower: Array
+    upper: Array
+
+
+@dataclass(frozen=True)
+class ValidationCase:
+    """Models judged on realisations of noise over flights.
+
+    Attributes:
+        vehicle: that flew and that the models are of.
+        models: by the name that they have in the result.
+        flights: noise-free, of different names.
+        noise: on states and measurements.
+        confidence: nominal coverage of the intervals.
+        seed: of all noise.
+    """
+
+    vehicle: Vehicle
+    models: Mapping[str, AerodynamicModel]
+    flights: tuple[Flight, ...]
+    noise: StateNoise
+    confidence: float
+    seed: int
+
+    def check(self) -> None:
+        """Refuse what cannot be compared.
+
+        Raises:
+            ValidationError: for no model or flight, flights of the same name, and models that take another
+                low-pass each.
+            ModelError: for a model of another vehicle, or that gives no interval of this confidence.
+        """
+        if not self.models or not self.flights:
+            raise ValidationError("a validation needs models and noise-free flights")
+        names = [flight.name for flight in self.flights]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValidationError(f"flight {name}: present twice")
+        for model in self.models.values():
+            model.require(self.vehicle)
+            for fitted in model.fitted.values():
+                fitted.rule.factor(self.confidence)
+        cutoffs = {name: f"{model.cutoff_hz:g} Hz" for name, model in self.models.items()}
+        if len(set(cutoffs.values())) > 1:
+            listed = ", ".join(f"{name} {cutoff}" for name, cutoff in cutoffs.items())
+            raise ValidationError(f"models of different low-pass ({listed}): validate them one by one")
+
+    def samples(self, flight: Flight) -> Samples:
+        """Inputs and wrench of a flight with noise or without, after the low-pass of the models."""
+        flight = low_passed(flight, next(iter(self.models.values())).cutoff_hz)
+        return Samples(flight_inputs(flight, self.vehicle), measured_wrench(flight, self.vehicle))
+
+    @cached_property
+    def references(self) -> dict[str, tuple[Reference, ...]]:
+        """Per model, its intervals on each of the flights without noise."""
+        samples = [self.samples(flight) for flight in self.flights]
+        return {
+            name: tuple(self._reference(model, known) for known in samples)
+            for name, model in self.models.items()
+        }
+
+    def _reference(self, model: AerodynamicModel, samples: Samples) -> Reference:
+        said = model.evaluate(samples.inputs, self.confidence)
+        return Reference(samples.wrench, said.predicted, said.lower, said.upper)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of all that the result depends on, the number of realisations aside."""
+        digest = hashlib.sha256()
+        facts = {
+            "quadpi": __version__,
+            "code": code_fingerprint(),
+            "vehicle": self.vehicle.fingerprint,
+            "noise": asdict(self.noise),
+            "confidence": self.confidence,
+            "seed": self.seed,
+            "models": {name: _numbers(model) for name, model in self.models.items()},
+            "flights": {flight.name: flight_hash(flight) for flight in self.flights},
+        }
+        digest.update(json.dumps(facts).encode())
+        return digest.hexdigest()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What travels to a worker: what can be computed again stays behind."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def low_passed(flight: Flight, cutoff_hz: float) -> Flight:
+    """The flight after the zero-phase low-pass that offline use of a model has.
+
+    A cut-off of half the sample rate or more leaves it as it is: the paper's simulated flights were not
+    filtered.
+
+    Raises:
+        SignalError: naming the flight, if it is too short to filter.
+    """
+    if cutoff_hz >= 0.5 * flight.rate_hz * (1.0 - 1e-6):
+        return flight
+    try:
+        filtered = filter_zero_phase(
+            flight.velocity,
+            flight.attitude,
+            flight.rates,
+            flight.specific_force,
+            flight.rotor_speeds,
+            flight.wind,
+            rate_hz=flight.rate_hz,
+            cutoff_hz=cutoff_hz,
+        )
+    except SignalError as error:
+        raise SignalError(f"{flight.source}: {error}") from error
+    return replace(flight, **filtered._asdict())
+
+
+def flight_hash(flight: Flight) -> str:
+    """SHA-256 of the samples of a flight."""
+    return _hash([getattr(flight, column.name) for column in fields(flight)])
+
+
+def _numbers(model: AerodynamicModel) -> dict[str, Any]:
+    """What a model predicts with."""
+    axes = {
+        axis: [fitted.to_json(), _hash([values for _, values in sorted(fitted.arrays().items())])]
+        for axis, fitted in model.fitted.items()
+    }
+    return {"method": model.method, "cutoff_hz": model.cutoff_hz, "axes": axes}
+
+
+def _hash(values: Sequence[Any]) -> str:
+    digest = hashlib.sha256()
+    for value in values:
+        if isinstance(value, np.ndarray):
+            digest.update(np.ascontiguousarray(value).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,183 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where flights lie against the training envelope, and residuals against airspeed, as plotly figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from quadpi_core.evaluation.flight_results import FlightResult
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_INDEX
+from quadpi_core.models.envelope import Envelope
+from quadpi_core.report.figures import series, styled
+from quadpi_core.report.style import INPUT_LABELS, MEASURED, TRAINING, group_colours, translucent, unit
+
+ENVELOPE_INPUTS = ("speed", "omega_avg", "mu_x", "mu_y", "mu_z", "p", "q", "r")
+_HISTOGRAM_BINS = 60
+_TAIL = 0.001
+_SHARE_FLOOR = 0.03
+_WORTH_NOTING = 0.01
+_LIMIT_LINE = {"color": MEASURED, "width": 1, "dash": "dot"}
+_SPEED_BINS = 14
+_FEWEST_SAMPLES = 50
+
+Groups = Mapping[str, Sequence[FlightResult]]
+
+
+def envelope_figure(groups: Groups, envelope: Envelope, training_flights: Sequence[str]) -> go.Figure:
+    """Distributions of the key inputs by group, with the range that training covered behind them.
+
+    Shares are drawn on a logarithmic scale: the tails are what leaves the envelope. The range of the
+    airspeed, which is no input of its own, is shown where training flights are at hand.
+    """
+    figure = make_subplots(
+        rows=2,
+        cols=4,
+        vertical_spacing=0.2,
+        horizontal_spacing=0.03,
+        shared_yaxes="all",
+        subplot_titles=[INPUT_LABELS[name] for name in ENVELOPE_INPUTS],
+    )
+    training = [f for flights in groups.values() for f in flights if f.name in training_flights]
+    for i, name in enumerate(ENVELOPE_INPUTS):
+        cell = {"row": i // 4 + 1, "col": i % 4 + 1}
+        values = {
+            group: np.concatenate([_input(f, name) for f in flights]) for group, flights in groups.items()
+        }
+        _add_histograms(figure, values, cell, showlegend=i == 0)
+        limits = _training_limits(name, envelope, training)
+        if limits is not None:
+            # After the histograms: plotly leaves shapes out of a subplot that is still empty.
+            figure.add_vrect(*limits, fillcolor=TRAINING, line=_LIMIT_LINE, layer="below", **cell)
+            _note_outside(figure, values, limits, cell)
+    shares = {"tickvals": [0.1, 1, 10, 100], "ticktext": ["0.1 %", "1 %", "10 %", "100 %"]}
+    figure.update_yaxes(type="log", range=[np.log10(_SHARE_FLOOR), 2], **shares)
+    return styled(figure, height=540)
+
+
+def _add_histograms(
+    figure: go.Figure, values: Mapping[str, Array], cell: dict[str, int], showlegend: bool
+) -> None:
+    edges = _edges(list(values.values()))
+    for group, colour in group_colours(values).items():
+        counts, _ = np.histogram(values[group], edges)
+        share = 100.0 * np.append(counts, counts[-1]) / len(values[group])
+        figure.add_scatter(
+            **series(edges, np.maximum(share, _SHARE_FLOOR)),
+            line={"color": colour, "width": 1.5, "shape": "hv"},
+            fill="tozeroy",
+            fillcolor=translucent(colour, 0.2),
+            name=group,
+            legendgroup=group,
+            showlegend=showlegend,
+            hovertemplate="%{y:.2f} %",
+            **cell,
+        )
+
+
+def _note_outside(
+    figure: go.Figure, values: Mapping[str, Array], limits: tuple[float, float], cell: dict[str, int]
+) -> None:
+    notes = []
+    for group, colour in group_colours(values).items():
+        outside = float(np.mean((values[group] < limits[0]) | (values[group] > limits[1])))
+        if outside >= _WORTH_NOTING:
+            notes.append(f"<span style='color:{colour}'>{100 * outside:.0f} % outside</span>")
+    if notes:
+        figure.add_annotation(
+            text="<br>".join(notes),
+            x=1,
+            y=1,
+            xref="x domain",
+            yref="y domain",
+            xanchor="right",
+            yanchor="top",
+            align="right",
+            showarrow=False,
+            **cell,
+        )
+
+
+def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> go.Figure:
+    """Residuals against airspeed: the band that holds `confidence` of them; mean interval dashed."""
+    columns = min(3, len(axes))
+    rows = -(-len(axes) // columns)
+    figure = make_subplots(
+        rows=rows,
+        cols=columns,
+        vertical_spacing=0.18 / rows,
+        horizontal_spacing=0.07,
+        shared_xaxes=True,
+        subplot_titles=[f"{axis} [{unit(axis)}]" for axis in axes],
+    )
+    fastest = max(float(f.speed.max()) for flights in groups.values() for f in flights)
+    edges = np.linspace(0.0, fastest, _SPEED_BINS + 1)
+    tail = 0.5 - 0.5 * confidence
+    for i, axis in enumerate(axes):
+        cell = {"row": i // columns + 1, "col": i % columns + 1}
+        for (group, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
+            bands = _residual_bands(flights, axis, edges, tail)
+            legend = {"legendgroup": group, "hoverinfo": "skip", **cell}
+            speed, low, high, below, above = bands
+            figure.add_scatter(**series(speed, low), line_width=0, showlegend=False, **legend)
+            figure.add_scatter(
+                **series(speed, high),
+                line_width=0,
+                fill="tonexty",
+                fillcolor=translucent(colour, 0.25),
+                name=group,
+                showlegend=i == 0,
+                **legend,
+            )
+            dashed = {"line": {"color": colour, "width": 1.5, "dash": "dash"}, "showlegend": False}
+            figure.add_scatter(**series(speed, below), **dashed, **legend)
+            figure.add_scatter(**series(speed, above), **dashed, **legend)
+        figure.update_yaxes(zeroline=True, zerolinecolor=MEASURED, zerolinewidth=1, **cell)
+        if i + columns >= len(axes):
+            figure.update_xaxes(title_text=INPUT_LABELS["speed"], showticklabels=True, **cell)
+    return styled(figure, height=90 + 230 * rows)
+
+
+def _residual_bands(flights: Sequence[FlightResult], axis: str, edges: Array, tail: float) -> Array:
+    """Rows: speed, residual quantiles low and high, mean interval bounds about the prediction; per bin."""
+    measured, predicted, lower, upper = (
+        np.concatenate([f.column(quantity, axis) for f in flights])
+        for quantity in ("measured", "predicted", "lower", "upper")
+    )
+    speed = np.concatenate([f.speed for f in flights])
+    bins = np.clip(np.searchsorted(edges, speed, side="right") - 1, 0, len(edges) - 2)
+    columns = []
+    for k in np.flatnonzero(np.bincount(bins, minlength=len(edges) - 1) >= _FEWEST_SAMPLES):
+        chosen = bins == k
+        residual = np.quantile(measured[chosen] - predicted[chosen], [tail, 1.0 - tail])
+        below = np.mean(lower[chosen] - predicted[chosen])
+        above = np.mean(upper[chosen] - predicted[chosen])
+        columns.append((np.mean(speed[chosen]), *residual, below, above))
+    return np.array(columns).reshape(-1, 5).T
+
+
+def _input(result: FlightResult, name: str) -> Array:
+    return result.speed if name == "speed" else result.inputs[:, INPUT_INDEX[name]]
+
+
+def _training_limits(
+    name: str, envelope: Envelope, training: Sequence[FlightResult]
+) -> tuple[float, float] | None:
+    if name != "speed":
+        index = INPUT_INDEX[name]
+        return float(envelope.lower[index]), float(envelope.upper[index])
+    if not training:
+        return None
+    return min(float(f.speed.min()) for f in training), max(float(f.speed.max()) for f in training)
+
+
+def _edges(values: Sequence[Array]) -> Array:
+    """Bin edges between the extreme quantiles of all groups, so that a lone spike does not set the scale."""
+    low = min(float(np.quantile(v, _TAIL)) for v in values)
+    high = max(float(np.quantile(v, 1.0 - _TAIL)) for v in values)
+    return np.linspace(low, high if high > low else low + 1.0, _HISTOGRAM_BINS + 1)

@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The consistency check: findings on a recording and its vehicle, each with the likeliest mistake and remedy.
+
+What it finds, what it cannot, and how the thresholds compare with real flights: docs/mistakes.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from quadpi_core.errors import LogError
+from quadpi_core.findings import Finding
+from quadpi_core.flight import Recording
+from quadpi_core.screening.excerpt import Excerpt, Pose, RotorExcerpt, excerpt, rotor_excerpt
+from quadpi_core.screening.motion_consistency import Hypothesis, Innovation, cost, hypotheses, innovation
+from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
+from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidence
+from quadpi_core.screening.wild_samples import Beyond
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+# A cost of 1 is what sensors of sound flights differ by (`motion.cost`). Of 139 real flights that any mistake
+# explained better by half, none reached 1.8; mistakes on bundled flights begin at 3.5.
+IMPLAUSIBLE_COST = 2.0
+# By which a mistake must lower it: real flights of an implausible cost reach 1.05, mistakes begin at 2.7.
+EXPLAINS_FACTOR = 2.0
+# From these on there is no doubt, and the recording is refused.
+CERTAIN_COST, CERTAIN_FACTOR = 10.0, 5.0
+# Mistakes that explain a recording equally well, within this factor: the simplest is named.
+_EQUAL_FACTOR = 1.1
+# Rigid bodies of motion capture are defined, and IMUs mounted, to a few degrees; clocks keep time.
+_SMALLEST_ANGLE_DEG, _SMALLEST_SCALE = 6.0, 1.12
+# Rotor speeds as they come through telemetry are up to 30 ms late on real flights.
+_LATE_S, _LATE_GAIN = 0.06, 0.1
+# Share of the accelerations that the squares of the rotor speeds must explain before more is read from them.
+_EXPLAINED = 0.25
+# Correlations: real flights have 0.35 and more about roll and pitch, and between −0.2 and 1 about yaw.
+_FOLLOWS, _ORDER_GAIN, _OPPOSES = 0.35, 0.5, -0.3
+# Inertia times acceleration over arm times thrust is 0.3 to 1.2 on real flights; damping lowers it.
+_INERTIA_RATIO = 1.35
+# A rotor that reads low leaves roll, pitch and yaw unbalanced alike. Rotors of real flights differ by 5 %.
+_ROTOR_LOW, _ROTOR_LEFT = 0.07, 0.35
+# Thrust coefficient over that of the vehicle file. Flying through air lowers it: at 16 m/s to half.
+_THRUST_RATIO = (0.4, 1.18)
+
+
+def checked(
+    recording: Recording, vehicle: Vehicle, beyond: Mapping[str, Sequence[Beyond]] | None = None
+) -> Recording:
+    """The recording with what is to be said of it in its `quality`.
+
+    Args:
+        recording: without samples that are left out.
+        vehicle: that flew.
+        beyond: see :func:`quadpi_core.screening.plausibility.implausibilities`.
+
+    Raises:
+        LogError: naming file and topic, for units and axes that cannot be right, and certain mistakes.
+    """
+    check_plausible(recording, vehicle, beyond)
+    found = tuple(findings(recording, vehicle))
+    for finding in found:
+        if finding.certain:
+            raise LogError(f"{recording.source}: {finding}")
+    return replace(recording, quality=replace(recording.quality, findings=found))
+
+
+def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """What contradicts itself in a recording; without a vehicle, only the motion is looked at.
+
+    Args:
+        recording: with values that are finite, and stamps that rise.
+        vehicle: that flew.
+    """
+    rotors = rotor_excerpt(recording)
+    turned: Hypothesis | None = None
+    states: list[Pose] = [state for state in (recording.pose, recording.odometry) if state is not None]
+    for state in states:
+        sample = excerpt(recording, state)
+        mistake = None if sample is None else _motion(sample)
+        if mistake is not None:
+            hypothesis, before, after = mistake
+            culprit = ""
+            if hypothesis.gyro is not None and rotors is not None and vehicle is not None:
+                imu_is_wrong = _rotors_follow_better(rotors, vehicle, hypothesis)
+                turned = hypothesis if imu_is_wrong else turned
+                culprit = f"; the rotor speeds agree with {state.topic if imu_is_wrong else 'the IMU'}"
+            yield _finding(state.topic, hypothesis, before, after, culprit)
+            # What is wrong with the IMU shows in every state.
+            break
+    if rotors is None or vehicle is None:
+        return
+    if turned is not None and turned.gyro is not None:
+        rotors = replace(rotors, rates=rotors.rates @ turned.gyro.T)
+    evidence = rotor_evidence(rotors, vehicle)
+    if evidence is not None:
+        yield from _rotor_findings(evidence, vehicle)
+    yield from _thrust(recording, vehicle)
+
+
+def _motion(sample: Excerpt) -> tuple[Hypothesis, Innovation, Innovation] | None:
+    """The mistake that explains the innovations, with those before and after it is undone."""
+    before = innovation(sample)
+    motion = before.motion
+    cost_before = cost(before, motion)
+    if not cost_before >= IMPLAUSIBLE_COST:
+        return None
+    tried = []
+    for hypothesis in hypotheses(sample, before):
+        after = innovation(hypothesis.undo(sample))
+        tried.append((cost(after, motion), hypothesis, after))
+    least = min(price for price, _, _ in tried)
+    price, hypothesis, after = next(one for one in tried if one[0] <= _EQUAL_FACTOR * least)
+    small = hypothesis.angle_deg is not None and hypothesis.angle_deg < _SMALLEST_ANGLE_DEG
+    near = hypothesis.scale is not None and max(hypothesis.scale, 1.0 / hypothesis.scale) < _SMALLEST_SCALE
+    if price * EXPLAINS_FACTOR > cost_before or small or near:
+        return None
+    return hypothesis, before, after
+
+
+def _finding(
+    topic: str, hypothesis: Hypothesis, before: Innovation, after: Innovation, culprit: str
+) -> Finding:
+    motion = before.motion
+    worse, better = cost(before, motion), cost(after, motion)
+    return Finding(
+        mistake=hypothesis.name,
+        topic=topic,
+        text=(
+            f"{hypothesis.looks}: {hypothesis.remedy} lowers the innovation of the attitude from "
+            f"{before.turn_rad_s:.2g} to {after.turn_rad_s:.2g} rad/s and that of the acceleration from "
+            f"{before.fall_m_s2:.2g} to {after.fall_m_s2:.2g} m/s²{culprit}"
+        ),
+        certain=worse >= CERTAIN_COST and worse >= CERTAIN_FACTOR * better,
+    )
+
+
+def _rotors_follow_better(rotors: RotorExcerpt, vehicle: Vehicle, hypothesis: Hypothesis) -> bool:
+    """Whether the rotor speeds agree with the IMU once a mistake in its axes is undone, and not before."""
+    assert hypothesis.gyro is not None
+    undone = replace(rotors, rates=rotors.rates @ hypothesis.gyro.T)
+    before, after = (rotor_evidence(one, vehicle) for one in (rotors, undone))
+    if before is None or after is None:
+        return True
+    return float(np.sum(after.correlation)) > float(np.sum(before.correlation))
+
+
+def _rotor_findings(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
+    topic = "rotor_speeds"
+    if evidence.explained < _EXPLAINED:
+        return
+    if abs(evidence.lag_s) >= _LATE_S and evidence.explained - evidence.explained_now >= _LATE_GAIN:
+        side = "late" if evidence.lag_s > 0.0 else "early"
+        yield Finding(
+            "rotor stamps",
+            topic,
+            f"the stamps look {abs(evidence.lag_s) * 1e3:.0f} ms too {side}: shifting them raises what the "
+            f"rotor speeds explain of the accelerations from {max(evidence.explained_now, 0.0):.0%} to "
+            f"{evidence.explained:.0%}",
+        )
+    ordered = _order_finding(evidence, vehicle)
+    if ordered is not None:
+        yield ordered
+        return
+    ratio = float(evidence.ratio.max())
+    if min(evidence.correlation[:2]) >= _FOLLOWS and ratio >= _INERTIA_RATIO:
+        yield Finding(
+            "inertia",
+            topic,
+            f"inertia times acceleration is {ratio:.2g} times arm times thrust: the vehicle's inertia looks "
+            f"{ratio:.2g} times too large, or its mass or arms too small by that factor",
+        )
+    yield from _low_rotor(evidence, vehicle)
+
+
+def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
+    """Rotors that the vehicle file lists in another order, other places or other spins."""
+    now, best = evidence.correlation, evidence.order_correlation
+    gain = float(np.sum(best * np.abs(best)) - np.sum(now * np.abs(now)))
+    topic, same = "rotor_speeds", evidence.order == tuple(range(ROTORS))
+    if min(best[:2]) < _FOLLOWS or (same and not evidence.spins_inverted):
+        return None
+    said = f"the correlation of the moments with the motion rises from {_numbers(now)} to {_numbers(best)}"
+    if same:
+        if now[2] > _OPPOSES:
+            return None
+        return Finding(
+            "spins inverted",
+            topic,
+            "all spins of the vehicle look inverted (clockwise is as seen from above): with the other ones "
+            + said,
+        )
+    if gain < _ORDER_GAIN:
+        return None
+    for axis, words in ((1, "left to right"), (0, "front to rear")):
+        if evidence.spins_inverted and evidence.order == _mirrored(vehicle, axis):
+            return Finding(
+                "vehicle mirrored",
+                topic,
+                f"the places of the vehicle's rotors look mirrored {words} (forward-right-down expected): "
+                f"otherwise {said}",
+            )
+    moved = [rotor + 1 for rotor, column in enumerate(evidence.order) if rotor != column]
+    columns = ", ".join(str(column + 1) for column in evidence.order)
+    swapped = f"rotors {moved[0]} and {moved[1]} look swapped" if len(moved) == 2 else "the order looks wrong"
+    spins = " and all spins inverted" if evidence.spins_inverted else ""
+    return Finding("rotor order", topic, f"{swapped}: with the columns in the order {columns}{spins} {said}")
+
+
+def _mirrored(vehicle: Vehicle, axis: int) -> tuple[int, ...]:
+    """For each rotor, the one in its mirror image across a body axis."""
+    signs = np.sign(vehicle.rotor_positions[:, :2])
+    image = signs.copy()
+    image[:, axis] *= -1.0
+    return tuple(int(np.argmin(np.abs(signs - one).sum(axis=1))) for one in image)
+
+
+def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
+    """One rotor whose speed, were it another, would balance roll, pitch and yaw over the flight."""
+    squares = evidence.mean_squares / evidence.mean_squares.mean()
+    places = vehicle.rotor_positions[:, :2] / np.abs(vehicle.rotor_positions[:, :2]).mean(axis=0)
+    levers = np.stack((-places[:, 1], places[:, 0], -vehicle.rotor_spins))
+    unbalanced = levers @ squares
+    missing = -(levers.T @ unbalanced) / np.sum(levers**2, axis=0)
+    left = np.linalg.norm(unbalanced[:, np.newaxis] + levers * missing, axis=0)
+    rotor = int(np.argmin(left))
+    truly = squares[rotor] + missing[rotor]
+    if truly <= 0.0 or left[rotor] > _ROTOR_LEFT * float(np.linalg.norm(unbalanced)):
+        return
+    reads = float(np.sqrt(squares[rotor] / truly))
+    if abs(reads - 1.0) >= _ROTOR_LOW:
+        yield Finding(
+            "one rotor",
+            "rotor_speeds",
+            f"rotor {rotor + 1} looks as if it read {reads:.2f} times its speed: with {1.0 / reads:.2f} "
+            "times as much, roll, pitch and yaw are balanced",
+        )
+
+
+def _thrust(recording: Recording, vehicle: Vehicle) -> Iterator[Finding]:
+    known, flown = vehicle.thrust_coefficient, thrust_coefficient(recording, vehicle)
+    if known is None or flown is None:
+        return
+    low, high = _THRUST_RATIO
+    ratio = flown / known
+    if not low < ratio < high:
+        yield Finding(
+            "thrust",
+            "rotor_speeds",
+            f"thrust over Σω² gives C_T = {flown:.3g}, {ratio:.2f} times the vehicle file's {known:.3g}: the "
+            f"mass looks {ratio:.2f} times too large, or the rotor speeds {np.sqrt(1.0 / ratio):.2f} times "
+            "what they are (pole pairs?)",
+        )
+
+
+def _numbers(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)

@@ -1,0 +1,438 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Do IMU and state tell of one motion? If not, which mistake in frames, axes, units or clocks explains it.
+
+Two innovations, those of a filter without its tuning: what the attitude turned by against the integral of the
+gyro, and the acceleration of the position against the specific force turned into the world. A mistake is a
+hypothesis: a change of the excerpt that undoes it. The one that brings the innovations down most is named,
+if it does so by a margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations, product
+
+import numpy as np
+
+from quadpi_core.frames import Array, rotate_body_to_world, rotation_matrix
+from quadpi_core.screening.excerpt import Excerpt
+from quadpi_core.units import STANDARD_GRAVITY
+
+# Over the first the gyro is integrated; over twice the second the position is differentiated twice.
+TURN_S, FALL_S = 0.1, 0.2
+# The innovations are set against these: what sensors of sound flights differ by.
+TURN_RAD_S, FALL_M_S2 = 0.1, 0.3
+_SHARE_OF_MOTION = 0.1
+# The largest ones are left out: crashes, and state estimates that jump.
+_KEPT_SHARE = 0.9
+# Factors of units and clocks that are tried: a thousandth to a thousand, then in between.
+_FACTORS = np.geomspace(1e-3, 1e3, 121)
+_FINE_FACTORS = np.geomspace(0.93, 1.07, 29)
+# The cost at the best factor over that of a state that does not move: a true factor of
+# the bundled flights leaves at most 0.1, positions with 0.3 m of noise leave 0.68 and more.
+_WORTH_SHARE = 0.5
+# Beyond, nothing that flies is left in windows of this length; such stamps are refused elsewhere.
+_LARGEST_CLOCK_FACTOR = 3.0
+_UP = np.array([0.0, 0.0, 1.0])
+_FLIP = np.diag([1.0, -1.0, -1.0])
+_SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """M innovations of both kinds, before their differences are taken.
+
+    Attributes:
+        turned: (M, 3) rad/s, by the gyro, body axes.
+        turned_attitude: (M, 3) rad/s, by the attitude.
+        force: (M, 3) m/s², specific force in the world, weighted over 2 FALL_S.
+        needed: (M, 3) m/s², the acceleration of the position over the same, less gravity.
+        attitude: (M, 4) in the middle.
+    """
+
+    turned: Array
+    turned_attitude: Array
+    force: Array
+    needed: Array
+    attitude: Array
+
+    @property
+    def turn_rad_s(self) -> float:
+        """Of the attitude against the gyro."""
+        return _size(self.turned - self.turned_attitude)
+
+    @property
+    def fall_m_s2(self) -> float:
+        """Of the position against the specific force."""
+        return _size(self.force - self.needed)
+
+    @property
+    def motion(self) -> tuple[float, float]:
+        """How fast the gyro turns, and how much the specific force varies."""
+        return _size(self.turned), _size(self.force - np.mean(self.force, axis=0))
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A mistake, and what undoes it.
+
+    Attributes:
+        name: short, for programs.
+        undo: gives the excerpt as it would be without the mistake.
+        looks: what the data look like, in words.
+        remedy: what to change.
+        gyro: (3, 3) what it does to the rates of the IMU, if the mistake may be the IMU's.
+        angle_deg, scale: how large the mistake is, where the data tell.
+    """
+
+    name: str
+    undo: Callable[[Excerpt], Excerpt]
+    looks: str
+    remedy: str
+    gyro: Array | None = None
+    angle_deg: float | None = None
+    scale: float | None = None
+
+
+def innovation(sample: Excerpt) -> Innovation:
+    """The innovations of an excerpt, about twenty a second."""
+    cells = sample.rates.shape[1]
+    span, half = round(TURN_S / sample.step_s), round(FALL_S / sample.step_s)
+    stride = max(1, span // 2)
+    begin = np.arange(0, cells + 1 - span, stride)
+    cell_turns = _exponential(sample.rates * sample.step_s)
+    by_gyro = cell_turns[:, begin]
+    for cell in range(1, span):
+        by_gyro = _product(by_gyro, cell_turns[:, begin + cell])
+    by_attitude = _product(_inverse(sample.attitude[:, begin]), sample.attitude[:, begin + span])
+    turned, turned_attitude = (_logarithm(turn) / (span * sample.step_s) for turn in (by_gyro, by_attitude))
+    middle = sample.attitude[:, 1:] + sample.attitude[:, :-1]
+    middle = middle / np.linalg.norm(middle, axis=2, keepdims=True)
+    in_world = rotate_body_to_world(middle.reshape(-1, 4), sample.force.reshape(-1, 3)).reshape(
+        sample.force.shape
+    )
+    at = np.arange(half, cells + 1 - half, stride)
+    # The second difference of a position weighs accelerations by a triangle.
+    weights = (1.0 - np.abs(np.arange(-half, half) + 0.5) / half) / half
+    windows = np.lib.stride_tricks.sliding_window_view(in_world, 2 * half, axis=1)[:, at - half]
+    position = sample.position
+    second = position[:, at + half] - 2.0 * position[:, at] + position[:, at - half]
+    needed = second / (half * sample.step_s) ** 2 - STANDARD_GRAVITY * _UP
+    return Innovation(
+        turned.reshape(-1, 3),
+        turned_attitude.reshape(-1, 3),
+        (windows @ weights).reshape(-1, 3),
+        needed.reshape(-1, 3),
+        sample.attitude[:, at].reshape(-1, 4),
+    )
+
+
+def cost(found: Innovation, motion: tuple[float, float]) -> float:
+    """How far the innovations are beyond those of sound flights, squared; `motion` of the data as read."""
+    turn = found.turn_rad_s / (TURN_RAD_S + _SHARE_OF_MOTION * motion[0])
+    fall = found.fall_m_s2 / (FALL_M_S2 + _SHARE_OF_MOTION * motion[1])
+    return turn**2 + fall**2
+
+
+def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
+    """Every mistake that is known, simple ones first; `found` are the innovations as the data are."""
+    topic = sample.topic
+    yield Hypothesis(
+        "attitude conjugated",
+        lambda e: replace(e, attitude=_inverse(e.attitude)),
+        f"the attitude of {topic} looks conjugated (world to body)",
+        "inverting it",
+    )
+    yield Hypothesis(
+        "ned frd",
+        lambda e: _of_world(_of_body(e, _FLIP), _SWAP, _SWAP),
+        f"{topic} looks written in NED and FRD where ENU and FLU are expected, or the other way round",
+        "converting it",
+    )
+    yield Hypothesis(
+        "attitude ned frd",
+        lambda e: _of_world(_of_body(e, _FLIP), _SWAP, np.eye(3)),
+        f"the attitude of {topic}, not its position, looks written in NED and FRD where ENU and FLU are "
+        "expected, or the other way round",
+        "converting it",
+    )
+    yield Hypothesis(
+        "position ned",
+        lambda e: _of_world(e, np.eye(3), _SWAP),
+        f"the position of {topic}, not its attitude, looks written in NED where ENU is expected, or the "
+        "other way round",
+        "converting it",
+    )
+    yield Hypothesis(
+        "position swapped",
+        lambda e: _of_world(e, np.eye(3), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+        f"x and y of the position of {topic} look swapped",
+        "swapping them",
+    )
+    for shift in (1, 3):
+        yield Hypothesis(
+            "quaternion order",
+            partial(_reordered, shift=shift),
+            f"the numbers of the attitude of {topic} look ordered {'xyzw' if shift == 1 else 'wxyz'} where "
+            "the other order is expected",
+            "reordering them",
+        )
+    for axis in "zxy":
+        for degrees in (90, 180, -90):
+            turn = _about("xyz".index(axis), np.radians(degrees))
+            yield Hypothesis(
+                "imu turned",
+                partial(_of_imu, gyro=turn, accelerometer=turn),
+                f"the axes of the IMU and those of {topic} look turned against each other by {degrees}° "
+                f"about {axis}",
+                f"turning the IMU by {degrees}° about {axis} of the body, or {topic} by {-degrees}°,",
+                gyro=turn,
+            )
+    for matrix in _signed_permutations():
+        proper = np.linalg.det(matrix) > 0.0
+        words = _axes(matrix)
+        if not proper:
+            yield Hypothesis(
+                "imu mirrored",
+                partial(_of_imu, gyro=matrix, accelerometer=matrix),
+                f"the axes of the IMU look mirrored: its x, y, z seem to be {words}",
+                "making them so",
+                gyro=matrix,
+            )
+            yield Hypothesis(
+                "imu mirrored",
+                partial(_of_imu, gyro=-matrix, accelerometer=matrix),
+                f"the axes of the IMU look mirrored: x, y, z of its accelerometer seem to be {words}",
+                "making them so, and the gyro's the other way round,",
+                gyro=-matrix,
+            )
+        yield Hypothesis(
+            "gyro axes",
+            partial(_of_imu, gyro=matrix, accelerometer=np.eye(3)),
+            f"the axes of the gyro look wrong, those of the accelerometer not: x, y, z seem to be {words}",
+            "making them so",
+            gyro=matrix,
+        )
+        yield Hypothesis(
+            "position axes",
+            partial(_of_world, attitude=np.eye(3), position=matrix),
+            f"the axes of the position of {topic} look wrong, those of its attitude not: x, y, z seem to be "
+            f"{words}",
+            "making them so",
+        )
+    yield from _fitted(sample, found)
+
+
+def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
+    """Mistakes of a size that the data tell."""
+    topic = sample.topic
+    body = _body_rotation(found)
+    angle = np.degrees(_logarithm_of(body))
+    size = float(np.linalg.norm(angle))
+    tilted = bool(np.hypot(angle[0], angle[1]) > abs(angle[2]))
+    yield Hypothesis(
+        "body tilted" if tilted else "body yawed",
+        lambda e: _of_imu(e, body.T, body.T),
+        f"the axes of the IMU and those of {topic} look turned against each other by {size:.0f}° about "
+        f"({angle[0]:.0f}, {angle[1]:.0f}, {angle[2]:.0f})°",
+        f"turning the rigid body of {topic}, or the IMU, so that both agree,",
+        gyro=body.T,
+        angle_deg=size,
+    )
+    world = _rotation_between(found.force, found.needed, np.ones(len(found.force)))
+    angle = np.degrees(_logarithm_of(world))
+    size = float(np.linalg.norm(angle))
+    yield Hypothesis(
+        "world tilted",
+        lambda e: _of_world(e, world.T, world.T),
+        f"the world of {topic} looks tilted by {size:.0f}°: its z axis is not vertical",
+        "levelling it",
+        angle_deg=size,
+    )
+    yield Hypothesis(
+        "world turned",
+        lambda e: _of_world(e, world.T, np.eye(3)),
+        f"the worlds of attitude and position of {topic} look turned against each other by {size:.0f}° about "
+        f"({angle[0]:.0f}, {angle[1]:.0f}, {angle[2]:.0f})°",
+        "giving both in one world",
+        angle_deg=size,
+    )
+    fast = _best_scale(found, lambda s: (s, s**2))
+    if max(fast, 1.0 / fast) <= _LARGEST_CLOCK_FACTOR:
+        yield Hypothesis(
+            "clock",
+            lambda e: replace(e, step_s=e.step_s / fast),
+            f"the clock looks {fast:.2f} times too fast",
+            f"dividing all stamps by {fast:.2f}",
+            scale=fast,
+        )
+    turning = 1.0 / _best_scale(found, lambda s: (s, 1.0))
+    yield Hypothesis(
+        "gyro scale",
+        lambda e: replace(e, rates=e.rates * turning),
+        f"the gyro reads {1.0 / turning:.2f} times what the attitude of {topic} turns by",
+        f"dividing it by {1.0 / turning:.2f}",
+        scale=turning,
+    )
+    larger = 1.0 / _best_scale(found, lambda s: (1.0, s))
+    yield Hypothesis(
+        "position scale",
+        lambda e: replace(e, position=e.position / larger),
+        f"the position of {topic} looks {larger:.3g} times too large: another unit?",
+        f"dividing it by {larger:.3g}",
+        scale=larger,
+    )
+
+
+def _best_scale(found: Innovation, scales: Callable[[float], tuple[float, float]]) -> float:
+    """The factor s of the smallest cost, if `scales(s)` multiply turns of the attitude and accelerations.
+
+    1 where a state that does not move at all would do nearly as well.
+    """
+    motion, gravity = found.motion, STANDARD_GRAVITY * _UP
+    accelerations = found.needed + gravity
+
+    def cost_of(factor: float) -> float:
+        turn, fall = scales(factor)
+        scaled = replace(
+            found, turned_attitude=turn * found.turned_attitude, needed=fall * accelerations - gravity
+        )
+        return cost(scaled, motion)
+
+    coarse = min(_FACTORS, key=cost_of)
+    best = float(min(coarse * _FINE_FACTORS, key=cost_of))
+    # Noise shrinks to any size that is small enough; only true motion is worth more than none.
+    return best if cost_of(best) < _WORTH_SHARE * cost_of(0.0) else 1.0
+
+
+def _size(differences: Array) -> float:
+    """Root mean square of the norms of (M, 3), the largest left out."""
+    squares = np.sort(np.sum(differences**2, axis=1))
+    return float(np.sqrt(np.mean(squares[: max(1, round(_KEPT_SHARE * len(squares)))])))
+
+
+def _body_rotation(found: Innovation) -> Array:
+    """Rotation (3, 3) that takes vectors in the state's body axes into the IMU's, by both innovations."""
+    to_body = _inverse(found.attitude)
+    force, needed = (rotate_body_to_world(to_body, values) for values in (found.force, found.needed))
+    of = np.concatenate((found.turned / TURN_RAD_S, force / FALL_M_S2))
+    over = np.concatenate((found.turned_attitude / TURN_RAD_S, needed / FALL_M_S2))
+    weights = np.ones(len(of))
+    rotation = _rotation_between(of, over, weights)
+    for _ in range(3):
+        off = np.linalg.norm(of - over @ rotation.T, axis=1)
+        for part in (slice(0, len(found.turned)), slice(len(found.turned), None)):
+            weights[part] = off[part] <= np.quantile(off[part], _KEPT_SHARE)
+        rotation = _rotation_between(of, over, weights)
+    return rotation
+
+
+def _rotation_between(of: Array, over: Array, weights: Array) -> Array:
+    """Rotation C (3, 3) with of ≈ over Cᵀ, by least squares (Wahba's problem, solved as Markley does)."""
+    left, _, right = np.linalg.svd((weights[:, np.newaxis] * of).T @ over)
+    handed = np.sign(np.linalg.det(left @ right))
+    return np.asarray(left @ np.diag([1.0, 1.0, handed]) @ right)
+
+
+def _logarithm_of(rotation: Array) -> Array:
+    cosine = float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0))
+    skew = rotation - rotation.T
+    axis = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    return np.asarray(np.arccos(cosine) * axis / max(float(np.linalg.norm(axis)), 1e-12))
+
+
+def _about(axis: int, angle: float) -> Array:
+    turn = np.zeros(3)
+    turn[axis] = angle
+    rotation: Array = rotation_matrix(_exponential(turn[np.newaxis]))[0]
+    return rotation
+
+
+def _of_imu(sample: Excerpt, gyro: Array, accelerometer: Array) -> Excerpt:
+    return replace(sample, rates=sample.rates @ gyro.T, force=sample.force @ accelerometer.T)
+
+
+def _reordered(sample: Excerpt, shift: int) -> Excerpt:
+    return replace(sample, attitude=_continuous_rows(np.roll(sample.attitude, shift, axis=2)))
+
+
+def _of_body(sample: Excerpt, turn: Array) -> Excerpt:
+    return replace(sample, attitude=_product(sample.attitude, _quaternion(turn)))
+
+
+def _of_world(sample: Excerpt, attitude: Array, position: Array) -> Excerpt:
+    return replace(
+        sample,
+        attitude=_product(_quaternion(attitude), sample.attitude),
+        position=sample.position @ position.T,
+    )
+
+
+def _quaternion(rotation: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+
+
+def _signed_permutations() -> Iterator[Array]:
+    """All 47 relabellings and reversals of axes but the one that changes nothing, few changes first."""
+    matrices = [
+        np.diag(signs)[:, list(order)]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return iter(sorted(matrices, key=lambda m: -float(np.trace(m)))[1:])
+
+
+def _axes(matrix: Array) -> str:
+    """What x, y, z become, such as `y, x, -z`."""
+    rows = []
+    for row in matrix:
+        column = int(np.argmax(np.abs(row)))
+        rows.append(("-" if row[column] < 0.0 else "") + "xyz"[column])
+    return ", ".join(rows)
+
+
+def _product(first: Array, second: Array) -> Array:
+    """Quaternion product (..., 4)."""
+    w, x, y, z = np.moveaxis(first, -1, 0)
+    a, b, c, d = np.moveaxis(second, -1, 0)
+    products: Array = np.stack(
+        (
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ),
+        axis=-1,
+    )
+    return products
+
+
+def _inverse(attitude: Array) -> Array:
+    return np.asarray(attitude * [1.0, -1.0, -1.0, -1.0])
+
+
+def _exponential(turn: Array) -> Array:
+    """Quaternions (..., 4) of rotation vectors (..., 3)."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+    return np.concatenate((np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * turn), axis=-1)
+
+
+def _logarithm(attitude: Array) -> Array:
+    """Rotation vectors (..., 3) of quaternions (..., 4)."""
+    attitude = np.where(attitude[..., :1] < 0.0, -attitude, attitude)
+    vector = attitude[..., 1:]
+    size = np.linalg.norm(vector, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(size, attitude[..., :1])
+    return np.asarray(vector * np.where(size > 1e-9, angle / np.maximum(size, 1e-12), 2.0))
+
+
+def _continuous_rows(attitude: Array) -> Array:
+    """Every window (W, K + 1, 4) of the sign that makes it continuous."""
+    opposite = np.sum(attitude[:, 1:] * attitude[:, :-1], axis=2) < 0.0
+    signs = np.cumprod(np.where(opposite, -1.0, 1.0), axis=1)
+    return np.concatenate((attitude[:, :1], attitude[:, 1:] * signs[..., np.newaxis]), axis=1)

@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Do rotor speeds, the motion and the vehicle's numbers agree? Order, spins, lag, mass and inertia.
+
+Thrust and torque of a rotor go with its speed squared. So angular acceleration over the squares tells the
+place and spin of each rotor, whatever its coefficients, and how large inertia is beside mass times arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from quadpi_core.frames import Array
+from quadpi_core.screening.excerpt import RotorExcerpt
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+# Angular acceleration and squares are compared between these: below, aerodynamics act; above, noise.
+_SLOW_S, _FAST_S = 0.25, 0.05
+# Lags of rotor speeds that are tried.
+_LAGS_S = 0.3
+# Windows in which the rotors' mean square is below this share of the fastest window's are on the ground.
+_CARRYING_SHARE = 0.4
+
+
+@dataclass(frozen=True)
+class RotorEvidence:
+    """What rotor speeds tell of a vehicle.
+
+    Attributes:
+        lag_s: by which the rotor speeds come late.
+        explained: share of the angular acceleration about roll and pitch, and of the thrust, that the squares
+            explain together at that lag, 0 to 1.
+        explained_now: the same without a lag.
+        correlation: (3,) of roll, pitch and yaw acceleration with what the vehicle's places and spins make of
+            the squares.
+        ratio: (2,) inertia times acceleration over arm times thrust, about roll and pitch; near 1.
+        torque_ratio_m: yaw moment over thrust.
+        order: rotor columns that fit the vehicle's rotors best, (0, 1, 2, 3) as they are.
+        spins_inverted: whether spins fit best that way.
+        order_correlation: (3,) for these.
+        mean_squares: (4,) of each rotor, over the flight.
+        samples: that were compared.
+    """
+
+    lag_s: float
+    explained: float
+    explained_now: float
+    correlation: Array
+    ratio: Array
+    torque_ratio_m: float
+    order: tuple[int, ...]
+    spins_inverted: bool
+    order_correlation: Array
+    mean_squares: Array
+    samples: int
+
+
+def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | None:
+    """What an excerpt tells; None if the rotors never turn."""
+    cells, step = sample.rates.shape[1], sample.step_s
+    inside = slice(sample.margin, sample.margin + cells)
+    level = sample.squares[:, inside].sum(axis=2).mean(axis=1)
+    flying = level > _CARRYING_SHARE * level.max()
+    if level.max() <= 0.0:
+        return None
+    rates, force, squares = sample.rates[flying], sample.force[flying], sample.squares[flying]
+    acceleration = np.zeros_like(rates)
+    acceleration[:, 1:-1] = (rates[:, 2:] - rates[:, :-2]) / (2.0 * step)
+    # The first and last have no neighbour.
+    moving = _band(acceleration[:, 1:-1], step)
+    lifting = _band(-force[:, 1:-1, 2:], step)
+    turning = _band(rates[:, 1:-1], step).reshape(-1, 3)
+    damped = _Without(turning)
+    moving, lifting = damped(moving.reshape(-1, 3)), lifting.reshape(-1, 1)
+    signals = np.concatenate((moving[:, :2], lifting), axis=1)
+    lags = range(-round(_LAGS_S / step), round(_LAGS_S / step) + 1)
+    explained = [_explained(_shifted(squares, sample.margin + lag, cells, step), signals) for lag in lags]
+    best = int(np.argmax(explained))
+    shown = _shifted(squares, sample.margin + lags[best], cells, step)
+    shown = damped(shown)
+    now = squares[:, inside]
+    totals = now.sum(axis=2)
+    thrust = float(vehicle.mass_kg * np.sum(-force[..., 2] * totals) / np.sum(totals**2))
+    levers = np.stack((-vehicle.rotor_positions[:, 1], vehicle.rotor_positions[:, 0], -vehicle.rotor_spins))
+    correlation, gain = _correlation(moving, shown @ levers.T)
+    inertia = np.diag(vehicle.inertia)
+    order, inverted, ordered = _best_order(moving, shown, levers)
+    return RotorEvidence(
+        lag_s=float(lags[best] * step),
+        explained=explained[best],
+        explained_now=explained[len(lags) // 2],
+        correlation=correlation,
+        ratio=gain[:2] * inertia[:2] / thrust,
+        torque_ratio_m=float(gain[2] * inertia[2] / thrust),
+        order=order,
+        spins_inverted=inverted,
+        order_correlation=ordered,
+        mean_squares=now.reshape(-1, ROTORS).mean(axis=0),
+        samples=len(moving),
+    )
+
+
+def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int, ...], bool, Array]:
+    """Order of columns and sense of the spins whose moments follow the accelerations best."""
+    best = (-np.inf, tuple(range(ROTORS)), False, np.zeros(3))
+    for order in permutations(range(ROTORS)):
+        correlation, _ = _correlation(moving, squares[:, order] @ levers.T)
+        for inverted in (False, True):
+            signed = correlation * (1.0, 1.0, -1.0 if inverted else 1.0)
+            score = float(np.sum(signed * np.abs(signed)))
+            if score > best[0] + 1e-9:
+                best = (score, order, inverted, signed)
+    return best[1:]
+
+
+def _correlation(of: Array, over: Array) -> tuple[Array, Array]:
+    """Correlation and slope (C,) of columns (N, C) over others."""
+    product, power = np.sum(of * over, axis=0), np.sum(over**2, axis=0)
+    return (
+        product / np.sqrt(np.maximum(np.sum(of**2, axis=0) * power, 1e-30)),
+        product / np.maximum(power, 1e-30),
+    )
+
+
+def _explained(squares: Array, signals: Array) -> float:
+    """Share of the variance of signals (N, C), each on its own scale, that the squares (N, 4) explain."""
+    coefficients, *_ = np.linalg.lstsq(squares, signals, rcond=None)
+    left = np.sum((signals - squares @ coefficients) ** 2, axis=0)
+    return float(np.mean(1.0 - left / np.maximum(np.sum(signals**2, axis=0), 1e-30)))
+
+
+def _shifted(squares: Array, first: int, cells: int, step: float) -> Array:
+    """Squares (N, 4) from a cell on, weighted and filtered as the acceleration is."""
+    part = squares[:, first : first + cells]
+    mean = 0.25 * part[:, :-2] + 0.5 * part[:, 1:-1] + 0.25 * part[:, 2:]
+    return _band(mean, step).reshape(-1, ROTORS)
+
+
+class _Without:
+    """Takes out of signals (N, C) what other ones (N, D) explain: damping goes with the rates."""
+
+    def __init__(self, others: Array) -> None:
+        self._basis, _ = np.linalg.qr(others)
+
+    def __call__(self, signals: Array) -> Array:
+        return np.asarray(signals - self._basis @ (self._basis.T @ signals))
+
+
+def _band(values: Array, step: float) -> Array:
+    """Values (W, K, C) between the two time scales; as many cells less as the slow one takes."""
+    slow, fast = (2 * round(0.5 * length / step) + 1 for length in (_SLOW_S, _FAST_S))
+    edge = (slow - fast) // 2
+    return np.asarray(_mean(values, fast)[:, edge:-edge] - _mean(values, slow))
+
+
+def _mean(values: Array, length: int) -> Array:
+    total = np.cumsum(np.concatenate((np.zeros_like(values[:, :1]), values), axis=1), axis=1)
+    return np.asarray((total[:, length:] - total[:, :-length]) / length)

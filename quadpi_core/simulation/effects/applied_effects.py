@@ -1,0 +1,207 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects at work: inside the compiled flight, on the vehicle, on the air, on sensors, on recorded states."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import NumbaExperimentalFeatureWarning, types
+
+from quadpi_core.compiled import njit, once
+from quadpi_core.config import nearest
+from quadpi_core.errors import SimulationError
+from quadpi_core.flight import Recording
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effects.effect_definition import SHAPE, Effect, Effects, Wrench
+from quadpi_core.simulation.effects.effect_kernels import MODULATORS, modulators, shaped
+from quadpi_core.simulation.effects.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
+from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.vehicle import Vehicle, is_rigid_body
+
+# Of what `compose` gives: (state, vehicle, parameters (K, P)).
+SIGNATURE = types.void(STATE_TYPE, VEHICLE_TYPE, types.float64[:, ::1])
+FUNCTION_TYPE = types.FunctionType(SIGNATURE)
+# In the place of an index into the registry: a function that is no part of it.
+_EXTRA = -1
+# A row of parameters ends with the shape of its law and that index.
+_SHAPES = len(SHAPE)
+_SHAPE_AT = -1 - _SHAPES
+
+# Functions that are passed to kernels: numba calls them experimental since 2020.
+warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
+
+
+def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ()) -> tuple[Any, Array]:
+    """The wrench effects as one compiled function, and its parameters.
+
+    Without `extra` it is always the same function, compiled once and cached on disk: the parameters tell
+    which effects act.
+
+    Args:
+        effects: those of another kind are passed over.
+        extra: compiled functions like that of a wrench effect but no part of the registry, each with its
+            parameters. They act before the effects.
+
+    Returns:
+        A function of type :data:`FUNCTION_TYPE` that adds to `state.wrench`, one effect after the other, and
+        its parameters (K, P): a row for each, with the shape of its law and its index in the last columns.
+    """
+    rows = [(np.asarray(values, dtype=float), _shape({}), _EXTRA) for _, values in extra]
+    for effect, own in _of_kind(effects, "wrench"):
+        rows.append((own, _shape(effects[effect.name]), WRENCH_INDEX[effect.name]))
+    longest = max((len(values) for values, _, _ in rows), default=0)
+    parameters = np.zeros((len(rows), longest + _SHAPES + 1))
+    for row, (values, shape, index) in zip(parameters, rows, strict=True):
+        row[: len(values)] = values
+        row[_SHAPE_AT:-1] = shape
+        row[-1] = index
+    if not rows:
+        # Spares a flight without effects the seconds in which all of them compile for the first time.
+        return _passable_whole(_none), parameters
+    return _chain(tuple(function for function, _ in extra)), parameters
+
+
+@njit(cache=True)
+def _registered(state: Any, vehicle: Any, parameters: Array) -> None:
+    for row in range(len(parameters)):
+        p = parameters[row]
+        wrench = added_wrench(int(p[-1]), state, vehicle, p)
+        _add(state, shaped(wrench, state, vehicle, p[_SHAPE_AT:-1]))
+
+
+@njit(cache=True)
+def _none(state: Any, vehicle: Any, parameters: Array) -> None:
+    pass
+
+
+@once
+def _passable_whole(function: Any) -> Any:
+    """Numba passes a function to a kernel only if it has one signature and takes no other."""
+    function.compile(SIGNATURE)
+    function.disable_compile()
+    return function
+
+
+@njit(cache=True)
+def _add(state: Any, wrench: Wrench) -> None:
+    total = state.wrench
+    for axis in range(6):
+        total[axis] += wrench[axis]
+
+
+@once
+def _chain(extra: tuple[Any, ...], row: int = 0) -> Any:
+    """The functions `extra`, whose parameters begin at a row, then the registered effects."""
+    if not extra:
+        return _passable_whole(_registered)
+    first, others = extra[0], _chain(extra[1:], row + 1)
+
+    @njit(SIGNATURE)
+    def both(state: Any, vehicle: Any, parameters: Array) -> None:
+        _add(state, first(state, vehicle, parameters[row, :_SHAPE_AT]))
+        others(state, vehicle, parameters)
+
+    return both
+
+
+def effect_wrench(
+    name: str, parameters: Mapping[str, float], states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]
+) -> Array:
+    """Wrench (N, 6) [N, Nm] that one effect adds to recorded states.
+
+    Args:
+        name: of a wrench effect.
+        parameters: every one, within its bounds or not.
+        states: (N,) of `records.STATE`, with the aerodynamics in them.
+        vehicle: (1,) of `records.VEHICLE`.
+
+    Raises:
+        SimulationError: if there is no such wrench effect.
+    """
+    if name not in WRENCH_INDEX:
+        raise SimulationError(f"`{name}` is no effect on the wrench{nearest(name, WRENCH_INDEX)}")
+    values, shape = _values(EFFECTS[name], parameters), _shape(parameters)
+    return _added_to_all(WRENCH_INDEX[name], states, vehicle, values, shape)
+
+
+def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]) -> Array:
+    """What laws may be shaped with (N, MODULATORS), see :func:`kernels.modulators`, of recorded states.
+
+    Args:
+        states: (N,) of `records.STATE`.
+        vehicle: (1,) of `records.VEHICLE`.
+    """
+    found: Array = _modulators_of_all(states, vehicle)
+    return found
+
+
+@njit(cache=True)
+def _modulators_of_all(states: Any, vehicles: Any) -> Array:
+    found = np.empty((len(states), MODULATORS))
+    for i in range(len(states)):
+        of = modulators(states[i], vehicles[0])
+        for index in range(MODULATORS):
+            found[i, index] = of[index]
+    return found
+
+
+@njit(cache=True)
+def _added_to_all(index: int, states: Any, vehicles: Any, p: Array, shape: Array) -> Array:
+    added = np.empty((len(states), 6))
+    for i in range(len(states)):
+        wrench = added_wrench(index, states[i], vehicles[0], p)
+        wrench = shaped(wrench, states[i], vehicles[0], shape)
+        for axis in range(6):
+            added[i, axis] = wrench[axis]
+    return added
+
+
+def altered_vehicle(effects: Effects, vehicle: Vehicle) -> Vehicle:
+    """The vehicle as it truly flies.
+
+    Raises:
+        SimulationError: for moments of inertia of which one is more than the sum of the other two.
+    """
+    for effect, values in _of_kind(effects, "vehicle"):
+        vehicle = effect.function(vehicle, values)
+    if "inertia" in effects and not is_rigid_body(vehicle.inertia):
+        x, y, z = effects["inertia"].values()
+        raise SimulationError(
+            f"vehicle {vehicle.name}: effect `inertia`: changes of {x:g}, {y:g} and {z:g} leave moments "
+            "that no rigid body has (each is at most the sum of the other two)"
+        )
+    return vehicle
+
+
+def added_wind(effects: Effects, time: Array, rng: np.random.Generator) -> Array:
+    """Wind (N, 3) m/s that the effects add at times (N,) s, in the world."""
+    added = np.zeros((len(time), 3))
+    for effect, values in _of_kind(effects, "wind"):
+        added += effect.function(time, values, rng)
+    return added
+
+
+def altered_recording(effects: Effects, recording: Recording, vehicle: Vehicle) -> Recording:
+    """The recording as sensors with these effects would give it."""
+    for effect, values in _of_kind(effects, "sensor"):
+        recording = effect.function(recording, vehicle, values)
+    return recording
+
+
+def _of_kind(effects: Effects, kind: str) -> Iterator[tuple[Effect, Array]]:
+    for name, effect in EFFECTS.items():
+        if effect.kind == kind and name in effects:
+            yield effect, _values(effect, effects[name])
+
+
+def _values(effect: Effect, parameters: Mapping[str, float]) -> Array:
+    return np.array([parameters[parameter.name] for parameter in effect.parameters], dtype=float)
+
+
+def _shape(parameters: Mapping[str, float]) -> Array:
+    return np.array([parameters.get(parameter.name, parameter.default) for parameter in SHAPE])

@@ -1,0 +1,278 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sensors that fail for a while: each kind of failure is one small function on what a sensor sends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import SimulationError
+from quadpi_core.flight import Stamps, Stream
+from quadpi_core.frames import Array
+from quadpi_core.simulation.config_section import Section
+from quadpi_core.vehicle import ROTORS
+
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
+# Signals of each topic, with the unit that the size of a failure has in files; None where it has no size.
+SIGNALS: dict[str, dict[str, str | None]] = {
+    "imu": {"angular_velocity": "rad_s", "specific_force": "m_s2"},
+    "rotor_speeds": {"speeds": "rad_s"},
+    "mocap/pose": {"position": "m", "attitude": None},
+    "wind": {"velocity": "m_s"},
+}
+_SPIKE_EVERY = 10
+# Far beyond any flight, and its nanoseconds are still whole numbers of 64 bits.
+_LONGEST_S = 1e6
+
+
+@dataclass(frozen=True)
+class Sent:
+    """What a sensor sends: a stream of N samples, when each was taken (N,), and when it arrives (N,)."""
+
+    stream: Stream
+    taken_ns: Stamps
+    arrival_ns: Stamps
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A failure of one sensor, from `at_s` after the start of the flight on, for `for_s`.
+
+    Attributes:
+        kind: a name of :data:`KINDS`.
+        topic: of the stream that fails; `rotor_speeds` also where a bag holds `erpm`.
+        signals: the quantities of the stream that fail; none named: all.
+        rotors: the rotors that fail, from 1; none named: all.
+        size: how much is added, where the kind needs it: in the unit of the signal, or s of the stamps.
+    """
+
+    kind: str
+    topic: str
+    at_s: float
+    for_s: float
+    signals: tuple[str, ...] = ()
+    rotors: tuple[int, ...] = ()
+    size: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a scenario file that :func:`read_faults` makes into this fault."""
+        entry: dict[str, Any] = {
+            "kind": self.kind,
+            "topic": self.topic,
+            "at_s": self.at_s,
+            "for_s": self.for_s,
+        }
+        sizes = KINDS[self.kind].sizes(self.topic)
+        if sizes:
+            own = (key for key, signal in sizes.items() if not self.signals or signal in self.signals)
+            entry[next(own)] = self.size
+        elif self.signals:
+            entry["signal"] = self.signals[0]
+        if self.rotors:
+            entry["rotors"] = list(self.rotors)
+        return entry
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """How a kind of failure alters what is sent.
+
+    Attributes:
+        summary: what it does, in a few words.
+        alter: gives what is sent, from what would be, the samples (N,) in its window, and the fault.
+        topics: where it can happen.
+        one_signal: whether it may be confined to one signal of the topic.
+        rotors: how many rotors may be named, fewest and most.
+        size: "signal" where it adds to a signal, "stamps" where to the stamps, else "".
+    """
+
+    summary: str
+    alter: Callable[[Sent, Mask, Fault], Sent]
+    topics: tuple[str, ...] = tuple(SIGNALS)
+    one_signal: bool = False
+    rotors: tuple[int, int] = (0, 0)
+    size: str = ""
+
+    def sizes(self, topic: str) -> dict[str, str | None]:
+        """Keys of a file that give the size, each with the signal that it belongs to."""
+        if self.size == "stamps":
+            return {"size_s": None}
+        if self.size == "signal":
+            return {f"size_{unit}": signal for signal, unit in SIGNALS[topic].items() if unit}
+        return {}
+
+
+def read_faults(data: Any, where: str) -> tuple[Fault, ...]:
+    """Read the list `faults` of a scenario file.
+
+    Args:
+        data: the list; None for no faults.
+        where: file and keys above, for messages.
+
+    Raises:
+        SimulationError: naming the entry and its key that is missing, unknown or impossible.
+    """
+    if data is None:
+        return ()
+    if not isinstance(data, list):
+        raise SimulationError(f"{where}: expected a list of faults, found {data!r}")
+    return tuple(_read_fault(entry, f"{where}: fault {index}") for index, entry in enumerate(data, start=1))
+
+
+def _read_fault(data: Any, where: str) -> Fault:
+    # What may stand in an entry depends on its kind and topic, so these are read first.
+    loose = Section(data, where, data if isinstance(data, dict) else ())
+    name = loose.choice("kind", KINDS)
+    kind = KINDS[name]
+    topic = loose.choice("topic", kind.topics)
+    sizes = kind.sizes(topic)
+    has_signals = kind.one_signal and len(SIGNALS[topic]) > 1
+    has_rotors = topic == "rotor_speeds" and kind.rotors[1] > 0
+    optional = ["signal"] * has_signals + ["rotors"] * has_rotors
+    section = Section(data, where, ["kind", "topic", "at_s", "for_s", *optional, *sizes])
+    signals: tuple[str, ...] = (section.choice("signal", SIGNALS[topic]),) if "signal" in section else ()
+    size = 0.0
+    if sizes:
+        given = [key for key in sizes if key in section]
+        if len(given) != 1:
+            raise SimulationError(f"{where}: {name} of {topic} needs `{'` or `'.join(sizes)}`")
+        stamps = kind.size == "stamps"
+        size = section.number(
+            given[0], lowest=0.0 if stamps else -np.inf, highest=_LONGEST_S if stamps else np.inf
+        )
+        signal = sizes[given[0]]
+        signals = (signal,) if signal else ()
+    return Fault(
+        kind=name,
+        topic=topic,
+        at_s=section.number("at_s", highest=_LONGEST_S),
+        for_s=section.number("for_s", highest=_LONGEST_S),
+        signals=signals,
+        rotors=_read_rotors(section, *kind.rotors) if has_rotors else (),
+        size=size,
+    )
+
+
+def _read_rotors(section: Section, fewest: int, most: int) -> tuple[int, ...]:
+    rotors = section.get("rotors", [])
+    known = isinstance(rotors, list) and all(type(rotor) is int and 1 <= rotor <= ROTORS for rotor in rotors)
+    if not known or len(set(rotors)) != len(rotors) or not fewest <= len(rotors) <= most:
+        count = f"{fewest} different" if fewest == most else "different"
+        raise SimulationError(
+            f"{section.where}: `rotors` must list {count} numbers from 1 to {ROTORS}, found {rotors!r}"
+        )
+    return tuple(rotors)
+
+
+def apply_faults(
+    faults: Iterable[Fault], sent: Mapping[str, Sent], start_ns: int, end_ns: int
+) -> dict[str, Sent]:
+    """What the sensors send with the faults, one after the other; topics without a fault as they are.
+
+    Args:
+        faults: in the order in which they are applied.
+        sent: by topic.
+        start_ns: of the flight, from which the times of the faults count.
+        end_ns: of the flight.
+
+    Raises:
+        SimulationError: for a fault of a topic that the flight does not have, or after its end.
+    """
+    altered = dict(sent)
+    for fault in faults:
+        what = f"fault {fault.kind} of topic {fault.topic} at {fault.at_s:g} s"
+        if fault.topic not in altered:
+            raise SimulationError(f"{what}: the flight has no such topic, but {', '.join(altered)}")
+        if start_ns + round(1e9 * fault.at_s) > end_ns:
+            raise SimulationError(f"{what}: the flight lasts {1e-9 * (end_ns - start_ns):g} s")
+        before = altered[fault.topic]
+        since_start = before.taken_ns - start_ns
+        window = since_start >= round(1e9 * fault.at_s)
+        window &= since_start < round(1e9 * (fault.at_s + fault.for_s))
+        if window.any():
+            altered[fault.topic] = KINDS[fault.kind].alter(before, window, fault)
+    return altered
+
+
+def _not_finite(sent: Sent, window: Mask, fault: Fault) -> Sent:
+    return _with_values(sent, window, fault, lambda values: np.full_like(values, np.nan))
+
+
+def _frozen(sent: Sent, window: Mask, fault: Fault) -> Sent:
+    last_good = _before(window)
+    return _with_values(sent, window, fault, lambda values: values[last_good])
+
+
+def _dropout(sent: Sent, window: Mask, _fault: Fault) -> Sent:
+    kept = ~window
+    columns = {name: values[kept] for name, values in vars(sent.stream).items()}
+    return Sent(type(sent.stream)(**columns), sent.taken_ns[kept], sent.arrival_ns[kept])
+
+
+def _spike(sent: Sent, window: Mask, fault: Fault) -> Sent:
+    isolated = np.zeros_like(window)
+    isolated[np.flatnonzero(window)[::_SPIKE_EVERY]] = True
+    return _with_values(sent, isolated, fault, lambda values: values + fault.size)
+
+
+def _half_reading(sent: Sent, window: Mask, fault: Fault) -> Sent:
+    return _with_values(sent, window, fault, lambda values: 0.5 * values)
+
+
+def _swapped(sent: Sent, window: Mask, fault: Fault) -> Sent:
+    return _with_values(sent, window, fault, lambda values: values[:, ::-1])
+
+
+def _jump(sent: Sent, window: Mask, fault: Fault) -> Sent:
+    return _with_values(sent, window, fault, lambda values: values + np.array([fault.size, 0.0, 0.0]))
+
+
+def _stamps_repeated(sent: Sent, window: Mask, _fault: Fault) -> Sent:
+    stamps = sent.stream.time_ns
+    return _with_stamps(sent, np.where(window, stamps[_before(window)], stamps))
+
+
+def _stamps_backward(sent: Sent, window: Mask, fault: Fault) -> Sent:
+    stamps = sent.stream.time_ns
+    return _with_stamps(sent, np.where(window, stamps - round(1e9 * fault.size), stamps))
+
+
+def _before(window: Mask) -> int:
+    """Index of the sample before the window, or of the first where there is none."""
+    return max(int(np.argmax(window)) - 1, 0)
+
+
+def _with_values(sent: Sent, window: Mask, fault: Fault, alter: Callable[[Array], Array]) -> Sent:
+    """The signals and rotors that fail, put through `alter` and taken from it in the window."""
+    failing = [rotor - 1 for rotor in fault.rotors] or slice(None)
+    columns = {}
+    for signal in fault.signals or SIGNALS[fault.topic]:
+        values = getattr(sent.stream, signal).copy()
+        values[:, failing] = np.where(window[:, None], alter(values[:, failing]), values[:, failing])
+        columns[signal] = values
+    return replace(sent, stream=replace(sent.stream, **columns))
+
+
+def _with_stamps(sent: Sent, time_ns: Stamps) -> Sent:
+    return replace(sent, stream=replace(sent.stream, time_ns=time_ns))
+
+
+_ROTORS_ONLY = ("rotor_speeds",)
+
+KINDS: dict[str, FaultKind] = {
+    "not_finite": FaultKind("sends no numbers (NaN)", _not_finite, one_signal=True, rotors=(0, ROTORS)),
+    "frozen": FaultKind("repeats its last sample", _frozen, one_signal=True, rotors=(0, ROTORS)),
+    "dropout": FaultKind("sends nothing", _dropout),
+    "spike": FaultKind(f"every {_SPIKE_EVERY}th sample is off", _spike, rotors=(0, ROTORS), size="signal"),
+    "half_reading": FaultKind("reads half the speed", _half_reading, topics=_ROTORS_ONLY, rotors=(0, ROTORS)),
+    "swapped": FaultKind("two rotors are exchanged", _swapped, topics=_ROTORS_ONLY, rotors=(2, 2)),
+    "jump": FaultKind("sees the vehicle farther north", _jump, topics=("mocap/pose",), size="signal"),
+    "stamps_repeated": FaultKind("its clock stands still", _stamps_repeated),
+    "stamps_backward": FaultKind("its clock is set back", _stamps_backward, size="stamps"),
+}

@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated flights as bags: what the sensors sent on the standard topics, and on /truth/… what happened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from quadpi_core import __version__
+from quadpi_core.bounded_files import parse_json
+from quadpi_core.compiled import njit
+from quadpi_core.errors import LogError, one_line
+from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
+from quadpi_core.frames import Array, rotate_body_to_world, rotation_matrix
+from quadpi_core.logs.bags import TOPIC_TYPES, find_topic, output_topic, unpacked_topic
+from quadpi_core.logs.mcap import Bag, Topic
+from quadpi_core.logs.mcap_writer import write_mcap
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.signals.rotations import from_rotation_vector
+from quadpi_core.simulation.sensors import Sensed
+from quadpi_core.simulation.truth import Truth
+from quadpi_core.vehicle import is_rigid_body
+
+if TYPE_CHECKING:
+    from quadpi_core.simulation.flight_plan import FlightPlan
+
+_TRUTH_TOPICS = tuple(topic for topic in TOPIC_TYPES if topic.startswith("truth/"))
+
+_Content = TypeVar("_Content")
+
+
+@dataclass(frozen=True)
+class RecordedTruth:
+    """What a bag says of the truth at N instants; body axes forward-right-down, world north-east-down, SI.
+
+    Attributes:
+        mass, gravity: [kg], [m/s²] of the vehicle as it truly flew.
+        inertia: (3, 3) kg m².
+        odometry: position, attitude, velocity over ground and rates.
+        acceleration: (N, 3) m/s², second derivative of the position, world.
+        angular_acceleration: (N, 3) rad/s².
+        rotor_speeds: (N, 4) rad/s.
+        wrench: (N, 6) aerodynamics and effects, gravity not included.
+        wind: (N, 3) m/s, world.
+        reference: position and heading that the controller was to follow.
+    """
+
+    mass: float
+    gravity: float
+    inertia: Array
+    odometry: OdometryStream
+    acceleration: Array
+    angular_acceleration: Array
+    rotor_speeds: Array
+    wrench: Array
+    wind: Array
+    reference: PoseStream
+
+    @property
+    def time_ns(self) -> Stamps:
+        """Stamps (N,)."""
+        return self.odometry.time_ns
+
+
+def write_simulated_bag(path: Path | str, plan: FlightPlan, truth: Truth, sensed: Sensed) -> None:
+    """Write a simulated flight as an MCAP bag; equal input gives equal bytes.
+
+    The metadata record "quadpi" names vehicle, version, scenario, flight and seed; as JSON it holds the
+    effects, the whole plan, and what the vehicle truly was. Messages of sensors are logged at their arrival.
+
+    Args:
+        path: .mcap file to write; it appears whole or not at all.
+        plan: of the flight; its `truth_rate_hz` divides the rate of the truth.
+        truth: of the flight.
+        sensed: of the flight.
+    """
+    step = round(1e9 / (plan.truth_rate_hz * float(truth.time_ns[1] - truth.time_ns[0])))
+    vehicle = {
+        "mass_kg": truth.vehicle.mass_kg,
+        "inertia_kg_m2": truth.vehicle.inertia.tolist(),
+        "gravity_m_s2": truth.vehicle.gravity_m_s2,
+    }
+    metadata = {
+        "vehicle": sensed.recording.vehicle,
+        "version": __version__,
+        "scenario": plan.scenario,
+        "flight": plan.name,
+        "seed": str(plan.seed),
+        "effects": _json(plan.as_dict()["effects"]),
+        "plan": _json(plan.as_dict()),
+        "truth": _json(vehicle),
+    }
+    write_mcap(Path(path), [*_sensor_topics(sensed), *_truth_topics(truth, step)], metadata)
+
+
+def _json(data: object) -> str:
+    return json.dumps(data, allow_nan=False)
+
+
+def _sensor_topics(sensed: Sensed) -> list[Topic]:
+    recording, erpm = sensed.recording, sensed.erpm
+    packed = {"imu": sensor_messages.pack_imu(recording.imu)}
+    rotors = recording.rotor_speeds
+    if rotors is not None and erpm is not None:
+        packed["erpm"] = sensor_messages.pack_erpm(rotors.time_ns, erpm)
+    elif rotors is not None:
+        packed["rotor_speeds"] = sensor_messages.pack_rotor_speeds(rotors)
+    if recording.pose is not None:
+        packed["mocap/pose"] = sensor_messages.pack_pose(recording.pose)
+    if recording.wind is not None:
+        packed["wind"] = sensor_messages.pack_wind(recording.wind)
+    arrival_ns = sensed.arrival_ns | {"erpm": sensed.arrival_ns["rotor_speeds"]}
+    return [output_topic(name, arrival_ns[name], payloads) for name, payloads in packed.items()]
+
+
+def _truth_topics(truth: Truth, step: int) -> list[Topic]:
+    """The truth, every `step`-th instant; accelerations as a message of body axes holds them."""
+    taken = slice(None, None, step)
+    time_ns, attitude = truth.time_ns[taken], truth.attitude[taken]
+    acceleration = _into_body(attitude, truth.acceleration[taken])
+    accelerations = np.concatenate((acceleration, truth.angular_acceleration[taken]), axis=1)
+    reference = PoseStream(time_ns, truth.reference.position[taken], _headings(truth.reference.yaw[taken]))
+    odometry = OdometryStream(
+        time_ns, truth.position[taken], attitude, truth.velocity[taken], truth.rates[taken]
+    )
+    packed = {
+        "odometry": sensor_messages.pack_odometry(odometry),
+        "wrench": sensor_messages.pack_body_vectors(time_ns, truth.wrench[taken], sensor_messages.WRENCH),
+        "acceleration": sensor_messages.pack_body_vectors(
+            time_ns, accelerations, sensor_messages.ACCELERATION
+        ),
+        "rotor_speeds": sensor_messages.pack_rotor_speeds(
+            RotorSpeedStream(time_ns, truth.rotor_speeds[taken])
+        ),
+        "wind": sensor_messages.pack_wind(WindStream(time_ns, truth.wind[taken])),
+        "reference": sensor_messages.pack_pose(reference),
+    }
+    return [output_topic(f"truth/{name}", time_ns, payloads) for name, payloads in packed.items()]
+
+
+def _into_body(attitude: Array, world: Array) -> Array:
+    """World vectors (N, 3) in body axes, the same bits on every machine."""
+    rotation = rotation_matrix(attitude)
+    north, east, down = (rotation[:, row] * world[:, row, None] for row in range(3))
+    in_body: Array = north + east + down
+    return in_body
+
+
+@njit(cache=True)
+def _headings(yaw: Array) -> Array:
+    """Level attitudes (N, 4) of headings (N,) rad."""
+    attitude = np.empty((len(yaw), 4))
+    for row in range(len(yaw)):
+        quaternion = from_rotation_vector((0.0, 0.0, yaw[row]))
+        for component in range(4):
+            attitude[row, component] = quaternion[component]
+    return attitude
+
+
+def read_truth(path: Path | str) -> RecordedTruth:
+    """Read back what :func:`write_simulated_bag` wrote of the truth.
+
+    Every number is the one that was written; attitudes and the acceleration, which are rotated on the way,
+    are so to within a few roundings.
+
+    Raises:
+        LogError: naming bag and topic, for a bag without the truth.
+    """
+    path = Path(path)
+    with Bag(path) as bag:
+        names = {}
+        for topic in _TRUTH_TOPICS:
+            connection = find_topic(bag, topic)
+            if connection is None:
+                raise LogError(f"{path}: topic {topic}: missing: no flight of quadpi's simulation")
+            names[topic] = connection.topic
+        topics = bag.read(names.values())
+        text = bag.metadata.get("truth")
+    if text is None:
+        raise LogError(f"{path}: no `truth` in its metadata: no flight of quadpi's simulation")
+    mass, gravity, inertia = _body(f"{path}: `truth` in its metadata", text)
+
+    def unpacked(name: str, unpack: Callable[[Payloads], _Content]) -> _Content:
+        return unpacked_topic(path, topics[names[f"truth/{name}"]], unpack)
+
+    odometry = unpacked("odometry", sensor_messages.unpack_odometry)
+    _, wrench = unpacked(
+        "wrench", lambda found: sensor_messages.unpack_body_vectors(found, sensor_messages.WRENCH)
+    )
+    _, accelerations = unpacked(
+        "acceleration", lambda found: sensor_messages.unpack_body_vectors(found, sensor_messages.ACCELERATION)
+    )
+    return RecordedTruth(
+        mass=mass,
+        gravity=gravity,
+        inertia=inertia,
+        odometry=odometry,
+        acceleration=rotate_body_to_world(odometry.attitude, accelerations[:, :3]),
+        angular_acceleration=accelerations[:, 3:],
+        rotor_speeds=unpacked("rotor_speeds", sensor_messages.unpack_rotor_speeds).speeds,
+        wrench=wrench,
+        wind=unpacked("wind", sensor_messages.unpack_wind).velocity,
+        reference=unpacked("reference", sensor_messages.unpack_pose),
+    )
+
+
+def _body(where: str, text: str) -> tuple[float, float, Array]:
+    """Mass kg, gravity m/s² and inertia (3, 3) kg m² out of the metadata of a bag."""
+    try:
+        vehicle = parse_json(text)
+        mass, gravity = float(vehicle["mass_kg"]), float(vehicle["gravity_m_s2"])
+        inertia = np.array(vehicle["inertia_kg_m2"], dtype=float)
+    except (ValueError, KeyError, TypeError) as error:
+        raise LogError(f"{where}: {type(error).__name__} {one_line(error)}") from error
+    if not (mass > 0.0 and gravity > 0.0 and inertia.shape == (3, 3) and is_rigid_body(inertia)):
+        raise LogError(f"{where}: mass, gravity and inertia are not those of a vehicle")
+    return mass, gravity, inertia

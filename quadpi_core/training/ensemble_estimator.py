@@ -1,0 +1,323 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What both kinds of ensemble share: parameters, flights left out in turn, calibration and prediction."""
+
+from __future__ import annotations
+
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.ensembles.fitted_ensemble import NOISE_FLOOR, AnyFitted
+from quadpi_core.models.ensembles.network import Networks
+from quadpi_core.models.interval_rules import AnyRule, FlightErrors, HeldOutRule, calibrate, flights_peak
+from quadpi_core.models.regressors import Regressor
+from quadpi_core.training.ensemble_plan import Indices, Plan, Split
+from quadpi_core.training.training_table import Table
+
+if TYPE_CHECKING:
+    from quadpi_core.training.batches import Samples
+    from quadpi_core.training.train import Report, Schedule
+
+Calibration: TypeAlias = Literal["held-out", "none"]
+Self = TypeVar("Self", bound="Ensemble")
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What training gives.
+
+    Attributes:
+        parts: of each axis, by name, what a fitted axis has beside its inputs, scaling and rule.
+        centre, spread: (E, A, N) what each ensemble of the plan says of all samples, standardised.
+    """
+
+    parts: list[dict[str, Any]]
+    centre: npt.NDArray[np.float32]
+    spread: npt.NDArray[np.float32]
+
+
+class Ensemble(ABC):
+    """Base of the ensembles: all but their losses, and what they make of the outputs of their members."""
+
+    inputs: Sequence[Regressor] | None
+    members: int
+    hidden: int
+    epochs: int
+    batch: int
+    fewest_steps: int
+    learning_rate: float
+    subset: float
+    split: Split
+    calibration: Calibration
+    folds: int
+    most_samples: int | None
+    seed: int
+    device: str
+
+    fitted_: AnyFitted
+    held_out_: list[FlightErrors] | None
+    rejected_: int
+    n_features_in_: int
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002 - scikit-learn's signature
+        """Constructor arguments by name."""
+        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+
+    def set_params(self: Self, **params: Any) -> Self:
+        """Change constructor arguments by name."""
+        known = self.get_params()
+        for name, value in params.items():
+            if name not in known:
+                raise ValueError(f"unknown parameter {name!r}; known: {', '.join(known)}")
+            setattr(self, name, value)
+        return self
+
+    def __sklearn_tags__(self) -> Any:
+        """What scikit-learn wants to know; only scikit-learn asks, so it is imported here."""
+        from sklearn.utils import RegressorTags, Tags, TargetTags
+
+        return Tags("regressor", TargetTags(required=True), regressor_tags=RegressorTags())
+
+    def fit(
+        self: Self, X: Array, y: Array, groups: npt.ArrayLike | None = None, report: Report | None = None
+    ) -> Self:
+        """Train the networks and calibrate the intervals.
+
+        Args:
+            X: (N, 19) input vectors, columns as `quadpi_core.inputs.INPUT_NAMES`; any table (N, D) where
+                `inputs` is None.
+            y: (N,) target.
+            groups: (N,) label of the flight of each sample; samples of a flight in time order. Without it
+                five contiguous parts of the samples stand in for flights.
+            report: called after each epoch.
+
+        Rows that are not finite are left out with a warning; `rejected_` counts them.
+
+        Raises:
+            ModelError: for shapes that do not fit, no finite row, a constant target, too few flights, PyTorch
+                missing, or a device that is not there.
+        """
+        y = np.asarray(y, dtype=float)
+        if y.ndim != 1:
+            raise ModelError(f"y has shape {y.shape}, expected (N,)")
+        fit_axes({"": self}, X, y[:, None], groups, report)
+        return self
+
+    def predict(self, X: Array) -> Array:
+        """Predictions (N,): the centre of the interval.
+
+        Raises:
+            ModelError: before `fit`, or naming the sample that is not finite.
+        """
+        return self._centre_and_spread(X)[0]
+
+    def predict_interval(self, X: Array, confidence: float = 0.95) -> tuple[Array, Array]:
+        """Lower and upper bounds (N,), between which one new measurement lies with `confidence`.
+
+        Raises:
+            ModelError: for a confidence that the interval's rule cannot support.
+        """
+        centre, spread = self._centre_and_spread(X)
+        half = self.fitted_.rule.factor(confidence) * spread
+        return centre - half, centre + half
+
+    def score(self, X: Array, y: Array) -> float:
+        """Coefficient of determination R² of the predictions."""
+        residual = y - self.predict(X)
+        return float(1.0 - residual @ residual / np.sum((y - np.mean(y)) ** 2))
+
+    def held_out_coverage(self, confidence: float = 0.95) -> Array | None:
+        """Coverage (F,) of each flight by model and intervals of the others; None without calibration."""
+        if not hasattr(self, "fitted_"):
+            raise ModelError("the model is not fitted: call fit first")
+        rule = self.fitted_.rule
+        if not isinstance(rule, HeldOutRule) or self.held_out_ is None:
+            return None
+        return rule.held_out_coverage(self.held_out_, confidence)
+
+    def _centre_and_spread(self, X: Array) -> tuple[Array, Array]:
+        if not hasattr(self, "fitted_"):
+            raise ModelError("the model is not fitted: call fit first")
+        X = np.ascontiguousarray(X, dtype=float)
+        if X.ndim != 2 or X.shape[1] != self.n_features_in_:
+            raise ModelError(f"inputs have shape {X.shape}, expected (N, {self.n_features_in_})")
+        if not np.all(np.isfinite(X)):
+            sample, column = np.argwhere(~np.isfinite(X))[0]
+            raise ModelError(f"sample {sample}: input {column} is not finite")
+        return self.fitted_.centre_and_spread(X)
+
+    def _samples(self, table: Table, plan: Plan) -> Samples:
+        """What the members are trained on."""
+        from quadpi_core.training.batches import Samples
+
+        return Samples(
+            table.features, table.targets.T[..., None, None], plan.unit, plan.trained, plan.omitted
+        )
+
+    def _schedule(self, **changes: Any) -> Schedule:
+        from quadpi_core.training.train import Schedule
+
+        settings: dict[str, Any] = {
+            "hidden": self.hidden,
+            "epochs": self.epochs,
+            # Of a batch, each network sees the share that is its subset.
+            "batch": round(self.batch / self.subset),
+            "fewest_steps": self.fewest_steps,
+            "learning_rate": self.learning_rate,
+            "seed": self.seed,
+            "device": self.device,
+        }
+        return Schedule(**settings | changes)
+
+    def _floors(self, table: Table, plan: Plan, errors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Least standard deviation (E, A) of an error, from errors (E, A, N) that are NaN where not honest.
+
+        How errors differ from place to place is learned from few flights, and a new flight may be off where
+        those were not. So each place counts as visited by one more flight, with ordinary errors: of n flights
+        inside the envelope of the others, the floor is the median of their mean square errors over n + 1.
+        """
+        floors = np.full(errors.shape[:2], NOISE_FLOOR, dtype=np.float32)
+        if self.split == "sample":
+            return floors
+        for k, seen in enumerate(plan.seen):
+            inside = [
+                errors[k][:, table.rows[flight]] for flight in seen if table.mostly_inside(flight, seen)
+            ]
+            squares = [np.nanmean(np.square(error), axis=1) for error in inside if np.isfinite(error).any()]
+            if squares:
+                floors[k] = np.maximum(np.sqrt(np.median(squares, axis=0) / (len(squares) + 1)), NOISE_FLOOR)
+        return floors
+
+    @abstractmethod
+    def _train(self, table: Table, plan: Plan, report: Report | None) -> Trained:
+        """Train the networks of all axes and ensembles."""
+
+    @abstractmethod
+    def _uncalibrated(self) -> AnyRule:
+        """The rule of intervals that are not calibrated."""
+
+    @abstractmethod
+    def _finish(self, **parts: Any) -> AnyFitted:
+        """The fitted axis."""
+
+
+def require_training(device: str) -> None:
+    """Refuse a device that cannot train.
+
+    Raises:
+        ModelError: if PyTorch is missing, or the device is not there.
+    """
+    try:
+        from quadpi_core.training.train import device_of
+    except ImportError as error:
+        raise ModelError(f"training needs PyTorch, installed by quadpi-monitor[train]: {error}") from error
+    device_of(device)
+
+
+def fit_axes(
+    estimators: Mapping[str, Ensemble],
+    X: Array,
+    Y: Array,
+    groups: npt.ArrayLike | None = None,
+    report: Report | None = None,
+) -> None:
+    """Fit one estimator per axis, with the networks of all axes in one batch; see :meth:`Ensemble.fit`.
+
+    Args:
+        estimators: by name of the axis, all of one kind and with the same parameters but for `inputs`.
+        X: (N, 19) input vectors, or any table (N, D).
+        Y: (N, A) targets.
+        groups: (N,) label of the flight of each sample.
+        report: called after each epoch.
+
+    Raises:
+        ModelError: naming the axis, see :meth:`Ensemble.fit`; estimators that differ.
+    """
+    first, *others = estimators.values()
+    require_training(first.device)
+    wanted = first.get_params() | {"inputs": None}
+    if any(type(o) is not type(first) or o.get_params() | {"inputs": None} != wanted for o in others):
+        raise ModelError("axes that are trained together must have the same parameters but for their inputs")
+    inputs = [None if e.inputs is None else tuple(e.inputs) for e in estimators.values()]
+    table = Table.make(inputs, list(estimators), X, Y, groups, first.most_samples)
+    count, folds = len(table.rows), 0
+    if first.calibration == "held-out":
+        if count < 2:
+            raise ModelError(
+                "one flight is too few: intervals from flights left out in turn need two or more. Without "
+                "groups, parts of the flight stand in for flights; calibration='none' does without"
+            )
+        folds = min(count, first.folds)
+    plan = Plan.make(table.flights, first.members, first.subset, first.split, folds, first.seed)
+    trained = first._train(table, plan, report)
+    for axis, estimator in enumerate(estimators.values()):
+        _fit_axis(estimator, inputs[axis], table, plan, trained, axis)
+
+
+def _fit_axis(
+    estimator: Ensemble,
+    inputs: tuple[Regressor, ...] | None,
+    table: Table,
+    plan: Plan,
+    trained: Trained,
+    axis: int,
+) -> None:
+    """Calibrate the intervals of one axis and put what it holds together."""
+    scaling = table.scalings[axis]
+
+    def errors(
+        ensemble: int, flight: int, inside: npt.NDArray[np.bool_], others: Indices | None = None
+    ) -> FlightErrors:
+        rows = table.rows[flight]
+        error = (table.targets[axis, rows] - trained.centre[ensemble, axis, rows]).astype(float)
+        spread = trained.spread[ensemble, axis, rows].astype(float)
+        width = None
+        if others is not None and len(others):
+            width = spread / flights_peak(trained.spread[ensemble, axis, table.rows[k]] for k in others)
+        return FlightErrors(scaling.target_scale * error, scaling.target_scale * spread, inside, width)
+
+    rule = estimator._uncalibrated()
+    estimator.held_out_ = None
+    if estimator.calibration == "held-out":
+        estimator.held_out_ = [
+            errors(k, flight, table.inside(flight, plan.seen[k]), np.setdiff1d(plan.seen[k], flight))
+            for k, flights in enumerate(plan.left_out)
+            for flight in flights
+        ]
+        final = [errors(0, k, np.ones(len(rows), dtype=bool)) for k, rows in enumerate(table.rows)]
+        rule = calibrate(estimator.held_out_, final)
+    width = len(scaling.input_mean)
+    parts = {
+        name: _without_padding(part, width) if isinstance(part, Networks) else part
+        for name, part in trained.parts[axis].items()
+    }
+    rms_spread = scaling.target_scale * float(
+        np.sqrt(np.mean(np.square(trained.spread[0, axis], dtype=float)))
+    )
+    estimator.fitted_ = estimator._finish(
+        inputs=inputs, scaling=scaling, rule=rule, rms_spread=rms_spread, **parts
+    )
+    estimator.n_features_in_ = table.X.shape[1]
+    estimator.rejected_ = table.rejected
+
+
+def _without_padding(networks: Networks, width: int) -> Networks:
+    """The networks without the inputs that only other axes have."""
+    weights = np.ascontiguousarray(networks.hidden_weights[:, :, :width])
+    return Networks(weights, networks.hidden_biases, networks.output_weights, networks.output_biases)
+
+
+def mean_over(predictions: npt.NDArray[np.float32], chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+    """Mean (A, N) of predictions (A, B, N) over the members chosen (B, N) for a sample; NaN without any."""
+    weights = chosen.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        mean: npt.NDArray[np.float32] = np.einsum("abn,bn->an", predictions, weights) / weights.sum(axis=0)
+    return mean

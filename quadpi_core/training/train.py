@@ -1,0 +1,276 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Training of many small networks as one batch, in PyTorch on a processor or a graphics card.
+
+A step takes one batch of samples for all networks; which of them a network is trained on is a matter of
+weights. So ensembles, their subsets and flights left out in turn are one computation: the first layers of all
+networks are one matrix product, their gradients another, and Adam updates one vector of all parameters.
+
+Shapes: A tables (axes) of M networks each, Q outputs, H hidden units, K inputs with the one for the bias, n
+samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from quadpi_core.errors import ModelError
+from quadpi_core.models.ensembles.network import Networks
+from quadpi_core.training.batches import Batch, Batches, Floats, Samples
+from quadpi_core.training.losses import Loss
+from quadpi_core.training.passes import Backward, Forward, Parts, evaluate
+
+# Samples that the networks are judged on after an epoch, at most.
+_JUDGED = 10_000
+# Activations of a step for which a further thread pays: with less to do, threads rather wait for each other.
+_PER_THREAD = 150_000
+# Adam's usual constants (Kingma and Ba 2015).
+_BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-8
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How training stands after an epoch.
+
+    Attributes:
+        stage: what is being trained.
+        epoch: counts from 1 to `epochs`.
+        loss: on the samples that a network is trained on, mean over all networks.
+        coverage: of nominal intervals on the samples that judge a network, mean over all networks; None where
+            there are none.
+    """
+
+    stage: str
+    epoch: int
+    epochs: int
+    loss: float
+    coverage: float | None
+
+
+Report: TypeAlias = Callable[[Progress], None]
+Keep: TypeAlias = Literal["last", "best", "best on average"]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How networks are trained.
+
+    Attributes:
+        hidden: units of the hidden layer.
+        epochs: how often the samples are gone through.
+        batch: samples of a step, of which a network is trained on those of its units.
+        fewest_steps: of an epoch; few samples are gone through several times.
+        learning_rate: of Adam.
+        keep: networks as they are after the last epoch; each as it was after the epoch with the best score on
+            what judges it; or all of a table as they were after that with the best score on average.
+        seed: of initial weights and batches.
+        device: of PyTorch, for example "cpu" or "cuda".
+    """
+
+    hidden: int
+    epochs: int
+    batch: int
+    fewest_steps: int
+    learning_rate: float
+    keep: Keep
+    seed: int
+    device: str
+
+
+def train(
+    samples: Samples,
+    loss: Loss,
+    schedule: Schedule,
+    stage: str = "",
+    report: Report | None = None,
+    start: Training | None = None,
+) -> Training:
+    """Train networks; on a processor, the same again for the same arguments.
+
+    Args:
+        samples: to train on.
+        loss: to train to.
+        schedule: how.
+        stage: name for the report.
+        report: called after each epoch.
+        start: trained regressors to start from, instead of random weights.
+
+    Raises:
+        ModelError: for a device that is not there.
+    """
+    activations = samples.inputs.shape[1] * len(samples.trained) * schedule.hidden * schedule.batch
+    with torch.inference_mode(), _threads_for(activations):
+        training = Training(samples, loss, schedule, start)
+        best = None if schedule.keep == "last" else _Best(training)
+        for epoch in range(1, schedule.epochs + 1):
+            for batch in training.batches.epoch(training.random, schedule.fewest_steps):
+                training.step(batch)
+            if best is not None or report is not None:
+                losses, scores, coverage = training.judge()
+                if best is not None:
+                    best.update(scores)
+                if report is not None:
+                    report(Progress(stage, epoch, schedule.epochs, float(losses.mean()), coverage))
+        if best is not None:
+            best.restore()
+        return training
+
+
+class Training:
+    """Networks in training: their parameters, the gradient and Adam's moments, each as one vector."""
+
+    def __init__(
+        self, samples: Samples, loss: Loss, schedule: Schedule, start: Training | None = None
+    ) -> None:
+        self.loss, self.schedule = loss, schedule
+        device = device_of(schedule.device)
+        self.batches = Batches(samples, schedule.batch, device)
+        A, K = self.batches.input_shape
+        M, Q, H, n = len(samples.trained), loss.outputs, schedule.hidden, self.batches.size
+        self.shape = (A, M, Q, H, K)
+        # On the processor for every device: all start from the same weights and see the same batches.
+        self.random = torch.Generator().manual_seed(schedule.seed)
+        self.parameters = torch.zeros(A * M * (K * H + Q * H + Q), device=device)
+        # The gradient and its square, of both of which Adam takes a moving mean.
+        self._powers = self.parameters.new_zeros((2, *self.parameters.shape))
+        self._moments, self._scratch = torch.zeros_like(self._powers), torch.zeros_like(self.parameters)
+        self._rates = self.parameters.new_tensor([[1.0 - _BETA_1], [1.0 - _BETA_2]])
+        self.gradient = self._powers[0]
+        self.weights = self.parts(self.parameters)
+        self._forward = Forward(self.weights, n)
+        self._backward = Backward(self.weights, self.parts(self.gradient), self._forward)
+        self._epsilon = torch.tensor(_EPSILON, device=device)
+        self._steps = 0
+        if start is None:
+            self._initialise()
+        else:
+            self._continue(start)
+
+    def parts(self, vector: Tensor) -> Parts:
+        """Views of a vector of all parameters."""
+        A, M, Q, H, K = self.shape
+        hidden, output, biases = vector.split([A * K * M * H, A * M * Q * H, A * M * Q])
+        return Parts(hidden.view(A, K, M, H), output.view(A, M, Q, H), biases.view(A, M, Q))
+
+    def _initialise(self) -> None:
+        """Uniform weights of Glorot and Bengio (2010), biases zero but for those that the loss wants."""
+        _, _, Q, H, K = self.shape
+        hidden, output, biases = self.weights
+        for weights, fans in ((hidden[:, :-1], K - 1 + H), (output, H + Q)):
+            uniform = 2.0 * torch.rand(weights.shape, generator=self.random) - 1.0
+            weights.copy_(math.sqrt(6.0 / fans) * uniform)
+        biases.copy_(self.loss.initial_biases(self.batches.targets()))
+
+    def _continue(self, start: Training) -> None:
+        """Begin with what `start` predicts; the biases that the loss wants are in units of its error."""
+        for mine, theirs in zip(self.weights, start.weights, strict=True):
+            mine.copy_(theirs)
+        error = (2.0 * start.judge()[0]).sqrt()
+        self.weights[2].add_(self.loss.initial_biases(self.batches.targets()) * error[..., None])
+
+    def step(self, batch: Batch) -> None:
+        """One step of Adam."""
+        self.differentiate(batch)
+        self._steps += 1
+        gradient, square = self._powers
+        torch.mul(gradient, gradient, out=square)
+        mean, spread = self._moments.lerp_(self._powers, self._rates)
+        unbias = math.sqrt(1.0 - _BETA_2**self._steps)
+        torch.sqrt(spread, out=self._scratch).add_(self._epsilon, alpha=unbias)
+        rate = self.schedule.learning_rate * unbias / (1.0 - _BETA_1**self._steps)
+        self.parameters.addcdiv_(mean, self._scratch, value=-rate)
+
+    def differentiate(self, batch: Batch) -> None:
+        """Fill `gradient`."""
+        outputs = self._forward(batch.inputs)
+        self._backward(batch.inputs, self.loss.gradient(outputs, batch.targets, batch.weights))
+
+    def predictions(self, networks: slice) -> Floats:
+        """Outputs (A, M', Q, N) of some of the networks of each table for all samples."""
+        with torch.inference_mode():
+            hidden, output, biases = self.weights
+            some = Parts(hidden[:, :, networks], output[:, networks], biases[:, networks])
+            predictions: Floats = evaluate(some, self.batches.inputs()).cpu().numpy()
+            return predictions
+
+    def judge(self) -> tuple[Tensor, Tensor, float | None]:
+        """Losses (A, M) where trained; scores (A, M), NaN for none, and mean coverage where judged."""
+        trained, judged = self._to_judge
+        outputs = evaluate(self.weights, trained.inputs)
+        losses = self.loss.value(outputs, trained.targets, trained.weights)
+        seen = judged.weights.any(-1)
+        scores = self.loss.score(outputs, judged.targets, judged.weights).masked_fill(~seen, torch.nan)
+        if not seen.any():
+            return losses, scores, None
+        covered = self.loss.covered(outputs, judged.targets, losses) * judged.weights
+        return losses, scores, float(covered.sum(-1)[:, seen].mean())
+
+    @cached_property
+    def _to_judge(self) -> tuple[Batch, Batch]:
+        """Some of all samples, with weights where networks are trained, and where they are judged."""
+        batches = self.batches
+        step = -(-len(batches) // _JUDGED)
+        chosen = torch.arange(0, len(batches), step, device=self.parameters.device)
+        return batches.chosen(chosen, batches.trained), batches.chosen(chosen, batches.judged)
+
+    def networks(self) -> list[Networks]:
+        """The networks of each table as they are."""
+        hidden, output, biases = (part.cpu().numpy().astype(np.float64) for part in self.weights)
+        weights = np.ascontiguousarray(hidden[:, :-1].transpose(0, 2, 3, 1))
+        return [Networks(*parts) for parts in zip(weights, hidden[:, -1], output, biases, strict=True)]
+
+
+class _Best:
+    """The networks of a training as they were when their scores were best."""
+
+    def __init__(self, training: Training) -> None:
+        self.training = training
+        self.scores = torch.full(training.shape[:2], torch.inf, device=training.parameters.device)
+        self.parameters = training.parameters.clone()
+
+    def update(self, scores: Tensor) -> None:
+        """Keep the networks with their least scores (A, M) so far; the latest where there is none (NaN)."""
+        if self.training.schedule.keep == "best on average":
+            scores = scores.nanmean(dim=1, keepdim=True).expand_as(scores)
+        better = ~(scores >= self.scores)
+        self.scores = torch.where(better, scores, self.scores)
+        shapes = (better[:, None, :, None], better[:, :, None, None], better[:, :, None])
+        parts = (self.training.parts(vector) for vector in (self.parameters, self.training.parameters))
+        for kept, now, mask in zip(*parts, shapes, strict=True):
+            kept.copy_(torch.where(mask, now, kept))
+
+    def restore(self) -> None:
+        """Make them the trained ones."""
+        self.training.parameters.copy_(self.parameters)
+
+
+@contextmanager
+def _threads_for(activations: int) -> Iterator[None]:
+    """No more threads than pay for steps with so many activations."""
+    usual = torch.get_num_threads()
+    torch.set_num_threads(max(1, min(usual, activations // _PER_THREAD)))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(usual)
+
+
+def device_of(name: str) -> torch.device:
+    """A device of PyTorch by name.
+
+    Raises:
+        ModelError: if it is not there.
+    """
+    try:
+        return torch.zeros(0, device=name).device
+    except (RuntimeError, AssertionError) as error:
+        raise ModelError(f"device {name!r} is not there: {str(error).splitlines()[0]}") from error

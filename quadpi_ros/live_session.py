@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A live session from Python: play a bag through the live nodes over real DDS, collect what they publish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from quadpi_core.errors import QuadpiError
+from quadpi_core.estimator.initialise import COLLECT_NS
+from quadpi_core.flight import Stamps
+from quadpi_core.frames import Array
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.result_messages import ReportedAlarms
+from quadpi_core.messages.sensor_messages import unpack_stamps
+from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, alarm_time
+from quadpi_core.results import Predictions
+from quadpi_ros.collector import AlarmChange, Collector
+from quadpi_ros.player import START_TIMEOUT_S, Playlist, live_inputs
+from quadpi_ros.processes import Child, isolated_domain
+
+# A busy machine holds nodes up: they are silent before their first prediction, and between others.
+_FIRST_TIMEOUT_S = 20.0
+_SILENCE_S = 1.0
+
+
+class SessionError(QuadpiError):
+    """The live nodes do not run, or nothing came out of them."""
+
+
+@dataclass(frozen=True)
+class SessionResult:
+    """What went in and came out.
+
+    Attributes:
+        imu_stamps_ns: (N,) stamps of the IMU samples played.
+        rotor_stamps_ns: stamps of the rotor speeds played.
+        latency_ms: (P,) from publication of an IMU sample to arrival of its prediction.
+        odometry: messages as published.
+        predictions, alarms: as published.
+    """
+
+    imu_stamps_ns: Stamps
+    rotor_stamps_ns: Stamps
+    latency_ms: Array
+    odometry: Payloads
+    predictions: Predictions
+    alarms: ReportedAlarms
+
+    @property
+    def dropped(self) -> int:
+        """IMU samples without a prediction, from when the estimator can start to the last rotor speed."""
+        first = max(self.imu_stamps_ns[0] + COLLECT_NS, self.rotor_stamps_ns[0])
+        last = self.rotor_stamps_ns[-1]
+        expected = np.sum((self.imu_stamps_ns >= first) & (self.imu_stamps_ns <= last))
+        return int(expected) - len(self.predictions.time_ns)
+
+    def summary(self) -> dict[str, float | int | None]:
+        """The numbers of the session, ready for JSON; seconds count from the first IMU sample."""
+        start_ns, end_ns = int(self.imu_stamps_ns[0]), int(self.imu_stamps_ns[-1])
+        alarm, warning = (
+            alarm_time(self.alarms.time_ns, self.alarms.level, end_ns, level)
+            for level in (LEVEL_ALARM, LEVEL_WARNING)
+        )
+        return {
+            "samples_in": len(self.imu_stamps_ns),
+            "predictions_out": len(self.predictions.time_ns),
+            "dropped": self.dropped,
+            "alarm_fraction": alarm.fraction,
+            "alarm_first_s": alarm.first_s(start_ns),
+            "warning_first_s": warning.first_s(start_ns),
+            "latency_ms_p50": float(np.percentile(self.latency_ms, 50)),
+            "latency_ms_p99": float(np.percentile(self.latency_ms, 99)),
+        }
+
+
+def run_session(
+    bag: Path,
+    model: Path,
+    *,
+    vehicle: str,
+    rate: float = 1.0,
+    parameters: Mapping[str, object] | None = None,
+    on_alarm: Callable[[AlarmChange], None] | None = None,
+) -> SessionResult:
+    """Start the live nodes, play the bag through them and collect until they fall silent.
+
+    Nodes and player run in processes of their own, in a ROS domain of their own on this machine only. They
+    end with the call, however it ends.
+
+    Args:
+        bag: with the standard topics imu, motion capture and rotor speeds.
+        model: folder of a model of the vehicle.
+        vehicle: name of its vehicle file, or a path.
+        rate: speed of the replay; 1 is real time.
+        parameters: of the nodes, beside those that follow from bag and model.
+        on_alarm: called at every change of the alarm as it comes.
+
+    Raises:
+        PlayerError: if the bag lacks a topic.
+        SessionError: if no prediction comes.
+        ChildError: if a process fails.
+        LogError: if the bag cannot be read.
+    """
+    inputs = live_inputs(bag, Playlist.read(bag).names)
+    recorded = Playlist.read(bag, inputs.topics).by_name()
+    stamps = {name: unpack_stamps(topic.payloads) for name, topic in recorded.items()}
+    all_parameters = {
+        "vehicle": vehicle,
+        "model": str(model),
+        "rotor_topic": inputs.rotor_topic,
+        "mocap_topic": inputs.mocap_topic,
+        **(parameters or {}),
+    }
+    with isolated_domain() as folder, Collector(int(stamps["imu"][0]), on_alarm) as collector:
+        parameter_file = folder / "parameters.yaml"
+        parameter_file.write_text(yaml.safe_dump({"/**": {"ros__parameters": all_parameters}}))
+        with Child(
+            "quadpi_ros.live_process", ("--ros-args", "--params-file", str(parameter_file)), folder
+        ) as live:
+            await_start(live, collector)
+            sent = play(bag, inputs.topics, rate, folder, live, collector)
+        return _result(bag, collector, sent["imu"], stamps[inputs.rotor_topic])
+
+
+def await_start(nodes: Child, collector: Collector) -> None:
+    """Wait until the nodes publish every topic that the collector listens to.
+
+    Raises:
+        SessionError: if they do not start.
+        ChildError: if they fail.
+    """
+    collector.spin_until(lambda: nodes.finished() or collector.connected, START_TIMEOUT_S)
+    if not collector.connected:
+        raise SessionError(f"the live nodes did not start within {START_TIMEOUT_S:g} s")
+
+
+def play(
+    bag: Path,
+    topics: Sequence[str],
+    rate: float,
+    folder: Path,
+    nodes: Child,
+    collector: Collector,
+    managed: Sequence[str] = ("estimator", "monitor"),
+) -> dict[str, Stamps]:
+    """Play topics of a bag through running nodes and collect until they fall silent.
+
+    The player waits until the `managed` nodes are active.
+
+    Returns:
+        Of each standard topic (N, 2) nanoseconds: the stamp of each message, and when it was published by the
+        monotonic clock.
+
+    Raises:
+        SessionError: if the nodes end before the bag does.
+        ChildError: if nodes or player fail.
+    """
+    sent_file = folder / "sent.npz"
+    arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
+    # Nodes that configure themselves for the first time on a machine compile the kernels meanwhile.
+    arguments += ("--wait", str(START_TIMEOUT_S))
+    arguments += ("--nodes", *managed) if managed else ()
+    with Child("quadpi_ros.player", arguments, folder) as player:
+        collector.spin_until(lambda: nodes.finished() or player.finished())
+    collector.spin_until(lambda: nodes.finished() or len(collector.arrived_ns) > 0, _FIRST_TIMEOUT_S)
+    collector.spin_until(lambda: nodes.finished() or collector.silent_for(_SILENCE_S))
+    if nodes.finished():
+        raise SessionError("the live nodes ended before the flight did")
+    with np.load(sent_file) as sent:
+        return dict(sent)
+
+
+def _result(bag: Path, collector: Collector, imu_sent: Stamps, rotor_stamps_ns: Stamps) -> SessionResult:
+    stamps_ns, sent_ns = imu_sent.T
+    predictions = collector.predictions()
+    if len(predictions.time_ns) == 0:
+        raise SessionError(f"{bag}: no prediction came; the estimator needs a second of imu and mocap/pose")
+    published_ns = sent_ns[np.searchsorted(stamps_ns, predictions.time_ns)]
+    return SessionResult(
+        imu_stamps_ns=stamps_ns,
+        rotor_stamps_ns=rotor_stamps_ns,
+        latency_ms=1e-6 * (collector.arrived_ns - published_ns),
+        odometry=collector.odometry(),
+        predictions=predictions,
+        alarms=collector.alarms(),
+    )

@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""From complete samples to published messages: the one place of the nodes that knows what `Monitor` gives."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from quadpi.msg import AlarmEvent, ExtrapolationAlarm, WrenchPrediction
+from quadpi.srv import LoadModel
+
+from quadpi_core.errors import ModelError
+from quadpi_core.estimator.imu_rate import ImuRate
+from quadpi_core.flight import RotorSpeedStream, Stamps
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.models import AerodynamicModel
+from quadpi_core.monitor import Monitor, Predictions
+from quadpi_core.monitor.alarm import LEVEL_OK
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.several_models import Monitors
+from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_ros import diagnostics
+from quadpi_ros.runtime import LOG_QOS
+from quadpi_ros.sensor_node import SensorNode
+
+_NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
+_LEVELS = ("ok", "warning", "alarm")
+# In cut-offs of the low-pass.
+_WARM_UP_RATE = 10.0
+
+
+def topic_name(model: AerodynamicModel) -> str:
+    """The model's name as a part of a topic."""
+    name = _NOT_IN_A_TOPIC.sub("_", model.name).strip("_")
+    return name if name[:1].isalpha() else f"model_{name}"
+
+
+def named(monitors: Iterable[Monitor]) -> dict[str, Monitor]:
+    """Monitors by the name of their model's topic.
+
+    Raises:
+        ModelError: if two would share it.
+    """
+    by_name: dict[str, Monitor] = {}
+    for monitor in monitors:
+        name = topic_name(monitor.model)
+        if name in by_name:
+            raise ModelError(f"parameter `model`: two models are named {name}; both would publish as that")
+        by_name[name] = monitor
+    return by_name
+
+
+def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
+    """Load every compiled kernel: no sample in flight may wait for it, good or bad."""
+    hover = PairedSamples.join(
+        np.zeros(1, dtype=np.int64),
+        velocity=np.zeros((1, 3)),
+        attitude=np.array([[1.0, 0.0, 0.0, 0.0]]),
+        rates=np.zeros((1, 3)),
+        specific_force=np.array([[0.0, 0.0, -vehicle.gravity_m_s2]]),
+        rotor_speeds=np.full((1, ROTORS), 1.0),
+        wind=np.zeros((1, 3)),
+    )
+    missing = PairedSamples(np.ones(1, dtype=np.int64), np.full_like(hover.values, np.nan))
+    # The rate in flight is measured there.
+    monitor.retune(ImuRate(_WARM_UP_RATE * monitor.model.cutoff_hz))
+    for samples in (hover, missing):
+        predictions, alarms, _ = monitor.step(*samples)
+        _pack(monitor, predictions, sensor_messages.BODY_FRAME)
+        result_messages.pack_alarms(alarms)
+    pairing = Pairing()
+    for time_ns in (0, 1):
+        pairing.add_wind(time_ns, hover.wind[0])
+        pairing.add_imu(time_ns, hover.specific_force[0])
+        pairing.add_state(time_ns, hover.velocity[0], hover.attitude[0], hover.rates[0])
+        pairing.add_estimate(time_ns + 2, np.zeros(13))
+        pairing.add_rotor_speeds(time_ns, hover.rotor_speeds[0])
+        pairing.take()
+    stream = RotorSpeedStream(hover.time_ns, hover.rotor_speeds)
+    sensor_messages.unpack_rotor_speeds(sensor_messages.pack_rotor_speeds(stream)[0])
+    monitor.predict(monitor.preparation.step(*hover._replace(time_ns=np.full(1, 2))))
+    monitor.retune(ImuRate())
+    monitor.reset()
+
+
+class Results:
+    """The monitors with the topics of their results: predictions of all, the alarm of the first.
+
+    Args:
+        node: to publish from.
+        monitors: by name.
+        frame_id: body frame.
+    """
+
+    def __init__(self, node: SensorNode[Any], monitors: dict[str, Monitor], frame_id: str) -> None:
+        self.monitors = Monitors(monitors)
+        self._frame_id = frame_id
+        self._first, *others = monitors
+        self._publish_first = node.announce(WrenchPrediction, "prediction")
+        # Below the first one's, under whatever name that goes: a remapping says nothing of topics below it.
+        below = node.resolve_topic_name("prediction")
+        self._publish_others = [(name, node.announce(WrenchPrediction, f"{below}/{name}")) for name in others]
+        self._publish_alarm = node.announce(ExtrapolationAlarm, "extrapolation_alarm")
+        self._publish_log = node.announce(AlarmEvent, "alarm_log", LOG_QOS)
+        self._alarm = (LEVEL_OK, 0)
+
+    def take(self, samples: PairedSamples) -> Stamps:
+        """Publish what follows from samples; gives the stamps of the predictions of the first model."""
+        (predictions, alarms, events), others = self.monitors.step(samples)
+        if len(predictions.time_ns):
+            _publish_all(self._publish_first, _pack(self.monitors[self._first], predictions, self._frame_id))
+        if len(alarms.time_ns):
+            self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
+            _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, self._frame_id))
+        if events:
+            _publish_all(self._publish_log, result_messages.pack_events(events, self._frame_id))
+        for (name, publish), other in zip(self._publish_others, others, strict=True):
+            if len(other.time_ns):
+                _publish_all(publish, _pack(self.monitors[name], other, self._frame_id))
+        return predictions.time_ns
+
+    def tell_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
+        """Publish an alarm at an instant at which no sample is."""
+        alarms = self.monitors[self._first].unheard(time_ns)
+        _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, self._frame_id, reasons))
+
+    def swap(
+        self, name: str, monitor: Monitor | None, error: str | None, response: LoadModel.Response
+    ) -> None:
+        """Put a monitor in the place of that of a name, if it could be loaded, and fill the response."""
+        try:
+            if monitor is None:
+                raise ModelError(error)
+            self.monitors.replace(name, monitor)
+            response.success = True
+            response.message = f"{monitor.model.identity} flies as {name}"
+        except ModelError as refused:
+            response.message = str(refused)
+        if name in self.monitors.names:
+            response.model = self.monitors[name].model.identity
+
+    def alarm_status(self) -> tuple[bytes, str, dict[str, Any]]:
+        """Level, message and values of the status of the alarm."""
+        level, causes = self._alarm
+        models = {f"model {name}": self.monitors[name].model.identity for name in self.monitors.names}
+        severity = diagnostics.OK if level == LEVEL_OK else diagnostics.WARN
+        return severity, _LEVELS[level], {"level": level, "causes": causes} | models
+
+
+def _pack(monitor: Monitor, predictions: Predictions, frame_id: str) -> Payloads:
+    return result_messages.pack_predictions(
+        predictions,
+        model=monitor.model.identity,
+        confidence=monitor.confidence,
+        axes=monitor.model.axes,
+        frame_id=frame_id,
+    )
+
+
+def _publish_all(publish: Callable[[bytes], None], payloads: Payloads) -> None:
+    for payload in payloads:
+        publish(payload)

@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+
+from quadpi_core.estimator.ekf import State
+from quadpi_core.estimator.odometry import fused_sample, with_gyro_faults
+from quadpi_core.estimator.propagate import ATTITUDE, ERROR_STATES, GYRO_BIAS, POSITION, VELOCITY, Row
+from quadpi_core.flight import ImuStream
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.sample_limits import SPECIFIC_FORCE_MAX_M_S2
+from quadpi_core.signals import rotations
+
+GYRO_NOISE = 0.02
+
+
+def make_state(rng: np.random.Generator) -> State:
+    root = 0.02 * rng.standard_normal((ERROR_STATES, ERROR_STATES))
+    row = rng.standard_normal(Row.WIDTH)
+    row[Row.VELOCITY] *= 10.0
+    row[Row.ATTITUDE] /= np.linalg.norm(row[Row.ATTITUDE])
+    row[Row.COVARIANCE] = (root @ root.T).ravel()
+    return State(np.array([7]), row)
+
+
+def test_imu_is_corrected_and_velocity_in_body_axes() -> None:
+    state = make_state(np.random.default_rng(3))
+    sample = fused_sample(state, GYRO_NOISE)
+    np.testing.assert_allclose(sample.imu.angular_velocity[0], state.rates - state.gyro_bias)
+    np.testing.assert_allclose(sample.imu.specific_force[0], state.specific_force - state.accelerometer_bias)
+    np.testing.assert_allclose(
+        sample.odometry.velocity[0], rotate_world_to_body(state.attitude, state.velocity), rtol=1e-12
+    )
+    state.position[:] = np.nan
+    assert np.isfinite(sample.odometry.position).all()
+
+
+def test_covariances_match_the_spread_of_perturbed_states() -> None:
+    rng = np.random.default_rng(4)
+    state = make_state(rng)
+    errors = rng.multivariate_normal(np.zeros(ERROR_STATES), state.covariance, 20_000)
+    gyro_errors = GYRO_NOISE * rng.standard_normal((len(errors), 3))
+    pose, twist = np.empty((len(errors), 6)), np.empty((len(errors), 6))
+    for row, (error, gyro_error) in enumerate(zip(errors, gyro_errors, strict=True)):
+        turned = rotations.product(state.attitude, rotations.from_rotation_vector(error[ATTITUDE]))
+        world_turn = rotations.product(turned, rotations.inverse(state.attitude))
+        pose[row] = *error[POSITION], *rotations.to_rotation_vector(world_turn)
+        twist[row, :3] = rotate_world_to_body(turned, state.velocity + error[VELOCITY])
+        twist[row, 3:] = gyro_error - error[GYRO_BIAS]
+    sample = fused_sample(state, GYRO_NOISE)
+    assert_close(sample.pose_covariance[0], np.cov(pose.T))
+    assert_close(sample.twist_covariance[0], np.cov(twist.T))
+
+
+def assert_close(actual: Array, expected: Array) -> None:
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(actual / scale, expected / scale, atol=0.06)
+
+
+def test_a_gyro_that_cannot_be_shows_in_the_specific_force() -> None:
+    rates = np.zeros((4, 3))
+    rates[1, 2], rates[2, 0], rates[3, 1] = np.nan, -71.0, 69.0
+    force = np.tile([0.0, 0.0, -9.8], (4, 1))
+    shown = with_gyro_faults(ImuStream(np.arange(4), rates, force)).specific_force
+    np.testing.assert_array_equal(shown[[0, 3]], force[[0, 3]])
+    assert np.isnan(shown[1, 2])
+    assert np.isfinite(shown[2]).all()
+    assert np.abs(shown[2]).max() > SPECIFIC_FORCE_MAX_M_S2

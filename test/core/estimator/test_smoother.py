@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.estimator import smoother
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.propagate import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    BY_ACCELEROMETER_BIAS,
+    BY_ATTITUDE,
+    ERROR_STATES,
+    GYRO_BIAS,
+    POSITION,
+    TURN_BACK,
+    VELOCITY,
+    Row,
+)
+from quadpi_core.estimator.smoother import smooth
+from quadpi_core.flight import Recording
+from quadpi_core.frames import rotate_world_to_body
+
+RATE = 500.0
+
+
+def dense(transition):
+    """The matrix (16, 16) that a transition stands for."""
+    matrix = np.eye(ERROR_STATES)
+    dt = transition[0]
+    matrix[POSITION, VELOCITY] = dt * np.eye(3)
+    matrix[VELOCITY, ATTITUDE] = transition[BY_ATTITUDE : BY_ATTITUDE + 9].reshape(3, 3)
+    matrix[VELOCITY, ACCELEROMETER_BIAS] = transition[
+        BY_ACCELEROMETER_BIAS : BY_ACCELEROMETER_BIAS + 9
+    ].reshape(3, 3)
+    matrix[ATTITUDE, ATTITUDE] = transition[TURN_BACK : TURN_BACK + 9].reshape(3, 3)
+    matrix[ATTITUDE, GYRO_BIAS] = -dt * np.eye(3)
+    return matrix
+
+
+def process_noise(noise, dt):
+    growth = np.zeros(ERROR_STATES)
+    growth[VELOCITY], growth[ATTITUDE] = noise.accelerometer, noise.gyro
+    growth[GYRO_BIAS], growth[ACCELEROMETER_BIAS] = noise.gyro_bias, noise.accelerometer_bias
+    growth[15] = noise.delay
+    return dt * np.diag(growth)
+
+
+def textbook(kinds, entries, covariance, noise):
+    """Rauch, Tung and Striebel with dense matrices: smoothed errors and variances at the estimates."""
+    steps = []
+    for kind, entry in zip(kinds, entries, strict=True):
+        if kind == smoother._STEP:
+            f = dense(entry)
+            predicted = f @ covariance @ f.T + process_noise(noise, entry[0])
+            steps.append(("step", covariance @ f.T @ np.linalg.inv(predicted), covariance, predicted))
+            covariance = predicted
+        elif kind == smoother._SCALAR:
+            h, innovation, expected = entry[:16], entry[32], entry[33]
+            gain = covariance @ h / expected
+            np.testing.assert_allclose(gain, entry[16:32], rtol=1e-5, atol=1e-9)
+            covariance = covariance - np.outer(gain, gain) * expected
+            steps.append(("scalar", gain * innovation, None, None))
+        else:
+            steps.append(("estimate", None, None, None))
+    error, smoothed, results = np.zeros(ERROR_STATES), covariance, []
+    for kind, value, before, predicted in reversed(steps):
+        if kind == "step":
+            error = value @ error
+            smoothed = before + value @ (smoothed - predicted) @ value.T
+        elif kind == "scalar":
+            error = error + value
+        else:
+            results.append((error, np.diag(smoothed)))
+    errors, variances = zip(*reversed(results), strict=True)
+    return np.array(errors), np.array(variances)
+
+
+@pytest.fixture
+def brief(simulate_flight) -> Recording:
+    return simulate_flight(6, duration=2.2).recording
+
+
+def test_it_is_the_smoother_of_the_textbook(noisy_vehicle, brief):
+    ekf = Ekf(noisy_vehicle, RATE)
+    (segment,) = ekf.segments(brief)
+    samples = np.concatenate((brief.imu.angular_velocity, brief.imu.specific_force), axis=1)
+    inputs = smoother._Inputs(
+        brief.imu.time_ns[segment.samples],
+        samples[segment.samples],
+        segment.initial.time_ns,
+        segment.journal_ns,
+        segment.journal,
+        np.array(ekf.noise),
+    )
+    count = len(segment.samples)
+    tape = smoother._tape(count, len(segment.journal))
+    row = segment.initial.row.copy()
+    applied, entries = smoother._forward(inputs, row, 0, count, 0, tape)
+    assert applied == len(segment.journal)
+    covariance = segment.initial.row[Row.COVARIANCE].reshape(ERROR_STATES, ERROR_STATES)
+    errors, variances = textbook(tape.kinds[:entries], tape.entries[:entries], covariance, ekf.noise)
+
+    smoothed = smooth(brief, Ekf(noisy_vehicle, RATE))
+    live = slice(segment.first, None)
+    expected = tape.rows[live]
+    np.testing.assert_allclose(
+        smoothed.velocity, expected[:, Row.VELOCITY] + errors[live, VELOCITY], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        smoothed.gyro_bias, expected[:, Row.GYRO_BIAS] + errors[live, GYRO_BIAS], atol=1e-7
+    )
+    np.testing.assert_allclose(smoothed.delay_s, expected[:, Row.DELAY] + errors[live, 15], atol=1e-7)
+    np.testing.assert_allclose(smoothed.variance, variances[live], rtol=1e-4)
+
+
+def test_the_last_estimate_is_that_of_the_filter_in_the_order_of_instants(noisy_vehicle, brief):
+    smoothed = smooth(brief, Ekf(noisy_vehicle, RATE))
+    trace = Ekf(noisy_vehicle, RATE).run(brief)
+    assert np.array_equal(smoothed.time_ns, trace.time_ns)
+    np.testing.assert_allclose(smoothed.velocity[-1], trace.velocity[-1], rtol=1e-12)
+    np.testing.assert_allclose(smoothed.variance[-1], trace.variance[-1], rtol=1e-9)
+
+
+def test_errors_are_smaller_and_the_beginning_is_as_good_as_the_middle(noisy_vehicle, simulated):
+    recording, true = simulated.recording, simulated.truth
+    smoothed = smooth(recording, Ekf(noisy_vehicle, RATE))
+    trace = Ekf(noisy_vehicle, RATE).run(recording)
+    index = np.searchsorted(recording.imu.time_ns, trace.time_ns)
+    expected = rotate_world_to_body(true.attitude[index], true.velocity[index])
+
+    def error(velocity, rows):
+        return np.sqrt(np.mean((velocity[rows] - expected[rows]) ** 2))
+
+    whole = slice(None)
+    assert error(smoothed.velocity_body, whole) < 0.5 * error(trace.velocity_body, whole)
+    assert error(smoothed.velocity_body, slice(0, 200)) < 2.0 * error(smoothed.velocity_body, whole)
+    scaled = (smoothed.velocity - true.velocity[index]) ** 2 / smoothed.variance[:, VELOCITY]
+    assert 0.4 < np.mean(scaled) < 1.8
+
+
+def test_a_pause_of_the_imu_makes_two_segments(noisy_vehicle, simulated):
+    imu = simulated.recording.imu
+    keep = np.ones(len(imu), dtype=bool)
+    keep[2000:2100] = False
+    parts = {column.name: getattr(imu, column.name)[keep] for column in fields(imu)}
+    recording = replace(simulated.recording, imu=replace(imu, **parts))
+    smoothed = smooth(recording, Ekf(noisy_vehicle, RATE))
+    trace = Ekf(noisy_vehicle, RATE).run(recording)
+    assert np.array_equal(smoothed.time_ns, trace.time_ns)
+    index = np.searchsorted(imu.time_ns, smoothed.time_ns)
+    assert np.max(np.abs(smoothed.velocity - simulated.truth.velocity[index])) < 0.1

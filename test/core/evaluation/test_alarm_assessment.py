@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which alarms count as false, and of how much flight a rate is stated."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.evaluation.alarm_assessment import SIGNALS, Assessed, FlightAlarm, assess
+from quadpi_core.paths import bags_directory
+from quadpi_core.report.terminal_tables import alarm_sentence
+
+RATE_HZ = 50
+GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "model"
+
+
+def flight(duration_s: float, *, raised=(), outside=(), missed=(), unknown=()) -> Assessed:
+    """A flight with spans (from, to) in seconds of alarm, of inputs outside, of misses, of nothing known."""
+    time = np.arange(0.0, duration_s, 1.0 / RATE_HZ)
+
+    def within(spans):
+        return np.any([(time >= start) & (time < end) for start, end in spans] or [time < 0.0], axis=0)
+
+    misses = np.repeat(within(missed)[:, None], 6, axis=1)
+    scores = {name: np.zeros(len(time)) for name in SIGNALS}
+    alarm = FlightAlarm(scores, within(raised), misses, ~within(unknown), within(outside))
+    return Assessed(time, misses, alarm)
+
+
+def test_an_alarm_outside_the_envelope_is_not_false_and_counts_apart():
+    found = assess([flight(120.0, raised=[(20.0, 25.0), (40.0, 41.0)], outside=[(19.0, 26.0)])])
+    assert (found["false_alarms"], found["alarms_outside"]) == (1, 1)
+    assert 3600.0 * found["hours_outside"] == pytest.approx(7.0)
+    assert 3600.0 * found["hours_inside"] == pytest.approx(113.0, abs=0.1)
+    assert found["false_alarms_per_hour"] == pytest.approx(3600.0 / 113.0, rel=1e-3)
+
+
+def test_an_alarm_while_the_model_is_off_is_neither():
+    found = assess([flight(120.0, raised=[(21.0, 25.0)], missed=[(20.0, 26.0)])])
+    assert (found["false_alarms"], found["alarms_outside"], found["flights_off"]) == (0, 0, 1)
+    assert found["hours_inside"] < found["hours_monitored"]
+
+
+@pytest.mark.parametrize(("duration_s", "stated"), [(59.0, False), (62.0, True)])
+def test_a_rate_takes_a_minute(duration_s, stated):
+    found = assess([flight(duration_s, raised=[(5.0, 6.0)])])
+    assert found["false_alarms"] == 1
+    assert (found["false_alarms_per_hour"] is not None) is stated
+    sentence = alarm_sentence(found)
+    assert ("per hour" in sentence) is stated
+    assert ("too short to state" in sentence) is not stated
+
+
+def test_flights_add_up_to_a_minute_and_what_was_not_monitored_does_not_count():
+    half = flight(35.0)
+    assert assess([half])["false_alarms_per_hour"] is None
+    assert assess([half, half])["false_alarms_per_hour"] == 0.0
+    blind = flight(70.0, unknown=[(10.0, 50.0)])
+    assert assess([blind])["false_alarms_per_hour"] is None
+    assert 3600.0 * assess([blind])["hours_monitored"] == pytest.approx(30.0, abs=0.1)
+
+
+def test_the_bundled_flight_that_leaves_the_envelope_raises_no_false_alarm(quadpi, tmp_path):
+    data = tmp_path / "data.json"
+    ran = quadpi("evaluate", GOLDEN, bags_directory() / "extrapolation.mcap", "--json", data)
+    assert (ran.status, ran.errors) == (0, "")
+    alarm = json.loads(data.read_text())["groups"]["all"]["alarm"]
+    assert alarm["false_alarms"] == 0
+    assert alarm["alarms_outside"] > 0
+    assert alarm["false_alarms_per_hour"] is None
+    assert "too short to state" in ran.output

@@ -1,0 +1,70 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from quadpi_core.identification.tail_limits import USUAL_FLIGHTS, lasting_maximum, next_flight, sums_of_misses
+
+PERSISTENCE_S, RELEASE_S = 0.1, 0.5
+STEP_S = 0.01
+
+
+USUAL = 0.6
+
+
+@pytest.mark.parametrize(("flights", "chance"), [(8, 0.003), (12, 0.003), (8, 0.05), (30, 0.01)])
+def test_one_more_flight_passes_its_limit_with_the_chance(flights, chance):
+    rng = np.random.default_rng(flights)
+    # Sets of flights differ in their spread as is known beforehand: by a scaled inverse chi-square.
+    spread = USUAL * np.sqrt(USUAL_FLIGHTS / rng.chisquare(USUAL_FLIGHTS, size=(4000, 1)))
+    drawn = np.exp(0.3 + spread * rng.standard_normal((4000, flights + 1)))
+    passed = sum(one[-1] > next_flight(one[:-1], chance, USUAL) for one in drawn)
+    assert binomtest(passed, len(drawn), chance).pvalue > 0.01
+
+
+def test_flights_that_differ_more_or_are_fewer_widen_the_limit():
+    alike, unlike = np.linspace(0.9, 1.1, 12), np.linspace(0.5, 1.5, 12)
+    assert next_flight(unlike, 0.01, USUAL) > next_flight(alike, 0.01, USUAL)
+    assert next_flight(alike, 0.01, USUAL) > next_flight(np.tile(alike, 10), 0.01, USUAL)
+    assert next_flight(alike, 0.001, USUAL) > next_flight(alike, 0.01, USUAL)
+
+
+def test_many_flights_tell_their_own_spread():
+    drawn = np.exp(0.2 * np.random.default_rng(5).standard_normal(3000))
+    assert next_flight(drawn, 0.01, USUAL) == pytest.approx(np.exp(0.2 * 2.326), rel=0.05)
+
+
+def test_flights_that_never_moved_give_a_finite_limit():
+    assert 1.0 < next_flight(np.ones(8), 0.003, 0.1) < 1.6
+    assert 0.0 < next_flight(np.zeros(8), 0.003, 0.1) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("pulses", "expected"),
+    [
+        ([(1.0, 0.08, 5.0)], 0.0),
+        ([(1.0, 0.3, 5.0)], 5.0),
+        ([(1.0, 0.3, 3.0), (2.0, 0.08, 9.0)], 3.0),
+        # The second comes before the first has drained.
+        ([(1.0, 0.08, 5.0), (1.1, 0.08, 5.0)], 5.0),
+        ([(1.0, 0.08, 5.0), (2.0, 0.08, 5.0)], 0.0),
+    ],
+)
+def test_only_what_lasts_counts(pulses, expected):
+    time = np.arange(0.0, 4.0, STEP_S)
+    values = np.zeros(len(time))
+    for start, length, height in pulses:
+        values[(time >= start - 1e-9) & (time < start + length - 1e-9)] = height
+    assert lasting_maximum(values, time, PERSISTENCE_S, RELEASE_S) == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_sequential_test_rises_by_misses_beyond_the_allowed_share():
+    time = np.arange(0.0, 2.0, STEP_S)
+    miss = np.zeros((len(time), 6))
+    miss[100:, 1] = 1.0
+    miss[:, 2] = np.nan
+    sums = sums_of_misses(time, miss, 0.1)
+    assert sums[-1] == pytest.approx([0.0, 0.9 * 100 * STEP_S, 0.0, 0.0, 0.0, 0.0])

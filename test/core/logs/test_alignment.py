@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import SignalError
+from quadpi_core.logs.alignment import align_pose, time_offset
+from quadpi_core.logs.neurobem import read_neurobem
+from quadpi_core.vehicle import SensorNoise, Vehicle
+
+
+def chirp(time):
+    return np.stack((np.sin(time * time), np.cos(1.3 * time * time + time)), axis=1)
+
+
+def stamps(start, stop, rate):
+    return np.rint(np.arange(start, stop, 1.0 / rate) * 1e9).astype(np.int64)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.1234, -0.05678])
+def test_recovers_an_offset_below_one_sample(offset):
+    reference_ns, other_ns = stamps(0.0, 10.0, 500.0), stamps(2.0, 8.0, 120.0)
+    noise = np.random.default_rng(8).normal(scale=0.1, size=(len(other_ns), 2))
+    other = chirp(1e-9 * other_ns + offset) + noise
+    found = time_offset(reference_ns, chirp(1e-9 * reference_ns), other_ns, other)
+    assert found.offset_s == pytest.approx(offset, abs=1e-3)
+    assert found.correlation > 0.97
+    assert found.overlap_s == pytest.approx(6.0, abs=0.1)
+    assert found.matches == pytest.approx(3000, abs=10)
+
+
+def test_clocks_of_unrelated_epochs():
+    reference_ns = 1_700_000_000_000_000_000 + stamps(0.0, 10.0, 500.0)
+    other_ns = stamps(0.0, 5.0, 200.0)
+    reference = chirp(1e-9 * (reference_ns - reference_ns[0]))
+    found = time_offset(reference_ns, reference, other_ns, chirp(1e-9 * other_ns + 3.0))
+    assert found.offset_ns == pytest.approx(1_700_000_003_000_000_000, abs=1e6)
+
+
+def test_no_overlap_prints_ranges_offset_and_matches():
+    first, later = stamps(0.0, 10.0, 100.0), stamps(100.0, 110.0, 100.0)
+    with pytest.raises(
+        SignalError,
+        match=r"A and B: no overlap: reference spans 0\.000 to 9\.990 s, other 100\.000 to .* 0 matching",
+    ):
+        time_offset(first, chirp(1e-9 * first), later, chirp(1e-9 * later), max_offset_s=1.0, what="A and B")
+
+
+def test_signals_that_share_nothing_are_refused():
+    rng = np.random.default_rng(9)
+    time_ns = stamps(0.0, 20.0, 100.0)
+    with pytest.raises(SignalError, match=r"best offset .* correlation 0\.\d+ over \d+ matching"):
+        time_offset(time_ns, rng.normal(size=(2000, 3)), time_ns, rng.normal(size=(2000, 3)))
+
+
+def test_a_constant_signal_is_refused():
+    time_ns = stamps(0.0, 20.0, 100.0)
+    with pytest.raises(SignalError, match="no overlap"):
+        time_offset(time_ns, np.ones((2000, 3)), time_ns, np.ones((2000, 3)))
+
+
+def test_pose_stamps_move_to_the_imu_clock(noisy_vehicle, simulate_flight):
+    precise = replace(noisy_vehicle, noise=SensorNoise(mocap_attitude_rad=0.001))
+    recording = simulate_flight(11, vehicle=precise).recording
+    late = replace(recording, pose=replace(recording.pose, time_ns=recording.pose.time_ns + 80_000_000))
+    aligned, alignment = align_pose(late)
+    assert alignment.offset_s == pytest.approx(-0.08, abs=2e-3)
+    assert np.array_equal(aligned.pose.time_ns, late.pose.time_ns + alignment.offset_ns)
+    with pytest.raises(SignalError, match=r"simulated\.bag: topic mocap/pose is missing"):
+        align_pose(replace(recording, pose=None))
+
+
+def test_the_gyro_of_neurobem_lags_by_a_few_milliseconds(shared_data):
+    path = shared_data / "neurobem" / "bemnn20210218172600seg1.mat"
+    _, alignment = align_pose(read_neurobem(path, Vehicle.load("neurobem")))
+    assert 0.005 < alignment.offset_s < 0.009
+    assert alignment.correlation > 0.99

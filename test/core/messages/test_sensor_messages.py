@@ -1,0 +1,302 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import (
+    AXES,
+    ImuStream,
+    OdometryStream,
+    PoseStream,
+    RotorSpeedStream,
+    TwistStream,
+    WindStream,
+)
+from quadpi_core.frames import rotation_matrix, world_ned_to_enu
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.monitor.data_quality import GYRO_FROZEN
+from quadpi_core.monitor.events import AlarmEvent
+from quadpi_core.monitor.reasons import reasons
+from quadpi_core.results import Alarms, Predictions
+from quadpi_core.vehicle import Vehicle
+
+N = 7
+TIME_NS = 1_700_000_000_999_999_990 + 7 * np.arange(N)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def attitudes(rng):
+    quaternion = rng.normal(size=(N, 4))
+    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+
+def reference(payloads, type_name):
+    """Each message as rosbags reads it; rosbags must also write the same bytes."""
+    decoded = [typestore().deserialize_cdr(message, type_name) for message in payloads]
+    for one, message in zip(decoded, payloads, strict=True):
+        assert bytes(typestore().serialize_cdr(one, type_name)) == message
+    assert [one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in decoded] == TIME_NS.tolist()
+    return decoded
+
+
+def vector(message):
+    return [message.x, message.y, message.z]
+
+
+def assert_same(actual, expected):
+    for column in fields(expected):
+        np.testing.assert_allclose(
+            getattr(actual, column.name), getattr(expected, column.name), rtol=1e-15, atol=1e-15
+        )
+
+
+def test_imu_is_flu_and_marks_orientation_absent(rng):
+    stream = ImuStream(TIME_NS, rng.normal(size=(N, 3)), rng.normal(size=(N, 3)))
+    payloads = sensor_messages.pack_imu(stream, "drone/base")
+    for one, rates, force in zip(
+        reference(payloads, sensor_messages.IMU), stream.angular_velocity, stream.specific_force, strict=True
+    ):
+        assert vector(one.angular_velocity) == [rates[0], -rates[1], -rates[2]]
+        assert vector(one.linear_acceleration) == [force[0], -force[1], -force[2]]
+        assert one.orientation_covariance[0] == -1.0
+        assert one.header.frame_id == "drone/base"
+    assert_same(sensor_messages.unpack_imu(payloads), stream)
+    assert sensor_messages.unpack_imu(payloads[3]).time_ns.tolist() == [TIME_NS[3]]
+
+
+def test_pose_is_enu_with_x_first_quaternion(rng):
+    stream = PoseStream(TIME_NS, rng.normal(size=(N, 3)), attitudes(rng))
+    payloads = sensor_messages.pack_pose(stream)
+    for one, (north, east, down) in zip(
+        reference(payloads, sensor_messages.POSE), stream.position, strict=True
+    ):
+        assert vector(one.pose.position) == [east, north, -down]
+    assert_same(sensor_messages.unpack_pose(payloads), stream)
+
+
+def test_level_vehicle_that_faces_north_is_yawed_left_of_east():
+    level = PoseStream(TIME_NS[:1], np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
+    orientation = (
+        typestore()
+        .deserialize_cdr(sensor_messages.pack_pose(level)[0], sensor_messages.POSE)
+        .pose.orientation
+    )
+    half = np.sqrt(0.5)
+    found = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
+    np.testing.assert_allclose(found, [0.0, 0.0, half, half], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("frame", "body_frame", "in_body"),
+    [
+        ("base_link", "base_link", True),
+        ("base_link", "uav1/base_link", True),
+        ("uav1/base_link", "base_link", True),
+        ("map", "uav1/base_link", False),
+        ("uav1", "uav1/base_link", False),
+    ],
+)
+def test_a_velocity_is_in_body_axes_whatever_the_namespace(frame, body_frame, in_body):
+    stream = TwistStream(np.array([1]), np.array([[1.0, 2.0, 3.0]]), np.array([True]))
+    payloads = sensor_messages.pack_twist(stream, body_frame=frame)
+    assert sensor_messages.unpack_twist(payloads, body_frame).in_body == [in_body]
+
+
+def test_odometry_keeps_twist_in_the_body_and_rotates_covariances(rng):
+    stream = OdometryStream(
+        TIME_NS, rng.normal(size=(N, 3)), attitudes(rng), rng.normal(size=(N, 3)), rng.normal(size=(N, 3))
+    )
+    roots = rng.normal(size=(2, N, 6, 6))
+    pose_covariance, twist_covariance = roots @ np.swapaxes(roots, -1, -2)
+    payloads = sensor_messages.pack_odometry(stream, pose_covariance, twist_covariance)
+    error = rng.normal(size=6)
+    turned = np.concatenate([world_ned_to_enu(error[:3]), world_ned_to_enu(error[3:])])
+    for sample, one in enumerate(reference(payloads, sensor_messages.ODOMETRY)):
+        assert vector(one.twist.twist.linear) == (stream.velocity[sample] * [1, -1, -1]).tolist()
+        assert vector(one.twist.twist.angular) == (stream.rates[sample] * [1, -1, -1]).tolist()
+        assert (one.header.frame_id, one.child_frame_id) == ("map", "base_link")
+        in_enu = turned @ one.pose.covariance.reshape(6, 6) @ turned
+        np.testing.assert_allclose(in_enu, error @ pose_covariance[sample] @ error)
+        variances = one.twist.covariance.reshape(6, 6).diagonal()
+        np.testing.assert_allclose(variances, twist_covariance[sample].diagonal())
+    assert_same(sensor_messages.unpack_odometry(payloads), stream)
+
+
+def test_attitude_in_the_message_rotates_body_vectors_into_enu(rng):
+    stream = PoseStream(TIME_NS, np.zeros((N, 3)), attitudes(rng))
+    forward_ned = rotation_matrix(stream.attitude)[:, :, 0]
+    for sample, one in enumerate(reference(sensor_messages.pack_pose(stream), sensor_messages.POSE)):
+        q = one.pose.orientation
+        forward_enu = rotation_matrix(np.array([q.w, q.x, q.y, q.z]))[:, 0]
+        np.testing.assert_allclose(forward_enu, world_ned_to_enu(forward_ned[sample]), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "orientation",
+    [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1), (np.inf, 0.0, 0.0, 1.0), (np.inf, -np.inf, 0.0, 0.0)],
+)
+def test_orientation_that_is_no_unit_quaternion_is_refused(rng, orientation):
+    payloads = sensor_messages.pack_pose(PoseStream(TIME_NS, np.zeros((N, 3)), attitudes(rng)))
+    broken = bytearray(payloads[4])
+    broken[-32:] = np.array(orientation).tobytes()
+    together = Payloads.join([*list(payloads)[:4], bytes(broken)])
+    with pytest.raises(LogError, match="sample 4: the orientation is no unit quaternion"):
+        sensor_messages.unpack_pose(together)
+
+
+def test_wind_and_rotor_speeds(rng):
+    wind = WindStream(TIME_NS, rng.normal(size=(N, 3)))
+    payloads = sensor_messages.pack_wind(wind)
+    for one, (north, east, down) in zip(
+        reference(payloads, sensor_messages.WIND), wind.velocity, strict=True
+    ):
+        assert vector(one.vector) == [east, north, -down]
+    assert_same(sensor_messages.unpack_wind(payloads), wind)
+    rotors = RotorSpeedStream(TIME_NS, rng.uniform(0, 900, size=(N, 4)))
+    payloads = sensor_messages.pack_rotor_speeds(rotors)
+    for one, speeds in zip(reference(payloads, sensor_messages.ROTOR_SPEEDS), rotors.speeds, strict=True):
+        np.testing.assert_array_equal(one.rotor_speeds, speeds)
+    assert_same(sensor_messages.unpack_rotor_speeds(payloads), rotors)
+
+
+def test_erpm_becomes_mechanical_by_the_pole_pairs(rng):
+    vehicle = Vehicle(
+        name="test",
+        mass_kg=1.0,
+        inertia=np.eye(3),
+        rotor_radius_m=0.1,
+        rotor_positions=np.zeros((4, 3)),
+        rotor_spins=np.ones(4),
+        pole_pairs=7,
+        rotor_speed_max_rad_s=1000.0,
+    )
+    erpm = rng.uniform(1e4, 9e4, size=(N, 4))
+    payloads = sensor_messages.pack_erpm(TIME_NS, erpm)
+    np.testing.assert_array_equal(reference(payloads, sensor_messages.ERPM)[2].erpm, erpm[2])
+    np.testing.assert_allclose(
+        sensor_messages.unpack_erpm(payloads, vehicle).speeds, erpm * 2 * np.pi / 60 / 7
+    )
+
+
+@pytest.mark.parametrize(
+    ("type_name", "field", "linear", "angular"),
+    [
+        (sensor_messages.WRENCH, "wrench", "force", "torque"),
+        (sensor_messages.ACCELERATION, "accel", "linear", "angular"),
+    ],
+)
+def test_pairs_of_body_vectors_are_flu(rng, type_name, field, linear, angular):
+    vectors = rng.normal(size=(N, 6))
+    payloads = sensor_messages.pack_body_vectors(TIME_NS, vectors, type_name)
+    for one, sample in zip(reference(payloads, type_name), vectors, strict=True):
+        pair = getattr(one, field)
+        assert vector(getattr(pair, linear)) == [sample[0], -sample[1], -sample[2]]
+        assert vector(getattr(pair, angular)) == [sample[3], -sample[4], -sample[5]]
+        assert one.header.frame_id == "base_link"
+    time_ns, found = sensor_messages.unpack_body_vectors(payloads, type_name)
+    np.testing.assert_array_equal(time_ns, TIME_NS)
+    np.testing.assert_array_equal(found, vectors)
+
+
+def test_bounds_swap_on_axes_that_change_sign(rng):
+    predicted = rng.normal(size=(N, 6))
+    predictions = Predictions(
+        time_ns=TIME_NS,
+        predicted=predicted,
+        lower=predicted - rng.uniform(0.1, 1.0, size=(N, 6)),
+        upper=predicted + rng.uniform(1.1, 2.0, size=(N, 6)),
+        measured=rng.normal(size=(N, 6)),
+        relative_width=rng.uniform(size=(N, 6)),
+    )
+    payloads = result_messages.pack_predictions(
+        predictions, model="poly 0123456789ab", confidence=0.95, axes=AXES
+    )
+    for sample, one in enumerate(reference(payloads, sensor_messages.PREDICTION)):
+        assert one.lower_fx == predictions.lower[sample, 0]
+        assert one.lower_fy == -predictions.upper[sample, 1]
+        assert one.upper_mz == -predictions.lower[sample, 5]
+        assert one.lower_fz <= one.predicted_fz <= one.upper_fz
+        assert one.measured_my == -predictions.measured[sample, 4]
+        assert one.relative_width_my == predictions.relative_width[sample, 4]
+        assert (one.model, one.confidence, one.axes) == ("poly 0123456789ab", 0.95, 63)
+    assert_same(result_messages.unpack_predictions(payloads), predictions)
+
+
+def test_axes_that_are_not_held_stay_plain_zero():
+    zeros = np.zeros((N, 6))
+    payloads = result_messages.pack_predictions(
+        Predictions(TIME_NS, zeros, zeros, zeros, zeros, zeros), model="m", confidence=0.9, axes=()
+    )
+    assert not np.signbit(typestore().deserialize_cdr(payloads[0], sensor_messages.PREDICTION).upper_fy)
+
+
+def test_alarms_name_the_inputs_outside_farthest_first(rng):
+    excess = np.zeros((N, len(INPUT_NAMES)))
+    excess[1, INPUT_NAMES.index("u")] = 0.25
+    excess[2, [INPUT_NAMES.index("u"), INPUT_NAMES.index("mu_x")]] = 0.25, 0.5
+    excess[5] = excess[1]
+    alarms = Alarms(
+        time_ns=TIME_NS,
+        level=rng.integers(0, 3, N).astype(np.uint8),
+        causes=rng.integers(0, 8, N).astype(np.uint8),
+        cause_level=rng.integers(0, 3, (N, 3)).astype(np.uint8),
+        cause_health=rng.integers(0, 4, (N, 3)).astype(np.uint8),
+        cause_evidence=rng.random((N, 3)),
+        leverage=rng.normal(size=(N, 6)),
+        leverage_ratio=rng.uniform(0.0, 4.0, (N, 6)),
+        width=rng.normal(size=(N, 6)),
+        width_ratio=rng.uniform(0.0, 2.0, (N, 6)),
+        miscoverage=rng.random((N, 6)),
+        miss_share=rng.random((N, 6)),
+        input_score=(1.0 + 2.0 * excess) / 1.2,
+        input_excess=excess,
+        faults=np.full(N, GYRO_FROZEN),
+    )
+    payloads = result_messages.pack_alarms(alarms)
+    outside = [(), ("u",), ("mu_x", "u"), (), (), ("u",), ()]
+    for sample, one in enumerate(reference(payloads, sensor_messages.ALARM)):
+        assert tuple(one.inputs_outside) == outside[sample]
+        assert (one.level, one.causes) == (alarms.level[sample], alarms.causes[sample])
+        assert one.envelope_distance == excess[sample].max()
+        np.testing.assert_array_equal(one.leverage, alarms.leverage[sample])
+        for name in ("width", "cause_level", "cause_health", "cause_evidence", "miscoverage", "miss_share"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(alarms, name)[sample])
+        assert tuple(one.reasons) == reasons(alarms, sample)
+    unpacked = result_messages.unpack_alarms(payloads)
+    assert unpacked.reasons == [reasons(alarms, sample) for sample in range(N)]
+    assert any(unpacked.reasons)
+    assert unpacked.inputs_outside == outside
+    np.testing.assert_array_equal(unpacked.level, alarms.level)
+    np.testing.assert_array_equal(unpacked.time_ns, TIME_NS)
+
+
+def test_events_survive_their_message():
+    events = [
+        AlarmEvent(1, 1, 5_000_000_001, 5_000_000_001, 0, 1.5, ("u 1.4 x the training range", "gap")),
+        AlarmEvent(1, 1, 7_000_000_001, 5_000_000_001, 7_000_000_001, 2.5, ()),
+    ]
+    payloads = result_messages.pack_events(events)
+    for event, payload in zip(events, payloads, strict=True):
+        one = typestore().deserialize_cdr(payload, sensor_messages.EVENT)
+        assert (one.number, one.cause, one.peak_evidence) == (1, 1, event.peak_evidence)
+        assert one.end.sec * 10**9 + one.end.nanosec == event.end_ns
+        assert tuple(one.reasons) == event.reasons
+    assert result_messages.unpack_events(payloads) == events
+
+
+def test_stamp_with_more_than_a_second_of_nanoseconds_is_refused(rng):
+    payloads = sensor_messages.pack_wind(WindStream(TIME_NS, rng.normal(size=(N, 3))))
+    broken = bytearray(payloads[1])
+    broken[8:12] = (10**9).to_bytes(4, "little")
+    with pytest.raises(LogError, match="sample 1: the stamp"):
+        sensor_messages.unpack_wind(Payloads.join([payloads[0], bytes(broken)]))

@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from benchmarks.random_ensembles import random_ensemble
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models import AerodynamicModel, Evaluation
+from quadpi_core.models.ensembles.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.ensembles.network import Networks
+from quadpi_core.models.methods import METHODS
+from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.models.regressors import Regressor
+
+REGRESSORS = (Regressor.parse("u"), Regressor.parse("|v|*w"))
+KINDS = {"bootstrap": FittedBootstrap, "quality-driven": FittedQualityDriven}
+
+
+@pytest.fixture(params=KINDS)
+def ensemble(request: pytest.FixtureRequest, X: Array) -> AnyFitted:
+    return random_ensemble(request.param, X, REGRESSORS, members=4, units=5)
+
+
+@pytest.fixture
+def folder(model: AerodynamicModel, tmp_path: Path) -> Path:
+    model.save(tmp_path / "model")
+    return tmp_path / "model"
+
+
+def rewrite(folder: Path, change: Callable[[dict[str, Any], dict[str, Array]], None]) -> None:
+    """Alter a stored model as someone would who knows how to make the hash fit."""
+    content, arrays = json.loads((folder / MODEL_FILE).read_text()), load_file(folder / ARRAYS_FILE)
+    change(content, arrays)
+    save_file(arrays, folder / ARRAYS_FILE)
+    content["arrays_sha256"] = hashlib.sha256((folder / ARRAYS_FILE).read_bytes()).hexdigest()
+    (folder / MODEL_FILE).write_text(json.dumps(content))
+
+
+def test_bootstrap_is_mean_and_variance_of_members_and_noise(X: Array) -> None:
+    ensemble = random_ensemble("bootstrap", X, REGRESSORS, members=4, units=5)
+    members, scaling = ensemble.members, ensemble.scaling
+    for sample in X[:5]:
+        u, v, w = sample[:3]
+        features = (np.array([u, abs(v) * w]) - scaling.input_mean) / scaling.input_scale
+
+        def output(networks: Networks, k: int, features: Array = features) -> float:
+            units = np.maximum(networks.hidden_weights[k] @ features + networks.hidden_biases[k], 0.0)
+            return float(networks.output_weights[k, 0] @ units + networks.output_biases[k, 0])
+
+        predictions = [output(members, k) for k in range(4)]
+        noise = np.log1p(np.exp(output(ensemble.noise, 0))) + ensemble.floor
+        variance = ensemble.model_share * np.var(predictions, ddof=1) + noise**2
+        centre, spread = ensemble.centre_and_spread(sample[None])
+        assert centre[0] == pytest.approx(1.0 + 0.3 * np.mean(predictions))
+        assert spread[0] == pytest.approx(0.3 * np.sqrt(variance))
+
+
+def test_quality_driven_bounds_move_outward(X: Array) -> None:
+    ensemble = random_ensemble("quality-driven", X, REGRESSORS, members=4, units=5)
+    bounds = ensemble.members.outputs(ensemble.features(X))
+    outward = 1.96 * bounds.std(axis=0, ddof=1).mean(axis=1)
+    lower, upper = bounds.mean(axis=0).T + outward * [[-1.0], [1.0]]
+    assert np.all(lower < upper)
+    centre, spread = ensemble.centre_and_spread(X)
+    np.testing.assert_allclose(centre - spread, 1.0 + 0.3 * lower)
+    np.testing.assert_allclose(centre + spread, 1.0 + 0.3 * upper)
+
+
+@pytest.mark.parametrize("distance", [-3.0, 0.0])
+def test_bounds_that_cross_or_meet_still_hold_an_interval(X: Array, distance: float) -> None:
+    ensemble = random_ensemble("quality-driven", X, REGRESSORS, members=4, units=5)
+    members = replace(
+        ensemble.members,
+        output_weights=np.repeat(ensemble.members.output_weights[:, :1], 2, axis=1),
+        output_biases=np.tile([0.0, distance], (4, 1)),
+    )
+    _, spread = replace(ensemble, members=members, outward=0.0).centre_and_spread(X)
+    np.testing.assert_allclose(spread, 0.3 * max(0.5 * abs(distance), ensemble.floor))
+
+
+def test_says_what_it_is_made_of(ensemble: AnyFitted) -> None:
+    assert ensemble.terms == ["4 networks of 5 hidden units over", *map(str, REGRESSORS)]
+    assert replace(ensemble, inputs=None).terms[1:] == ["column 0", "column 1"]
+
+
+def test_takes_a_table_as_it_is(ensemble: AnyFitted, X: Array) -> None:
+    table = np.column_stack((X[:, 0], np.abs(X[:, 1]) * X[:, 2]))
+    for of_table, of_inputs in zip(
+        replace(ensemble, inputs=None).centre_and_spread(table), ensemble.centre_and_spread(X), strict=True
+    ):
+        np.testing.assert_allclose(of_table, of_inputs, rtol=1e-12)
+
+
+def test_stored_numbers_are_the_same(ensemble: AnyFitted, X: Array) -> None:
+    data = json.loads(json.dumps(ensemble.to_json()))
+    again = METHODS[ensemble.method].stored(data, ensemble.arrays())
+    assert type(again) is type(ensemble)
+    for one, other in zip(again.centre_and_spread(X), ensemble.centre_and_spread(X), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert again.to_json() == ensemble.to_json()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"inputs": ["u"]},
+        {"inputs": ["u", "zeta"]},
+        {"rms_spread": 0.0},
+        {"rms_spread": float("inf")},
+        {"floor": 0.0},
+        {"rule": {"kind": "magic"}},
+    ],
+)
+def test_numbers_that_no_fit_gives_are_refused(ensemble: AnyFitted, changes: dict[str, Any]) -> None:
+    with pytest.raises(ModelError):
+        type(ensemble).stored(ensemble.to_json() | changes, ensemble.arrays())
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "value"),
+    [
+        ("bootstrap", "model_share", 0.0),
+        ("bootstrap", "model_share", float("inf")),
+        ("quality-driven", "outward", -1.0),
+        ("quality-driven", "outward", float("inf")),
+    ],
+)
+def test_weights_of_the_deviation_that_make_no_sense_are_refused(
+    X: Array, method: str, name: str, value: float
+) -> None:
+    ensemble = random_ensemble(method, X, REGRESSORS)
+    with pytest.raises(ModelError, match=name):
+        KINDS[method].stored(ensemble.to_json() | {name: value}, ensemble.arrays())
+
+
+def test_members_of_the_other_kind_are_refused(X: Array) -> None:
+    bootstrap = random_ensemble("bootstrap", X, REGRESSORS)
+    bounds = random_ensemble("quality-driven", X, REGRESSORS)
+    with pytest.raises(ModelError, match="do not fit together"):
+        FittedBootstrap.stored(bootstrap.to_json(), bootstrap.arrays() | bounds.arrays())
+    with pytest.raises(ModelError, match="two bounds"):
+        FittedQualityDriven.stored(bounds.to_json(), bootstrap.arrays())
+
+
+def test_a_single_member_has_no_deviation(ensemble: AnyFitted) -> None:
+    single = replace(ensemble, members=ensemble.members[:1])
+    with pytest.raises(ModelError):
+        type(ensemble).stored(single.to_json(), single.arrays())
+
+
+def test_saved_model_evaluates_to_the_same_bits(model: AerodynamicModel, folder: Path, X: Array) -> None:
+    loaded = AerodynamicModel.load(folder)
+    for name in Evaluation._fields:
+        np.testing.assert_array_equal(getattr(loaded.evaluate(X), name), getattr(model.evaluate(X), name))
+    assert loaded.method == model.method
+    assert loaded.save(folder.parent / "again" / "model").identity == loaded.identity
+    for name in (MODEL_FILE, ARRAYS_FILE):
+        assert (folder.parent / "again" / "model" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_nothing_stored_can_be_executed(folder: Path) -> None:
+    assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
+    json.loads((folder / MODEL_FILE).read_text())
+    assert all(values.dtype == np.float64 for values in load_file(folder / ARRAYS_FILE).values())
+
+
+@pytest.mark.parametrize("position", [0, 1000, -1])
+def test_altered_arrays_are_refused(folder: Path, position: int) -> None:
+    content = bytearray((folder / ARRAYS_FILE).read_bytes())
+    content[position] ^= 1
+    (folder / ARRAYS_FILE).write_bytes(content)
+    with pytest.raises(ModelError, match=r"arrays\.safetensors: its hash is not the one in model\.json"):
+        AerodynamicModel.load(folder)
+
+
+@pytest.mark.parametrize("missing", [MODEL_FILE, ARRAYS_FILE])
+def test_missing_file_is_named(folder: Path, missing: str) -> None:
+    (folder / missing).unlink()
+    with pytest.raises(ModelError, match=f"{missing}: cannot be read"):
+        AerodynamicModel.load(folder)
+
+
+def test_pickle_in_place_of_arrays_is_refused(folder: Path) -> None:
+    planted = pickle.dumps(print)
+    (folder / ARRAYS_FILE).write_bytes(planted)
+    content = json.loads((folder / MODEL_FILE).read_text())
+    content["arrays_sha256"] = hashlib.sha256(planted).hexdigest()
+    (folder / MODEL_FILE).write_text(json.dumps(content))
+    with pytest.raises(ModelError, match="not a quadpi model"):
+        AerodynamicModel.load(folder)
+
+
+def without_biases(_: dict[str, Any], arrays: dict[str, Array]) -> None:
+    del arrays["Fx.members.hidden_biases"]
+
+
+def of_fewer_units(_: dict[str, Any], arrays: dict[str, Array]) -> None:
+    arrays["Fx.members.hidden_weights"] = arrays["Fx.members.hidden_weights"][:, 1:].copy()
+
+
+def not_a_number(_: dict[str, Any], arrays: dict[str, Array]) -> None:
+    arrays["Fx.members.output_biases"][0, 0] = np.nan
+
+
+def of_the_polynomial(content: dict[str, Any], _: dict[str, Array]) -> None:
+    content["method"] = "polynomial"
+
+
+def of_other_inputs(content: dict[str, Any], _: dict[str, Array]) -> None:
+    content["axes"]["Fx"]["inputs"] = content["axes"]["Fz"]["inputs"]
+
+
+@pytest.mark.parametrize(
+    "change", [without_biases, of_fewer_units, not_a_number, of_the_polynomial, of_other_inputs]
+)
+def test_altered_model_is_refused_even_if_the_hash_fits(
+    folder: Path, change: Callable[[dict[str, Any], dict[str, Array]], None]
+) -> None:
+    rewrite(folder, change)
+    with pytest.raises(ModelError) as caught:
+        AerodynamicModel.load(folder)
+    assert str(folder) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_arrays_of_the_other_method_are_refused(model: AerodynamicModel, folder: Path, X: Array) -> None:
+    other = "bootstrap" if model.method == "quality-driven" else "quality-driven"
+    foreign = random_ensemble(other, X, model.fitted["Fx"].inputs).arrays()
+
+    def exchanged(_: dict[str, Any], arrays: dict[str, Array]) -> None:
+        arrays.update({f"Fx.{name}": values for name, values in foreign.items()})
+
+    rewrite(folder, exchanged)
+    with pytest.raises(ModelError, match="Fx: members"):
+        AerodynamicModel.load(folder)

@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.interval_rules import (
+    FEWEST_INSIDE,
+    LEVELS,
+    AnyRule,
+    FlightErrors,
+    HeldOutRule,
+    NormalRule,
+    ResidualRule,
+    TrainedRule,
+    calibrate,
+    rule_from_json,
+)
+
+
+def flight_errors(error: Array, spread: Array | None = None, inside_share: float = 1.0) -> FlightErrors:
+    count = len(error)
+    return FlightErrors(
+        error,
+        np.ones(count) if spread is None else spread,
+        np.arange(count) < inside_share * count,
+    )
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_factors_of_a_flight_cover_it(scale: float) -> None:
+    rng = np.random.default_rng(3)
+    error, spread = rng.normal(scale=scale, size=5000), 1.0 + rng.exponential(0.01, size=5000)
+    factors = flight_errors(error, spread).factors()
+    for level, factor in zip(LEVELS, factors, strict=True):
+        assert level <= np.mean(np.abs(error) <= factor * spread) <= level + 0.001
+
+
+def test_calibration_covers_each_flight_left_out_and_in_the_final_fit() -> None:
+    rng = np.random.default_rng(4)
+    held_out = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.0, 3.0, 2.0)]
+    trained = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.5, 1.0, 1.0)]
+    rule = calibrate(held_out, trained)
+    for row, out, own in zip(rule.flight_factors, held_out, trained, strict=True):
+        expected = np.maximum(out.factors(), own.factors())
+        np.testing.assert_array_equal(row, expected)
+
+
+def test_other_errors_of_the_same_flights_widen_and_never_narrow() -> None:
+    rng = np.random.default_rng(6)
+    flights = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.0, 2.0, 3.0)]
+    rule = calibrate(flights, flights)
+    other = [flight_errors(rng.normal(scale=scale, size=2000)) for scale in (1.5, 1.0)]
+    other.append(flight_errors(rng.normal(scale=9.0, size=2000), inside_share=FEWEST_INSIDE - 0.01))
+    wider = rule.covering(other)
+    np.testing.assert_array_equal(wider.flight_factors[0], other[0].factors())
+    np.testing.assert_array_equal(wider.flight_factors[1:], rule.flight_factors[1:])
+    nothing_known = flight_errors(np.empty(0))
+    np.testing.assert_array_equal(rule.covering([nothing_known] * 3).flight_factors, rule.flight_factors)
+
+
+def test_flight_outside_the_envelope_of_the_others_does_not_set_the_width() -> None:
+    rng = np.random.default_rng(5)
+    trained = [flight_errors(rng.normal(size=1000)) for _ in range(4)]
+    wild = 100.0 * rng.normal(size=1000)
+    within = [flight_errors(rng.normal(size=1000)) for _ in range(3)]
+    outside = [*within, flight_errors(wild, inside_share=FEWEST_INSIDE - 0.01)]
+    inside = [*within, flight_errors(wild, inside_share=FEWEST_INSIDE)]
+    assert calibrate(outside, trained).factor(0.95) < 3.0
+    assert calibrate(inside, trained).factor(0.95) > 100.0
+
+
+@pytest.mark.parametrize(("flights", "rank"), [(2, 2), (5, 5), (9, 9), (10, 10), (19, 18), (29, 27)])
+def test_factor_is_the_conformal_rank_of_the_flights(flights: int, rank: int) -> None:
+    factors = np.random.default_rng(6).permutation(np.arange(1.0, flights + 1.0))
+    rule = HeldOutRule(np.repeat(factors[:, None], len(LEVELS), axis=1), 0)
+    assert rule.factor(0.95) == rank
+
+
+def test_nine_tenths_of_new_flights_reach_the_nominal_coverage() -> None:
+    """The guarantee of split conformal prediction by group: exchangeable flights, here of unlike rule."""
+    rng = np.random.default_rng(7)
+    reached = []
+    for _ in range(400):
+        flights = [flight_errors(s * rng.normal(size=200)) for s in rng.lognormal(sigma=0.5, size=30)]
+        known, new = flights[:-1], flights[-1]
+        rule = HeldOutRule(np.stack([flight.factors() for flight in known]), 0)
+        reached.append(np.mean(np.abs(new.error) <= rule.factor(0.9)) >= 0.9)
+    assert np.mean(reached) == pytest.approx(0.9, abs=0.045)
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [ResidualRule(0.3, 98.0), NormalRule(), TrainedRule(0.9), HeldOutRule(np.ones((3, len(LEVELS))), 2)],
+)
+def test_json_round_trip(rule: AnyRule) -> None:
+    again = rule_from_json(json.loads(json.dumps(rule.to_json())))
+    assert type(again) is type(rule)
+    assert again.factor(0.9) == rule.factor(0.9)
+
+
+def test_textbook_factors() -> None:
+    assert NormalRule().factor(0.95) == pytest.approx(1.959964, abs=1e-6)
+    assert ResidualRule(2.0, 9.0).factor(0.95) == pytest.approx(2.0 * 2.262157, abs=1e-5)
+    assert TrainedRule(0.95).factor(0.95) == 1.0
+    with pytest.raises(ModelError, match=r"trained for a confidence of 0\.95, not 0\.9"):
+        TrainedRule(0.95).factor(0.9)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"kind": "magic"},
+        {"kind": "residual", "std": -1.0, "freedom": 3},
+        {"kind": "residual", "std": 1.0, "freedom": 0},
+        {"kind": "held-out", "flights_inside": 1, "flight_factors": [[1.0] * 3]},
+        {"kind": "held-out", "flights_inside": 1, "flight_factors": []},
+    ],
+)
+def test_impossible_rule_is_refused(data: dict[str, object]) -> None:
+    with pytest.raises(ModelError):
+        rule_from_json(data)
+
+
+def test_says_how_many_flights_the_factors_rest_on() -> None:
+    rng = np.random.default_rng(4)
+
+    def flight(inside: float) -> FlightErrors:
+        return FlightErrors(rng.normal(size=100), np.ones(100), np.arange(100) < 100 * inside)
+
+    trained = [flight(1.0) for _ in range(3)]
+    rule = calibrate([flight(1.0), flight(0.7), flight(0.2)], trained)
+    assert rule.flights_inside == 2
+    assert rule_from_json(rule.to_json()).flights_inside == 2
+
+
+def test_held_out_coverage_uses_the_factors_of_the_others() -> None:
+    rng = np.random.default_rng(5)
+
+    def flight(scale: float) -> FlightErrors:
+        return FlightErrors(scale * rng.normal(size=4000), np.ones(4000), np.ones(4000, dtype=bool))
+
+    calm, rough = flight(1.0), flight(3.0)
+    rule = calibrate([calm, rough], [calm, rough])
+    covered = rule.held_out_coverage([calm, rough], 0.95)
+    assert covered[0] == 1.0
+    np.testing.assert_allclose(
+        covered[1], np.mean(np.abs(rough.error) < np.quantile(np.abs(calm.error), 0.95)), atol=2e-3
+    )

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.flight import ImuStream, Recording
+from quadpi_core.logs import read_recording
+from quadpi_core.screening.first_seconds import (
+    MOVES_RAD_S,
+    STRETCH_S,
+    STRETCHES,
+    FirstSeconds,
+    contradictions,
+)
+from quadpi_core.vehicle import Vehicle
+from test.core.mistakes import MISTAKES
+
+BAGS = Path(__file__).parents[2] / "bags"
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return Vehicle.load("bebop2")
+
+
+@pytest.fixture(scope="module")
+def flown(vehicle: Vehicle) -> Recording:
+    return read_recording(BAGS / "train_2.mcap", vehicle)
+
+
+def sent(recording: Recording, block_s: float = 0.02) -> Iterator[list]:
+    """The samples in blocks as they come, those of the IMU last."""
+    start_ns, end_ns = recording.imu.time_ns[[0, -1]]
+    for begin in np.arange(start_ns, end_ns + 1, block_s * 1e9):
+        block = []
+        for stream in (recording.pose, recording.rotor_speeds, recording.imu):
+            rows = (stream.time_ns >= begin) & (stream.time_ns < begin + block_s * 1e9)
+            block.append(stream.take(rows))
+        yield [stream for stream in block if len(stream)]
+
+
+def stretches(recording: Recording) -> list[Recording]:
+    kept = FirstSeconds("test")
+    return [found for block in sent(recording) if (found := kept.take(*block)) is not None]
+
+
+def still(recording: Recording) -> Recording:
+    """At rest: the gyro has noise alone, below what is motion."""
+    noise = 0.5 * MOVES_RAD_S * np.random.default_rng(1).uniform(-1.0, 1.0, (len(recording.imu), 3))
+    return replace(recording, imu=replace(recording.imu, angular_velocity=noise))
+
+
+def test_a_stretch_holds_the_samples_that_came(flown: Recording) -> None:
+    (stretch,) = stretches(flown)
+    span_s = 1e-9 * (stretch.imu.time_ns[-1] - stretch.imu.time_ns[0])
+    assert STRETCH_S <= span_s < STRETCH_S + 0.1
+    for name in ("imu", "pose", "rotor_speeds"):
+        part, whole = getattr(stretch, name), getattr(flown, name)
+        np.testing.assert_array_equal(part.time_ns, whole.time_ns[: len(part)])
+
+
+@pytest.mark.parametrize("bag", ["train_1", "train_3", "extrapolation"])
+def test_nothing_is_said_of_sound_flights(bag: str, vehicle: Vehicle) -> None:
+    (stretch,) = stretches(read_recording(BAGS / f"{bag}.mcap", vehicle))
+    assert contradictions(stretch, vehicle) == []
+
+
+@pytest.mark.parametrize("name", ["quaternion conjugated", "imu yawed by 90", "neighbours swapped"])
+def test_mistakes_are_said(name: str, flown: Recording, vehicle: Vehicle) -> None:
+    recording, assumed = MISTAKES[name].done(flown, vehicle)
+    (stretch,) = stretches(recording)
+    assert contradictions(stretch, assumed)
+
+
+def test_wrong_units_are_named(flown: Recording, vehicle: Vehicle) -> None:
+    in_g = replace(flown.imu, specific_force=flown.imu.specific_force / 9.81)
+    (stretch,) = stretches(replace(flown, imu=in_g))
+    assert "looks like g" in contradictions(stretch, vehicle)[0]
+
+
+def test_a_vehicle_at_rest_says_nothing_and_is_waited_for(flown: Recording) -> None:
+    kept = FirstSeconds("test")
+    assert [kept.take(*block) for block in sent(still(flown))] == [None] * len(list(sent(flown)))
+    assert not kept.complete
+
+
+def test_samples_that_cannot_be_used_are_left_out(flown: Recording) -> None:
+    rates = flown.imu.angular_velocity.copy()
+    rates[1000] = np.nan
+    stamps = flown.imu.time_ns.copy()
+    stamps[2000] = stamps[1999]
+    (stretch,) = stretches(replace(flown, imu=ImuStream(stamps, rates, flown.imu.specific_force)))
+    assert np.isfinite(stretch.imu.angular_velocity).all()
+    assert (np.diff(stretch.imu.time_ns) > 0).all()
+    assert not {int(flown.imu.time_ns[1000]), int(flown.imu.time_ns[2000])} & set(
+        stretch.imu.time_ns.tolist()
+    )
+
+
+def test_it_ends_after_its_stretches(flown: Recording) -> None:
+    kept, found = FirstSeconds("test"), 0
+    for repeat in range(STRETCHES + 2):
+        later_ns = repeat * 21 * 10**9
+        for block in sent(flown):
+            moved = [replace(stream, time_ns=stream.time_ns + later_ns) for stream in block]
+            found += kept.take(*moved) is not None
+    assert found == STRETCHES
+    assert kept.complete
+
+
+def test_a_clock_that_is_set_back_begins_a_stretch(flown: Recording) -> None:
+    kept = FirstSeconds("test")
+    blocks = list(sent(flown))
+    assert all(kept.take(*block) is None for block in blocks[:500])
+    (stretch,) = [found for block in blocks if (found := kept.take(*block)) is not None]
+    assert stretch.imu.time_ns[0] < flown.imu.time_ns[0] + 100_000_000

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which speed controller is which rotor of the vehicle file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError, VehicleError
+from quadpi_core.rotor_order import LAYOUTS, RotorOrder
+from quadpi_core.vehicle import Vehicle
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return Vehicle.load("neurobem")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("name", ["neurobem", "bebop2", "crazyflie_rpm"])
+def test_every_rotor_gets_the_motor_of_its_corner(layout: str, name: str) -> None:
+    vehicle = Vehicle.load(name)
+    order = RotorOrder.by_layout(vehicle, layout)
+    for rotor, motor in enumerate(order.controllers):
+        assert tuple(np.sign(vehicle.rotor_positions[rotor, :2])) == LAYOUTS[layout][motor]
+
+
+def test_neurobem_under_px4(vehicle: Vehicle) -> None:
+    """Its rotors are rear right, front right, rear left, front left; PX4's FR, RL, FL, RR."""
+    assert RotorOrder.by_layout(vehicle, "quad-x").controllers == (3, 0, 1, 2)
+
+
+def test_motors_that_share_a_corner_have_no_order(vehicle: Vehicle) -> None:
+    assert RotorOrder.by_corner(vehicle, [(1, 1), (1, 1), (-1, 1), (-1, -1)]) is None
+    assert RotorOrder.by_corner(vehicle, [(0, 0)] * 4) is None
+
+
+def test_units(vehicle: Vehicle) -> None:
+    rpm = np.array([[60.0, -120.0, 0.0, 600.0]])
+    mechanical = RotorOrder((0, 1, 2, 3), "rpm").speeds(rpm, vehicle)
+    assert mechanical == pytest.approx(np.array([[2, 4, 0, 20]]) * np.pi)
+    six = replace(vehicle, pole_pairs=6)
+    assert RotorOrder((0, 1, 2, 3), "erpm").speeds(rpm, six) == pytest.approx(mechanical / 6)
+    with pytest.raises(VehicleError, match="pole_pairs"):
+        RotorOrder((0, 1, 2, 3), "erpm").speeds(rpm, replace(vehicle, pole_pairs=None))
+
+
+def test_a_mapping_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("rotors: [4, 1, 2, 3]\nunit: erpm\n")
+    assert RotorOrder.load(path) == RotorOrder((3, 0, 1, 2), "erpm")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("rotors: [1, 2, 3]", "`rotors` must be 4 different numbers"),
+        ("rotors: [1, 2, 3, 3]", "must be 4 different numbers"),
+        ("rotors: [0, 1, 2, 3]", "counted from 1"),
+        ("rotors: [1, 2, 3, true]", "counted from 1"),
+        ("rotors: [1, 2, 3, 4]\nunit: rad/s", "`unit` must be rpm or erpm"),
+        ("time: {columns: [t]}", "has the key `rotors`"),
+        ("[1, 2, 3, 4]", "has the key `rotors`"),
+    ],
+)
+def test_a_wrong_mapping_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(LogError, match=message):
+        RotorOrder.load(tmp_path / "mine.yaml")
+
+
+def test_an_order_in_a_string() -> None:
+    assert RotorOrder.parse("4, 1 2 3").controllers == (3, 0, 1, 2)
+    with pytest.raises(LogError, match="found \\[4, 1, 'x', 3\\]"):
+        RotorOrder.parse("4 1 x 3")

@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions to messages of packages that quadpi does not need: absent, pretended, and really built."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from rosbags.typesys import get_types_from_msg
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Byte
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from quadpi_core.errors import LogError
+from quadpi_core.messages.adapters import AdapterSettings
+from quadpi_core.messages.adapters.adapter_settings import RotorSettings
+from quadpi_core.messages.definitions import typestore
+from quadpi_ros.foreign_messages import AdapterError, adapted, definition_of, message_class
+
+from ..core.messages.adapters.conftest import DEFINITIONS, Messages
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = Path(sys.prefix)
+STATUS, REPORT = "px4_msgs/msg/EscStatus", "px4_msgs/msg/EscReport"
+SETTINGS = AdapterSettings(rotor_speeds=RotorSettings((1, 2, 3, 4), "rpm"))
+
+
+@pytest.mark.parametrize("kind", [DiagnosticArray, Odometry, Imu, Byte, MultiDOFJointTrajectory])
+def test_definition_of_an_installed_message_is_that_of_its_package(kind):
+    package = kind.__module__.partition(".")[0]
+    found = get_types_from_msg(definition_of(kind), f"{package}/msg/{kind.__name__}")
+    assert found
+    for name, (_, fields) in found.items():
+        assert fields == typestore().fielddefs[name][1]
+
+
+def test_package_that_is_not_installed_and_adapter_that_is_not_known():
+    with pytest.raises(AdapterError, match=r"px4_msgs/msg/EscStatus: the package px4_msgs .* not installed"):
+        adapted("px4_status", SETTINGS, None)
+    with pytest.raises(AdapterError, match="std_msgs/msg/Nothing"):
+        message_class("std_msgs/msg/Nothing")
+    with pytest.raises(AdapterError, match="no adapter `px5`; known: mavros_status"):
+        adapted("px5", SETTINGS, None)
+
+
+@pytest.fixture
+def messages(monkeypatch):
+    """px4_msgs as if it were installed: classes that name their fields as generated ones do."""
+    found = Messages(DEFINITIONS)
+    fields = {
+        REPORT: {"timestamp": "uint64", "esc_errorcount": "uint32", "esc_rpm": "int32"}
+        | dict.fromkeys(("esc_voltage", "esc_current", "esc_temperature"), "float")
+        | dict.fromkeys(("esc_address", "esc_cmdcount", "esc_state", "actuator_function"), "uint8")
+        | {"failures": "uint16", "esc_power": "int8"},
+        STATUS: {"timestamp": "uint64", "counter": "uint16"}
+        | dict.fromkeys(("esc_count", "esc_connectiontype", "esc_online_flags", "esc_armed_flags"), "uint8")
+        | {"esc": "px4_msgs/EscReport[8]"},
+    }
+    module = ModuleType("px4_msgs.msg")
+    for name, columns in fields.items():
+        stem = name.rpartition("/")[2]
+        kind = type(stem, (), {"get_fields_and_field_types": classmethod(lambda _, columns=columns: columns)})
+        setattr(module, stem, kind)
+    monkeypatch.setitem(sys.modules, "px4_msgs", ModuleType("px4_msgs"))
+    monkeypatch.setitem(sys.modules, "px4_msgs.msg", module)
+    return found
+
+
+def esc_status(messages, stamp_us, rpm):
+    reports = [messages.make(REPORT)] * 8
+    for motor, value in enumerate(rpm, start=1):
+        reports[motor] = messages.make(
+            REPORT, timestamp=stamp_us, esc_rpm=value, actuator_function=100 + motor
+        )
+    status = messages.make(STATUS, timestamp=stamp_us, esc_online_flags=255, esc=reports)
+    return messages.bytes(status)
+
+
+def test_message_by_message_and_why_one_is_no_sample(messages):
+    subscription = adapted("px4_status", SETTINGS, None)
+    assert subscription.message_type is sys.modules["px4_msgs.msg"].EscStatus
+    assert (subscription.kind, subscription.topic) == ("rotor_speeds", "fmu/out/esc_status")
+    stream = subscription.unpack(esc_status(messages, 1000, [60, 120, 180, 240]))
+    np.testing.assert_allclose(stream.speeds[0], 2.0 * np.pi * np.arange(1, 5))
+    for _ in range(2):
+        with pytest.raises(LogError, match=r"^repeats the reports before it$"):
+            subscription.unpack(esc_status(messages, 1000, [60, 120, 180, 240]))
+    with pytest.raises(LogError, match=r"^no report of a motor that `rotors` names$"):
+        subscription.unpack(esc_status(messages, 3000, [60, 120, 180]))
+    with pytest.raises(LogError, match="sample 0: not little-endian CDR"):
+        subscription.unpack(b"\x00\x00\x00\x00")
+
+
+@pytest.fixture(scope="module")
+def px4_msgs(tmp_path_factory):
+    """The prefix of a px4_msgs with the two messages, generated and compiled as on a vehicle."""
+    if shutil.which("cmake") is None:
+        pytest.skip("cmake, which builds px4_msgs for this test, is not installed")
+    source, prefix = tmp_path_factory.mktemp("px4_msgs"), tmp_path_factory.mktemp("prefix")
+    (source / "msg").mkdir()
+    for name in (STATUS, REPORT):
+        (source / "msg" / f"{name.rpartition('/')[2]}.msg").write_text(DEFINITIONS[name])
+    (source / "package.xml").write_text(
+        '<package format="3"><name>px4_msgs</name><version>1.16.0</version><description>of PX4</description>'
+        '<maintainer email="nobody@example.org">nobody</maintainer><license>BSD</license>'
+        "<buildtool_depend>ament_cmake</buildtool_depend>"
+        "<member_of_group>rosidl_interface_packages</member_of_group></package>"
+    )
+    (source / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.20)\nproject(px4_msgs LANGUAGES C CXX)\n"
+        "find_package(ament_cmake REQUIRED)\nfind_package(rosidl_default_generators REQUIRED)\n"
+        "rosidl_generate_interfaces(px4_msgs msg/EscReport.msg msg/EscStatus.msg)\nament_package()\n"
+    )
+    build = source / "build"
+    environment = {
+        **os.environ,
+        "AMENT_PREFIX_PATH": str(ENVIRONMENT),
+        "CMAKE_PREFIX_PATH": str(ENVIRONMENT),
+        "PATH": f"{ENVIRONMENT / 'bin'}{os.pathsep}{os.environ['PATH']}",
+    }
+    configure = ("-S", source, "-B", build, "-G", "Ninja", "-DBUILD_TESTING=OFF")
+    paths = (f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}")
+    for arguments in ((*configure, *paths), ("--build", build), ("--install", build)):
+        made = subprocess.run(
+            ["cmake", *arguments], env=environment, check=False, capture_output=True, text=True
+        )
+        assert made.returncode == 0, made.stdout[-2000:] + made.stderr[-2000:]
+    return prefix
+
+
+@pytest.mark.slow
+def test_over_real_dds_with_the_package_built(px4_msgs, ros_domain, tmp_path):
+    settings = tmp_path / "px4.yaml"
+    settings.write_text("rotor_speeds: {rotors: [1, 2, 3, 4], unit: rpm}\n")
+    (packages,) = px4_msgs.glob("lib/python*/site-packages")
+    environment = {
+        **{name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"},
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{packages}",
+        "LD_LIBRARY_PATH": f"{px4_msgs / 'lib'}{os.pathsep}{os.environ.get('LD_LIBRARY_PATH', '')}",
+        "ROS_DOMAIN_ID": str(ros_domain),
+    }
+    ended = subprocess.run(
+        [sys.executable, ROOT / "test/ros/adapters_child.py", settings],
+        env=environment,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert ended.returncode == 0, ended.stderr
+    speeds = json.loads(ended.stdout)
+    assert len(speeds) == 5
+    np.testing.assert_allclose(speeds, np.tile(2.0 * np.pi * np.arange(1, 5), (5, 1)))
