@@ -1,16 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the monitor gives for a block of samples, as arrays; one row per message."""
+"""Results of the monitor: predictions, alarms and events as records, with the names of levels and causes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+
+LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
+# Causes of an alarm, one bit each.
+EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
+CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
+# Health of a cause. ACTIVE: judged with a stated rate of false alarms. WAITING: not judged on the ground, nor
+# MISCOVERAGE while the state settles. UNAVAILABLE: no usable samples. UNCALIBRATED: judged by plain limits.
+ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
+# The log of alarm events holds the last ones only: /alarm_log and its memory stay small.
+EVENTS_KEPT = 64
 
 
 @dataclass(frozen=True)
@@ -38,7 +49,7 @@ class Alarms:
     Attributes:
         level: (M,) 0 ok, 1 warning, 2 alarm; the highest of the causes.
         causes: (M,) bit flags of the causes that are not ok, 1 extrapolation, 2 miscoverage, 4 bad data.
-        cause_level, cause_health: (M, 3) level and health of each cause (see `monitor.alarm`).
+        cause_level, cause_health: (M, 3) level and health of each cause.
         cause_evidence: (M, 3) largest score of the signals of each cause.
         leverage, width, miscoverage: (M, 6) scores per axis.
         leverage_ratio, width_ratio: (M, 6) leverage and width over their peaks in training.
@@ -71,3 +82,29 @@ class Alarms:
     def row(self, index: int) -> Alarms:
         """One row, as arrays of length one."""
         return Alarms(*(getattr(self, column.name)[index : index + 1] for column in fields(self)))
+
+
+@dataclass(frozen=True)
+class AlarmEvent:
+    """One cause at alarm level; a warning is no event.
+
+    Attributes:
+        number: counts the events of a log from 1.
+        cause: EXTRAPOLATION, MISCOVERAGE or BAD_DATA.
+        time_ns: stamp of the sample that this state of the event follows from.
+        start_ns: stamp at which the cause was raised.
+        end_ns: stamp at which it was cleared; 0 while it stands.
+        peak_evidence: largest score so far.
+        reasons: at the peak, in plain words.
+    """
+
+    number: int
+    cause: int
+    time_ns: int
+    start_ns: int
+    end_ns: int
+    peak_evidence: float
+    reasons: tuple[str, ...]
+
+
+Events: TypeAlias = list[AlarmEvent]

@@ -21,8 +21,7 @@ from rclpy.task import Future
 from quadpi_core.flight import Stamps
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
-from quadpi_core.results import Predictions
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE, Predictions
 
 _CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 _LEVEL_NAMES = ("ok", "warning", "ALARM")

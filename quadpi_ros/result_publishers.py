@@ -19,9 +19,10 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, Predictions
-from quadpi_core.monitor.alarm import LEVEL_OK
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.reasons import reasons_by_row
 from quadpi_core.monitor.several_models import Monitors
+from quadpi_core.results import LEVEL_OK
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.runtime import LOG_QOS
@@ -71,7 +72,7 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
     for samples in (hover, missing):
         predictions, alarms, _ = monitor.step(*samples)
         _pack(monitor, predictions, sensor_messages.BODY_FRAME)
-        result_messages.pack_alarms(alarms)
+        result_messages.pack_alarms(alarms, reasons_by_row(alarms))
     pairing = Pairing()
     for time_ns in (0, 1):
         pairing.add_wind(time_ns, hover.wind[0])
@@ -115,7 +116,8 @@ class Results:
             _publish_all(self._publish_first, _pack(self.monitors[self._first], predictions, self._frame_id))
         if len(alarms.time_ns):
             self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
-            _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, self._frame_id))
+            payloads = result_messages.pack_alarms(alarms, reasons_by_row(alarms), self._frame_id)
+            _publish_all(self._publish_alarm, payloads)
         if events:
             _publish_all(self._publish_log, result_messages.pack_events(events, self._frame_id))
         for (name, publish), other in zip(self._publish_others, others, strict=True):
@@ -126,7 +128,7 @@ class Results:
     def tell_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
         """Publish an alarm at an instant at which no sample is."""
         alarms = self.monitors[self._first].unheard(time_ns)
-        _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, self._frame_id, reasons))
+        _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, [reasons], self._frame_id))
 
     def swap(
         self, name: str, monitor: Monitor | None, error: str | None, response: LoadModel.Response

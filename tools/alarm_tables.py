@@ -35,16 +35,10 @@ from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.monitor.alarm import (
-    CAUSES,
-    EXTRAPOLATION,
-    LEVEL_ALARM,
-    LEVEL_WARNING,
-    MISCOVERAGE,
-    alarm_time,
-)
+from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.results import CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario

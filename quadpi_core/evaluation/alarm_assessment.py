@@ -26,7 +26,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.causal_states import LiveSamples
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.monitor.alarm import LEVEL_ALARM, Alarm, Judged, MonitorSettings
+from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
+from quadpi_core.results import LEVEL_ALARM
 
 SIGNALS = ("inputs", "leverage", "width", "miscoverage")
 # Least monitored flight for a rate per hour: of less, a single alarm would make more than 60 per hour.

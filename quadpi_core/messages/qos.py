@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from quadpi_core.monitor.events import KEPT
+from quadpi_core.results import EVENTS_KEPT
 
 
 class Qos(NamedTuple):
@@ -36,7 +36,7 @@ class Qos(NamedTuple):
 SENSOR = Qos(depth=1000, reliable=False)
 OUTPUT = Qos(depth=200)
 # Whoever subscribes late gets the events that the log keeps.
-LOG = Qos(depth=KEPT, latched=True)
+LOG = Qos(depth=EVENTS_KEPT, latched=True)
 
 _OUTPUTS = {"odometry": OUTPUT, "prediction": OUTPUT, "extrapolation_alarm": OUTPUT, "alarm_log": LOG}
 # Deadline, lifespan and lease are infinite: the largest duration that ROS 2 knows.

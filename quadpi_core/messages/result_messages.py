@@ -28,10 +28,7 @@ from quadpi_core.messages.sensor_messages import (
     mirrored,
 )
 from quadpi_core.messages.values import PREDICTION_VALUES, prediction_values
-from quadpi_core.monitor.alarm_kernel import BAD_DATA, CAUSES, UNAVAILABLE
-from quadpi_core.monitor.events import AlarmEvent
-from quadpi_core.monitor.reasons import reasons
-from quadpi_core.results import Alarms, Predictions
+from quadpi_core.results import BAD_DATA, CAUSES, UNAVAILABLE, AlarmEvent, Alarms, Predictions
 
 _NANOSECONDS = 1_000_000_000
 
@@ -159,29 +156,26 @@ def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
     )
 
 
-def pack_alarms(
-    alarms: Alarms, frame_id: str = BODY_FRAME, unheard: tuple[str, ...] | None = None
-) -> Payloads:
+def pack_alarms(alarms: Alarms, reasons: Sequence[tuple[str, ...]], frame_id: str = BODY_FRAME) -> Payloads:
     """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first.
 
     Args:
         alarms: of the monitor.
+        reasons: per row, why the causes are not ok, in plain words.
         frame_id: body frame.
-        unheard: the reasons, where no samples led to these rows.
     """
     groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
-    for row in range(len(alarms)):
-        told = reasons(alarms, row) if unheard is None else unheard
-        groups.setdefault((_inputs_outside(alarms.input_excess[row]), told), []).append(row)
+    for row, words in enumerate(reasons):
+        groups.setdefault((_inputs_outside(alarms.input_excess[row]), words), []).append(row)
     parts, orders = [], []
-    for (outside, told), members in groups.items():
+    for (outside, words), members in groups.items():
         rows = np.array(members)
         columns = {
             **header_columns(alarms.time_ns[rows], frame_id),
             **{name: getattr(alarms, name)[rows] for name in _ALARM_NUMBERS},
             "envelope_distance": alarms.input_excess[rows].max(axis=1),
             "inputs_outside": outside,
-            "reasons": told,
+            "reasons": words,
         }
         parts.append(codec(ALARM).encode(len(rows), columns))
         orders.append(rows)

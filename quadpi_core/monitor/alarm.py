@@ -37,39 +37,15 @@ from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor import alarm_kernel as kernel
-from quadpi_core.monitor.alarm_kernel import (
+from quadpi_core.results import (
     ACTIVE,
     BAD_DATA,
     CAUSES,
-    EXTRAPOLATION,
     LEVEL_ALARM,
-    LEVEL_OK,
-    LEVEL_WARNING,
-    MISCOVERAGE,
     UNAVAILABLE,
     UNCALIBRATED,
-    WAITING,
+    Alarms,
 )
-from quadpi_core.results import Alarms
-
-__all__ = [
-    "ACTIVE",
-    "BAD_DATA",
-    "CAUSES",
-    "EXTRAPOLATION",
-    "LEVEL_ALARM",
-    "LEVEL_OK",
-    "LEVEL_WARNING",
-    "MISCOVERAGE",
-    "UNAVAILABLE",
-    "UNCALIBRATED",
-    "WAITING",
-    "Alarm",
-    "AlarmTime",
-    "Judged",
-    "MonitorSettings",
-    "alarm_time",
-]
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,18 @@ from quadpi_core.flight import AXES as AXIS_NAMES
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import excess_of_cosine
 from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
-
-LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
-EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
-CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
-# Judged; not judged on the ground, nor misses while the state settles; nor for want of usable samples; judged
-# by limits without a stated rate.
-ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
+from quadpi_core.results import (
+    ACTIVE,
+    BAD_DATA,
+    CAUSES,
+    EXTRAPOLATION,
+    LEVEL_ALARM,
+    LEVEL_OK,
+    LEVEL_WARNING,
+    MISCOVERAGE,
+    UNAVAILABLE,
+    WAITING,
+)
 
 WARNING_CHARGE = 0.5
 # Sums of steps such as 50 × 0.02 miss 1 by rounding.

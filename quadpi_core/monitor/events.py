@@ -5,43 +5,13 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import replace
 
-from quadpi_core.monitor.alarm import CAUSES, LEVEL_ALARM
 from quadpi_core.monitor.reasons import reasons
-from quadpi_core.results import Alarms
+from quadpi_core.results import CAUSES, EVENTS_KEPT, LEVEL_ALARM, AlarmEvent, Alarms, Events
+
 
 # Events that a log keeps, and that a late subscriber is given.
-KEPT = 64
-
-
-@dataclass(frozen=True)
-class AlarmEvent:
-    """One cause at alarm level; a warning is no event.
-
-    Attributes:
-        number: counts the events of a log from 1.
-        cause: one of the bits of `monitor.alarm`.
-        time_ns: stamp of the sample that this state of the event follows from.
-        start_ns: stamp at which the cause was raised.
-        end_ns: stamp at which it was cleared; 0 while it stands.
-        peak_evidence: largest score so far.
-        reasons: at the peak, in plain words.
-    """
-
-    number: int
-    cause: int
-    time_ns: int
-    start_ns: int
-    end_ns: int
-    peak_evidence: float
-    reasons: tuple[str, ...]
-
-
-Events: TypeAlias = list[AlarmEvent]
-
-
 class EventLog:
     """Follows the rows of an alarm; memory is bounded."""
 
@@ -51,13 +21,13 @@ class EventLog:
     def reset(self) -> None:
         """Forget all events."""
         self._open: dict[int, AlarmEvent] = {}
-        self._closed: deque[AlarmEvent] = deque(maxlen=KEPT)
+        self._closed: deque[AlarmEvent] = deque(maxlen=EVENTS_KEPT)
         self._count = 0
 
     @property
     def events(self) -> Events:
         """The last events, the oldest first; those that stand come last."""
-        return [*self._closed, *self._open.values()][-KEPT:]
+        return [*self._closed, *self._open.values()][-EVENTS_KEPT:]
 
     def take(self, alarms: Alarms) -> Events:
         """Take the rows of a block; returns every event that opened or closed, in order."""

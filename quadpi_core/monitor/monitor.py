@@ -17,9 +17,9 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.monitor.adaptive import AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
-from quadpi_core.monitor.events import EventLog, Events
+from quadpi_core.monitor.events import EventLog
 from quadpi_core.monitor.preparation import Preparation, Prepared
-from quadpi_core.results import Alarms, Predictions
+from quadpi_core.results import Alarms, Events, Predictions
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ import numpy as np
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
-from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
 from quadpi_core.monitor.data_quality import fault_words
-from quadpi_core.results import Alarms
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE, Alarms
 
 # Of each kind of evidence, the strongest.
 _MOST = 3
@@ -54,6 +53,11 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     if wanted & BAD_DATA:
         told += fault_words(int(alarms.faults[row]))
     return tuple(told)
+
+
+def reasons_by_row(alarms: Alarms) -> list[tuple[str, ...]]:
+    """Why the causes are not ok, for each row of a block, as :func:`reasons`."""
+    return [reasons(alarms, row) for row in range(len(alarms))]
 
 
 def _beyond(scores: np.ndarray, limit: float) -> list[int]:

@@ -31,14 +31,14 @@ from quadpi_core.logs.mcap import Topic
 from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.monitor import pairing
-from quadpi_core.monitor.alarm import LEVEL_ALARM, LEVEL_WARNING, MonitorSettings, alarm_time
-from quadpi_core.monitor.events import Events
+from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.reasons import reasons_by_row
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import by_arrival, split_recording
-from quadpi_core.results import Alarms, Predictions
+from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -162,7 +162,9 @@ def _messages(
         ),
     )
     if len(alarms):
-        yield output_topic("extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms))
+        yield output_topic(
+            "extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms, reasons_by_row(alarms))
+        )
     if events:
         stamps = np.array([event.time_ns for event in events])
         yield output_topic("alarm_log", stamps, result_messages.pack_events(events))

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.monitor.alarm import MonitorSettings
-from quadpi_core.monitor.events import Events
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Prepared
-from quadpi_core.results import Alarms, Predictions
+from quadpi_core.results import Alarms, Events, Predictions
 
 if TYPE_CHECKING:
     from quadpi_core.monitor.monitor import Monitor

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.estimator.propagate import EstimatorStatus, Outcome
-from quadpi_core.monitor.alarm import BAD_DATA
+from quadpi_core.results import BAD_DATA
 from test.faults.onboard import deviation
 
 AT_S = 3.0

@@ -12,9 +12,9 @@ import pytest
 from quadpi_core.estimator.propagate import EstimatorStatus
 from quadpi_core.flight import Recording
 from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
-from quadpi_core.monitor.alarm import BAD_DATA
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
+from quadpi_core.results import BAD_DATA
 from quadpi_core.simulation.failures import Sent
 from test.faults.onboard import deviation, sent_by
 

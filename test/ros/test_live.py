@@ -21,9 +21,9 @@ from quadpi_core.logs.mcap import Bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import MonitorSettings
-from quadpi_core.monitor.alarm import LEVEL_ALARM
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import config_directory
+from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.vehicle import Vehicle
 
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")

@@ -18,8 +18,8 @@ from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.model_folder import ARRAYS_FILE
-from quadpi_core.monitor.alarm import BAD_DATA
 from quadpi_core.paths import bags_directory
+from quadpi_core.results import BAD_DATA
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
 

@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from quadpi_core.flight import Recording
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.result_messages import ReportedAlarms, unpack_alarms
-from quadpi_core.monitor.alarm import BAD_DATA, LEVEL_ALARM
+from quadpi_core.results import BAD_DATA, LEVEL_ALARM
 from quadpi_ros.processes import Child
 
 from .rig import STARTED_S, Rig, arguments

@@ -12,7 +12,8 @@ from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alar
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.monitor.alarm import EXTRAPOLATION, LEVEL_ALARM, MISCOVERAGE, Alarm, Judged, MonitorSettings
+from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
+from quadpi_core.results import EXTRAPOLATION, LEVEL_ALARM, MISCOVERAGE
 
 RATE_HZ = 100
 FX = 0

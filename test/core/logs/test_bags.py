@@ -23,6 +23,7 @@ from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec
+from quadpi_core.monitor.reasons import reasons_by_row
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
@@ -172,7 +173,9 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         recording,
         [
             output_topic("prediction", time_ns, packed),
-            output_topic("extrapolation_alarm", time_ns, result_messages.pack_alarms(alarms)),
+            output_topic(
+                "extrapolation_alarm", time_ns, result_messages.pack_alarms(alarms, reasons_by_row(alarms))
+            ),
         ],
     )
     found_predictions, found_alarms = read_outputs(path)

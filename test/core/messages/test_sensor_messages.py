@@ -21,9 +21,8 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.monitor.data_quality import GYRO_FROZEN
-from quadpi_core.monitor.events import AlarmEvent
-from quadpi_core.monitor.reasons import reasons
-from quadpi_core.results import Alarms, Predictions
+from quadpi_core.monitor.reasons import reasons, reasons_by_row
+from quadpi_core.results import AlarmEvent, Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
 N = 7
@@ -262,7 +261,7 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         input_excess=excess,
         faults=np.full(N, GYRO_FROZEN),
     )
-    payloads = result_messages.pack_alarms(alarms)
+    payloads = result_messages.pack_alarms(alarms, reasons_by_row(alarms))
     outside = [(), ("u",), ("mu_x", "u"), (), (), ("u",), ()]
     for sample, one in enumerate(reference(payloads, sensor_messages.ALARM)):
         assert tuple(one.inputs_outside) == outside[sample]

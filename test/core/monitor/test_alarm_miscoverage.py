@@ -7,8 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.monitor.alarm import ACTIVE, LEVEL_ALARM, LEVEL_OK, MISCOVERAGE, WAITING, Alarm
+from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.reasons import reasons
+from quadpi_core.results import ACTIVE, LEVEL_ALARM, LEVEL_OK, MISCOVERAGE, WAITING
 from test.core.monitor.alarm_samples import (
     ALLOWANCE,
     FX,

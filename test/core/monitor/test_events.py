@@ -7,9 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.monitor.alarm import EXTRAPOLATION, Alarm
-from quadpi_core.monitor.events import KEPT, EventLog
+from quadpi_core.monitor.alarm import Alarm
+from quadpi_core.monitor.events import EventLog
 from quadpi_core.monitor.reasons import reasons
+from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION
 from test.core.monitor.alarm_samples import FX, LIMITS, MY, SETTINGS, Samples, U, missing_shares
 
 
@@ -55,8 +56,8 @@ def test_the_log_is_bounded_and_forgets_the_oldest(envelope):
     samples.inputs[on, U] = 1.8
     log = EventLog()
     log.take(samples.run(Alarm(envelope, LIMITS, SETTINGS)))
-    assert len(log.events) == KEPT
-    assert [event.number for event in log.events] == list(range(75 - KEPT + 1, 76))
+    assert len(log.events) == EVENTS_KEPT
+    assert [event.number for event in log.events] == list(range(75 - EVENTS_KEPT + 1, 76))
 
 
 def test_blocks_give_the_same_events(envelope):

@@ -23,10 +23,11 @@ from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.monitor import replay as replay_module
-from quadpi_core.monitor.alarm import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, MonitorSettings
+from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.replay import recorded_flight, replay, replay_all
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM
 
 RATE_HZ = 500.0
 START_NS = 1_700_000_000_000_000_000

@@ -9,9 +9,10 @@ import pytest
 
 from quadpi_core.messages.result_messages import pack_alarms, unpack_alarms
 from quadpi_core.monitor import Monitor
-from quadpi_core.monitor.alarm import BAD_DATA, LEVEL_ALARM, UNAVAILABLE
 from quadpi_core.monitor.pairing import Pairing
+from quadpi_core.monitor.reasons import reasons_by_row
 from quadpi_core.monitor.silence import Arrived, Silence
+from quadpi_core.results import BAD_DATA, LEVEL_ALARM, UNAVAILABLE
 
 from .conftest import RATE_HZ
 
@@ -95,12 +96,12 @@ def test_an_alarm_without_a_sample_says_bad_data_and_changes_nothing(model, vehi
     np.testing.assert_array_equal(np.concatenate([row.time_ns for row in rows]), expected.time_ns)
     np.testing.assert_array_equal(np.concatenate([row.leverage for row in rows]), expected.leverage)
     assert interrupted.events == whole.events
-    reported = unpack_alarms(pack_alarms(told, unheard=("no imu for 0.4 s",)))
+    reported = unpack_alarms(pack_alarms(told, [("no imu for 0.4 s",)]))
     assert reported.time_ns.tolist() == [int(samples.time_ns[-1]) + 400 * MS]
     assert reported.level.tolist() == [LEVEL_ALARM]
     assert reported.causes.tolist() == [BAD_DATA]
     assert reported.cause_health.tolist() == [[UNAVAILABLE] * 3]
     assert reported.reasons == [("no imu for 0.4 s",)]
     assert not reported.of_samples.any()
-    assert unpack_alarms(pack_alarms(expected)).of_samples.all()
+    assert unpack_alarms(pack_alarms(expected, reasons_by_row(expected))).of_samples.all()
     assert len(reported.where(reported.of_samples).reasons) == 0
