@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test lint format bench tables alarm discovery discovery-real golden fuzz environment clean
+.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -16,14 +16,21 @@ help: ## list these targets
 demo: environment ## identify, predict, replay through live nodes, report (DEMO_ARGS="--data FOLDER --rate 4")
 	@$(BIN)/quadpi demo $(DEMO_ARGS)
 
-test: ## all tests, those of live nodes by themselves (TEST_ARGS="-k intervals -x" for some)
-	@sh tools/bootstrap.sh --train
-ifdef TEST_ARGS
-	@$(BIN)/python -m pytest $(TEST_ARGS)
-else
-	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist loadfile --ignore test/ros
-	@$(BIN)/python -m pytest test/ros
-endif
+# The tests that a target selects: all of its marker by two or more workers, live nodes last, each worker in a
+# ROS domain of its own; or, with TEST_ARGS, those that it names, in one process.
+define run_tests
+@sh tools/bootstrap.sh --train
+$(if $(TEST_ARGS),\
+    @$(BIN)/python -m pytest -m "$(1)" $(TEST_ARGS),\
+    @OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "$(1)" --numprocesses auto --dist worksteal --ignore test/ros
+    @$(BIN)/python -m pytest -m "$(1)" --numprocesses 2 --dist loadfile test/ros)
+endef
+
+test: ## the fast tests, live nodes included (TEST_ARGS="-k intervals -x" for some)
+	$(call run_tests,not slow)
+
+test-slow: ## the other tests: cluster, statistics, real flights, commands of the documents, searches, fuzzing
+	$(call run_tests,slow)
 
 lint: environment ## ruff and mypy, as CI runs them
 	@$(BIN)/ruff check
