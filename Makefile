@@ -32,10 +32,11 @@ test: ## the fast tests, live nodes included (TEST_ARGS="-k intervals -x" for so
 test-slow: ## the other tests: cluster, statistics, real flights, commands of the documents, searches, fuzzing
 	$(call run_tests,slow)
 
-lint: environment ## ruff and mypy, as CI runs them
+lint: environment ## ruff, mypy and the order of the rooms, as CI runs them
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-logo
 
 format: environment ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format
