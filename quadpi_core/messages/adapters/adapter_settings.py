@@ -98,7 +98,7 @@ def _rotors(where: str, data: Any) -> RotorSettings:
     rotors = entries["rotors"]
     if isinstance(rotors, list):
         rotors = tuple(rotors)
-    elif rotors not in LAYOUTS:
+    elif not isinstance(rotors, str) or rotors not in LAYOUTS:
         raise LogError(f"{where}: `rotors` must list numbers of ESCs or motors, or be {' or '.join(LAYOUTS)}")
     settings = RotorSettings(rotors, entries["unit"], entries.get("topic"))
     if not isinstance(rotors, str):

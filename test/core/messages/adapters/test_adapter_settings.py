@@ -48,6 +48,7 @@ odometry: {topic: /odometry}
         ("rotor_speeds: {rotors: quad-x}", "`rotor_speeds`: missing key `unit`"),
         ("rotor_speeds: {rotors: quad-x, unit: rad/s}", "`unit` is 'rad/s'; known: rpm, erpm"),
         ("rotor_speeds: {rotors: quad-plus, unit: rpm}", "`rotors` must list numbers .* or be quad-x or"),
+        ("rotor_speeds: {rotors: {quad-x: 1}, unit: rpm}", "`rotors` must list numbers .* or be quad-x or"),
         ("rotor_speeds: {rotors: [1, 2, 3], unit: rpm}", "`rotor_speeds`: .* 4 different numbers"),
         ("rotor_speeds: {rotors: [0, 1, 2, 3], unit: rpm}", "4 different numbers"),
         ("rotor_speeds: {rotors: [1, 1, 2, 3], unit: rpm}", "4 different numbers"),
