@@ -15,6 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 import quadpi_core
 
@@ -172,3 +173,17 @@ def test_versions_agree() -> None:
     declared = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     assert declared is not None
     assert declared[1] == quadpi_core.__version__
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == quadpi_core.__version__
+    assert citation["license"] == "Apache-2.0"
+
+
+def test_the_workflow_runs_what_ci_runs() -> None:
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())
+    (job,) = workflow["jobs"].values()
+    assert [step["run"] for step in job["steps"] if "run" in step] == [".ci/run"]
+    supported = re.search(
+        r"^requires-python = \">=(3\.\d+),<3\.(\d+)\"$", (ROOT / "pyproject.toml").read_text(), re.MULTILINE
+    )
+    assert supported is not None
+    assert job["strategy"]["matrix"]["python"] == [supported[1], f"3.{int(supported[2]) - 1}"]
