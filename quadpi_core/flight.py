@@ -28,6 +28,8 @@ MAX_GAP_NS = 100_000_000
 MAX_JUMP_BACK_NS = 1_000_000_000
 # Seconds in messages have 32 bits.
 STAMP_MAX_NS = 2**31 * 1_000_000_000 - 1
+# Stands for no stamp; before every stamp, and the difference to any of them fits 64 bits.
+NO_STAMP = -(2**62)
 _DAY_NS = 86_400 * 1_000_000_000
 # A longer one has a damaged stamp in it.
 FLIGHT_MAX_NS = 2 * _DAY_NS

@@ -24,7 +24,14 @@ from rclpy.timer import Timer
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.estimator.odometry import FusedSamples, with_gyro_faults
-from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, RotorSpeedStream, WindStream
+from quadpi_core.flight import (
+    MAX_JUMP_BACK_NS,
+    NO_STAMP,
+    ImuStream,
+    OdometryStream,
+    RotorSpeedStream,
+    WindStream,
+)
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.frame_ids import Framed
 from quadpi_core.models import AerodynamicModel
@@ -46,7 +53,6 @@ from quadpi_ros.sensor_node import FRAMES, STEADY, STRICT, WARN, SensorNode
 from quadpi_ros.slow_service import SlowService
 
 _SETTINGS = MonitorSettings()
-_LONG_AGO_NS = -(2**63)
 
 
 @dataclass(frozen=True)
@@ -125,7 +131,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._estimator = estimator
         self._load_model: SlowService | None = None
         self._dropped = self._judged = 0
-        self._newest_ns = _LONG_AGO_NS
+        self._newest_ns = NO_STAMP
         self._watch: Timer | None = None
         self._silence = Silence()
         self._silence_told_s = -math.inf
@@ -288,7 +294,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             return
         self._silence_told_s = now_s
         time_ns = self.get_clock().now().nanoseconds
-        if self._newest_ns != _LONG_AGO_NS:
+        if self._newest_ns != NO_STAMP:
             time_ns = self._newest_ns + round(1e9 * self._silence.elapsed_s)
         self._results.tell_silence(time_ns, self._silence.reasons)
 
@@ -310,7 +316,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._dropped = self._judged = 0
         self._silence = Silence()
         self._silence_told_s = -math.inf
-        self._newest_ns = _LONG_AGO_NS
+        self._newest_ns = NO_STAMP
         self._latency = Latency()
         self._results.monitors.reset()
 

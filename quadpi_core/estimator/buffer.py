@@ -27,7 +27,7 @@ from quadpi_core.estimator.corrections import (
     WIDENED,
     Count,
 )
-from quadpi_core.estimator.filter_memory import BUFFER_S, NEVER, Clock, Memory, Source, noise_of
+from quadpi_core.estimator.filter_memory import BUFFER_S, Clock, Memory, Source, noise_of
 from quadpi_core.estimator.filter_status import status_of
 from quadpi_core.estimator.imu_rate import NOTICED_NS, off_for
 from quadpi_core.estimator.propagate import (
@@ -39,7 +39,7 @@ from quadpi_core.estimator.propagate import (
     copy,
     propagate,
 )
-from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Stamps
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.sample_limits import usable_imu, usable_pose, usable_velocity
 from quadpi_core.signals.resample import RATE_SPAN
@@ -117,7 +117,7 @@ def predict(memory: Memory, time_ns: int, sample: Array) -> int:
             return Outcome.RESET.value
         clock[_JUMPED_NS] = time_ns
         return Outcome.STAMP_JUMPED.value
-    clock[_JUMPED_NS] = NEVER
+    clock[_JUMPED_NS] = NO_STAMP
     if since <= 0:
         return Outcome.STAMP_NOT_ADVANCING.value
     length = len(stamps)
@@ -284,13 +284,13 @@ def _renew(memory: Memory, row: Array, before: int, instant_ns: int, transition:
 def _corrected_ns(memory: Memory, before: int) -> int:
     """Instant of the last correction if it is at or after the estimate `before`; else long ago."""
     corrected_ns: int = memory.clock[_CORRECTED_NS]
-    return corrected_ns if corrected_ns >= memory.stamps[before] else NEVER
+    return corrected_ns if corrected_ns >= memory.stamps[before] else NO_STAMP
 
 
 @njit(cache=True)
 def _base(memory: Memory, before: int, row: Array) -> None:
     """The last estimate in the interval that begins with `before`: the one there, or a correction's."""
-    source = len(memory.stamps) if _corrected_ns(memory, before) != NEVER else before
+    source = len(memory.stamps) if _corrected_ns(memory, before) != NO_STAMP else before
     copy(memory.rows[source], row, 0, _WIDTH)
 
 

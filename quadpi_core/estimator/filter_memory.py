@@ -11,15 +11,13 @@ import numpy as np
 from quadpi_core.compiled import njit
 from quadpi_core.estimator.corrections import VALUES, Count
 from quadpi_core.estimator.propagate import Noise, Outcome, Row
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.resample import RATE_SPAN
 
 BUFFER_S = 0.5
 # Measurements that wait; more than motion capture sends in the time by which it may be early.
 _HELD = 256
-# A stamp before all others.
-NEVER = -(2**62)
 _OUTCOMES = len(Outcome)
 
 
@@ -101,8 +99,8 @@ def forget(memory: Memory) -> None:
     """Make the memory empty, but for the counts."""
     for array in (memory.clock, memory.rows, memory.sources, memory.seen):
         array[...] = 0
-    memory.sources[:, Source.ARRIVED_NS] = NEVER
-    memory.clock[Clock.JUMPED_NS] = NEVER
+    memory.sources[:, Source.ARRIVED_NS] = NO_STAMP
+    memory.clock[Clock.JUMPED_NS] = NO_STAMP
 
 
 def start(memory: Memory, time_ns: int, estimate: Array, imu_ns: int) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, NO_STAMP
 from quadpi_core.signals.resample import RATE_SPAN
 
 MEASURED_NS = 1_000_000_000
@@ -33,7 +33,6 @@ _FITS = 4
 _STEP_MAX_NS = 20_000_000
 # Stamps of a second, at the fastest rate that a node takes and more.
 _ROOM = 8192
-_NEVER = -(2**62)
 
 # Where a meter holds what.
 _COUNT, _NEWEST_NS, _JUMPED_NS, _SPAN_NS, _OFF_NS, LOST, CHANGES, _SIZE = range(8)
@@ -98,7 +97,7 @@ class Meter(NamedTuple):
     def empty(cls) -> Meter:
         """A meter that has seen nothing."""
         meter = cls(np.zeros(_SIZE, dtype=np.int64), np.zeros(_ROOM, dtype=np.int64), np.zeros(1))
-        meter.numbers[_JUMPED_NS] = _NEVER
+        meter.numbers[_JUMPED_NS] = NO_STAMP
         return meter
 
     @property
@@ -134,7 +133,7 @@ def follow(meter: Any, time_ns: int) -> None:
         else:
             numbers[_JUMPED_NS] = time_ns
         return
-    numbers[_JUMPED_NS] = _NEVER
+    numbers[_JUMPED_NS] = NO_STAMP
     if since_ns <= 0:
         return
     _append(meter, time_ns)
@@ -166,7 +165,7 @@ def _begin(meter: Any, time_ns: int) -> None:
     numbers = meter.numbers
     numbers[_COUNT] = 0
     numbers[_OFF_NS] = 0
-    numbers[_JUMPED_NS] = _NEVER
+    numbers[_JUMPED_NS] = NO_STAMP
     numbers[CHANGES] += 1
     meter.span[0] = 0.0
     _append(meter, time_ns)

@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
@@ -160,7 +160,7 @@ class Alarm:
         """Forget all evidence; the next sample gives a row."""
         self._state = np.zeros(kernel.STATE_SIZE)
         self._memory = np.zeros(kernel.MEMORY_SIZE, dtype=np.int64)
-        self._memory[kernel.PREVIOUS] = kernel.NO_STAMP
+        self._memory[kernel.PREVIOUS] = NO_STAMP
 
     def step(
         self,

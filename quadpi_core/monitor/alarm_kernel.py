@@ -10,6 +10,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES as AXIS_NAMES
+from quadpi_core.flight import NO_STAMP
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import excess_of_cosine
 from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
@@ -31,7 +32,6 @@ WARNING_CHARGE = 0.5
 ROUNDING = 1e-9
 # A gap in the samples counts as this long: nobody knows what happened in it.
 STEP_MAX_S = 0.02
-NO_STAMP = np.iinfo(np.int64).min
 # The sum of the test ends here, in limits, so that it comes down again; below the other, it is over.
 SUM_MOST, SUM_OVER = 1.5, 0.25
 # Over which the share of misses is told.

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import MAX_GAP_NS
+from quadpi_core.flight import MAX_GAP_NS, NO_STAMP
 from quadpi_core.frames import Array
 from quadpi_core.sample_limits import (
     RATE_MAX_RAD_S,
@@ -44,7 +44,6 @@ RATE_DIFFERS, RATE_UNKNOWN, RATE_LOW = 1 << 25, 1 << 26, 1 << 27
 # On the ground motors start one after the other and sensors may rest: there these mean nothing.
 IN_FLIGHT_ONLY = RATE_DIFFERS - GYRO_FROZEN
 
-_NO_STAMP = np.iinfo(np.int64).min
 # An inertial sensor repeats a sample bit for bit once in a while, not for this long (and not this often).
 _FROZEN_S, _FROZEN_SAMPLES = 0.03, 8
 # The estimator moves its biases at every correction: a frozen sensor less a bias creeps by this much at most.
@@ -89,13 +88,13 @@ class FaultMemory(NamedTuple):
         return cls(
             np.array([vehicle.rotor_speed_spike_rad_s, frozen_s(rate_hz)]),
             np.asarray(vehicle.rotor_spins, dtype=float),
-            np.array([_NO_STAMP]),
+            np.array([NO_STAMP]),
             np.zeros(STATE_SIZE),
         )
 
     def forget(self) -> None:
         """Forget the past."""
-        self.previous_ns[0] = _NO_STAMP
+        self.previous_ns[0] = NO_STAMP
         self.state[:] = 0.0
 
 
@@ -213,7 +212,7 @@ def judge(time_ns: int, sample: Any, memory: Any) -> tuple[int, bool, bool]:
     """
     limits, state = memory.limits, memory.state
     step_ns = time_ns - memory.previous_ns[0]
-    first = memory.previous_ns[0] == _NO_STAMP
+    first = memory.previous_ns[0] == NO_STAMP
     jump = not first and abs(step_ns) > MAX_GAP_NS
     found = 0
     if not first:

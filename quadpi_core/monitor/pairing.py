@@ -19,7 +19,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import CHANGES, LOST, ImuRate, Meter, follow, follow_arrays
-from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Stamps
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.monitor.silence import Arrived
 from quadpi_core.signals.chain import (
@@ -47,7 +47,6 @@ _WIDEST = 10
 CONTINUES, STEPS_BACK, SET_BACK = 0, 1, 2
 # Of PairingCounts.
 _PAIRED, _EARLY, _DROPPED, _DISORDERED = 0, 1, 2, 3
-_NEVER = -(2**63)
 
 
 class PairedSamples(NamedTuple):
@@ -144,11 +143,11 @@ class Pairing:
         self._tracks = _Tracks(
             time_ns=np.zeros((_TRACKS, capacity), dtype=np.int64),
             rows=np.zeros((_TRACKS, capacity, _WIDEST)),
-            places=np.array([[0, 0, _NEVER]] * _TRACKS),
+            places=np.array([[0, 0, NO_STAMP]] * _TRACKS),
             counts=np.zeros(4, dtype=np.int64),
         )
         # Of the IMU: the newest stamp since one stepped back, and that of the last sample.
-        self._clock = np.full(2, _NEVER)
+        self._clock = np.full(2, NO_STAMP)
         self._given_hz = rate_hz
         self._meter = Meter.empty()
         self._changes = self._meter.changes
@@ -167,7 +166,7 @@ class Pairing:
     def arrived(self) -> Arrived:
         """How far the inputs have come."""
         newest = self._tracks.places[:, _NEWEST_NS].tolist()
-        imu_ns, state_ns, rotors_ns, _ = (None if time_ns == _NEVER else time_ns for time_ns in newest)
+        imu_ns, state_ns, rotors_ns, _ = (None if time_ns == NO_STAMP else time_ns for time_ns in newest)
         judged = 0 if self.rate.begins else self.counts.paired + self.counts.dropped
         return Arrived(imu_ns, state_ns, rotors_ns, judged)
 
@@ -389,7 +388,7 @@ def _find_breaks(kind: Any, row: Any, imu_ns: Any, clock: Any, meter: Any, break
             continue
         time_ns, newest_ns, last_ns = imu_ns[row[event]], clock[0], clock[1]
         begin, changes = CONTINUES, meter.numbers[CHANGES]
-        if newest_ns != _NEVER and time_ns < newest_ns - MAX_JUMP_BACK_NS:
+        if newest_ns != NO_STAMP and time_ns < newest_ns - MAX_JUMP_BACK_NS:
             begin = SET_BACK if time_ns < last_ns - MAX_JUMP_BACK_NS else STEPS_BACK
             clock[0] = time_ns
         clock[0], clock[1] = max(clock[0], time_ns), time_ns
@@ -412,7 +411,7 @@ def _make_room(tracks: Any, track: int, time_ns: int) -> int:
         place[_COUNT] = 0
         if track == IMU and tracks.places[STATE, _NEWEST_NS] > time_ns:
             # The states kept are of the time before, and may be ahead of those that come.
-            tracks.places[STATE, _COUNT], tracks.places[STATE, _NEWEST_NS] = 0, _NEVER
+            tracks.places[STATE, _COUNT], tracks.places[STATE, _NEWEST_NS] = 0, NO_STAMP
     place[_NEWEST_NS] = time_ns
     if place[_COUNT] == capacity:
         place[_OLDEST] = (place[_OLDEST] + 1) % capacity

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
 from quadpi_core.monitor.data_quality import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN, FaultMemory, judge
@@ -36,7 +36,6 @@ from quadpi_core.vehicle import Vehicle
 SETTLE_NS = 1_000_000_000
 # Where the numbers of the low-pass stand: coefficients, rate (0: none fits), fault where no rate fits.
 _DESIGN_HZ, _FAULT, _LOW_PASS_SIZE = 6, 7, 8
-_NO_STAMP = np.iinfo(np.int64).min
 
 
 class Prepared(NamedTuple):
@@ -80,7 +79,7 @@ class Preparation:
         self._low_pass = np.zeros(_LOW_PASS_SIZE)
         self._faults = FaultMemory.empty(vehicle, rate_hz or RATE_BEFORE_HZ)
         self._chain = ChainMemory.empty()
-        self._begun_ns = np.array([_NO_STAMP])
+        self._begun_ns = np.array([NO_STAMP])
         self.retune(ImuRate(rate_hz or 0.0))
         self._known = (
             self._low_pass,
