@@ -17,7 +17,7 @@ from quadpi_core.discrepancy import VehicleSimulation, discover
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
 from quadpi_core.identification.identify import CUTOFF_HZ
-from quadpi_core.simulation.effects import read_effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite

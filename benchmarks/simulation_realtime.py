@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks import Result, interleaved_seconds
-from quadpi_core.simulation.effects import EFFECTS, read_effects
+from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.scenario import load_scenario

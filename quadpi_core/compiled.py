@@ -5,7 +5,7 @@
 Numba renews a cached kernel when the kernel's own file changes, not when another file does whose kernels or
 constants it uses. So each file with kernels has a cache folder of its own, named after the content of the
 file and of all files of this package that it imports, directly or through others. Files that
-:func:`modules_beside` imports count.
+:func:`modules_in` imports count.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -28,7 +28,7 @@ from typing import Any, TypeVar
 import numba
 from numba import config
 
-__all__ = ["modules_beside", "njit", "once"]
+__all__ = ["modules_in", "njit", "once"]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -40,6 +40,8 @@ _PACKAGE = Path(__file__).resolve().parent
 _IMPORT = re.compile(
     rf"^(?:from ({_PACKAGE.name}[\w.]*) import (\([^)]*\)|.*)|import ({_PACKAGE.name}[\w.]*))", re.M
 )
+
+_FOLDER = re.compile(r"modules_in\(__file__, \"(\w+)\"\)")
 
 
 def njit(*signatures: Any, **options: Any) -> Callable[[Kernel], Kernel]:
@@ -61,16 +63,16 @@ def njit(*signatures: Any, **options: Any) -> Callable[[Kernel], Kernel]:
     return compiled
 
 
-def modules_beside(file: str, but: Collection[str]) -> list[ModuleType]:
-    """Import the other modules in the folder of a file of this package: kernels of the file rest on them.
+def modules_in(file: str, folder: str) -> list[ModuleType]:
+    """Import all modules of a folder beside a file of this package; kernels of the file then depend on them.
 
     Args:
-        file: that asks: its `__file__`, by this name.
-        but: names of modules that are left out.
+        file: the caller's `__file__`, written literally so that the cache can find the dependency.
+        folder: name of the folder, as a literal too.
     """
-    folder = Path(file).resolve().parent
-    package = ".".join((_PACKAGE.name, *folder.relative_to(_PACKAGE).parts))
-    names = sorted({path.stem for path in folder.glob("*.py")} - {"__init__", *but})
+    path = Path(file).resolve().parent / folder
+    package = ".".join((_PACKAGE.name, *path.relative_to(_PACKAGE).parts))
+    names = sorted(module.stem for module in path.glob("*.py") if module.stem != "__init__")
     return [importlib.import_module(f"{package}.{name}") for name in names]
 
 
@@ -147,6 +149,6 @@ def _read(path: Path) -> tuple[bytes, frozenset[Path]]:
         dotted = [module or package, *(f"{package}.{name}" for name in re.findall(r"\w+", names))]
         for place in (_PACKAGE.parent.joinpath(*name.split(".")) for name in dotted):
             imported |= {place.with_suffix(".py"), place / "__init__.py"}
-    if b"modules_beside(__file__" in content and path != Path(__file__).resolve():
-        imported |= set(path.parent.glob("*.py"))
+    for folder in _FOLDER.findall(content.decode()):
+        imported |= set((path.parent / folder).glob("*.py"))
     return hashlib.sha256(content).digest(), frozenset(path for path in imported if path.is_file())

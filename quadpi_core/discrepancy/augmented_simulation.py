@@ -17,14 +17,9 @@ from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effects import (
-    EFFECTS,
-    Effect,
-    Effects,
-    added_wind,
-    altered_vehicle,
-    effect_wrench,
-)
+from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, effect_wrench
+from quadpi_core.simulation.effect_definition import Effect, Effects
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.vehicle import Vehicle
 
 

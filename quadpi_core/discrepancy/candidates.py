@@ -19,8 +19,8 @@ import numpy as np
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects import EFFECTS, Effect
-from quadpi_core.simulation.effects.effect_definition import AERODYNAMIC
+from quadpi_core.simulation.effect_definition import AERODYNAMIC, Effect
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.vehicle import Vehicle
 
 # Typical sizes of the registry are those of the Bebop 2.

@@ -15,8 +15,9 @@ from textwrap import dedent
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from quadpi_core.simulation.effects import EFFECTS, SHAPE, Effect
-from quadpi_core.simulation.effects.effect_kernels import shaped
+from quadpi_core.simulation.effect_definition import SHAPE, Effect
+from quadpi_core.simulation.effect_kernels import shaped
+from quadpi_core.simulation.effect_registry import EFFECTS
 
 if TYPE_CHECKING:
     from quadpi_core.discrepancy.discovery import FoundEffect

@@ -15,7 +15,9 @@ from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit, fit_forms
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects import EFFECTS, SHAPE, state_modulators
+from quadpi_core.simulation.applied_effects import state_modulators
+from quadpi_core.simulation.effect_definition import SHAPE
+from quadpi_core.simulation.effect_registry import EFFECTS
 
 # Of an effect whose law may be off: share by which its axes may differ, over that by which it may change.
 _AXES_OVER_FORM = 1.5

@@ -27,7 +27,9 @@ from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effects import EFFECTS, Effect, effect_wrench
+from quadpi_core.simulation.applied_effects import effect_wrench
+from quadpi_core.simulation.effect_definition import Effect
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # Content of a flight above a quarter of this is not looked at: see `whitening.BAND_HZ`.

@@ -21,7 +21,8 @@ from quadpi_core.discrepancy.effect_response import body_tolerances
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, VehicleError
-from quadpi_core.simulation.effects import EFFECTS, Effects
+from quadpi_core.simulation.effect_definition import Effects
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
 from quadpi_core.vehicle import ROTORS, Vehicle, is_rigid_body
 

@@ -21,7 +21,7 @@ from quadpi_core.discrepancy.simulations.simulation_base import read_tolerances
 from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.config_section import Section
-from quadpi_core.simulation.effects import read_effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.simulated_vehicle import own_effects
 from quadpi_core.vehicle import Vehicle
 

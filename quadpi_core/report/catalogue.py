@@ -10,7 +10,7 @@ from rich.text import Text
 
 from quadpi_core.paths import config_directory
 from quadpi_core.report.style import number
-from quadpi_core.simulation.effects import EFFECTS
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.scenario import load_scenario
 
 

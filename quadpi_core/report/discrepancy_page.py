@@ -37,7 +37,7 @@ from quadpi_core.report.page import (
     write_page,
 )
 from quadpi_core.report.style import number, percent, unit
-from quadpi_core.simulation.effects import EFFECTS
+from quadpi_core.simulation.effect_registry import EFFECTS
 
 # All time histories together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 300_000

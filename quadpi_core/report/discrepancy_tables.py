@@ -17,7 +17,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.report import discrepancy_text as text
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.terminal_tables import axis_with_unit
-from quadpi_core.simulation.effects import EFFECTS
+from quadpi_core.simulation.effect_registry import EFFECTS
 
 _MOST_RANGES = 8
 

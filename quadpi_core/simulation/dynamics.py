@@ -15,8 +15,8 @@ from numba import from_dtype, types
 
 from quadpi_core.compiled import njit, once
 from quadpi_core.signals import rotations
+from quadpi_core.simulation.applied_effects import FUNCTION_TYPE
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
-from quadpi_core.simulation.effects import FUNCTION_TYPE
 from quadpi_core.simulation.linear_algebra import cross, product3
 from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.rotor_local import aerodynamics

@@ -9,7 +9,8 @@ from typing import Any
 
 from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
-from quadpi_core.simulation.effects import Effects, read_effects
+from quadpi_core.simulation.effect_definition import Effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.scenario import Scenario, flight_seed
 

@@ -14,7 +14,8 @@ import numpy as np
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.config_section import Section
-from quadpi_core.simulation.effects import Effects, read_effects
+from quadpi_core.simulation.effect_definition import Effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.failures import Fault, read_faults
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.reference_motion import (

@@ -13,9 +13,10 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals import rotations
+from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose
 from quadpi_core.simulation.controller import Controls, Demand
 from quadpi_core.simulation.dynamics import LOGGED, MOTION, flight_kernel
-from quadpi_core.simulation.effects import Effects, added_wind, altered_vehicle, compose
+from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.reference import STEP_HZ, Reference
 from quadpi_core.simulation.sensor_noise import generator
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle

@@ -13,7 +13,8 @@ from typing import Any
 from quadpi_core.config import read_config
 from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.simulation.config_section import Section
-from quadpi_core.simulation.effects import Effects, read_effects
+from quadpi_core.simulation.effect_definition import Effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flight_plan import FlightPlan
 
 # What a scenario may set for all flights in its file, each of which may set it otherwise.

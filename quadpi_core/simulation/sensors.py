@@ -28,7 +28,8 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array
 from quadpi_core.signals.resample import Mask, interpolate, interpolate_attitude
-from quadpi_core.simulation.effects import Effects, altered_recording
+from quadpi_core.simulation.applied_effects import altered_recording
+from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effects.sensing import imu_misalignment
 from quadpi_core.simulation.failures import Fault, Sent, apply_faults
 from quadpi_core.simulation.sensor_noise import (

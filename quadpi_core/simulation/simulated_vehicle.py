@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from quadpi_core.config import nearest, read_config
 from quadpi_core.errors import VehicleError
-from quadpi_core.simulation.effects import Effects, read_effects
+from quadpi_core.simulation.effect_definition import Effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.vehicle import Vehicle
 

@@ -16,7 +16,7 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.paths import bags_directory
-from quadpi_core.simulation.effects import effect_wrench
+from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.vehicle import Vehicle
 
 from .known_flights import noisy_vehicle, simulate_flight, simulated, true_flight  # noqa: F401

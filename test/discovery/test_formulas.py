@@ -68,9 +68,9 @@ def test_nothing_comes_from_the_library():
             if isinstance(node, ast.ImportFrom):
                 modules = [f"{node.module}.{name.name}" for name in node.names]
             for module in modules:
-                assert not module.startswith("quadpi_core.simulation.effects"), path
+                assert not module.startswith("quadpi_core.simulation.effect"), path
                 # Whose simulations are compared is no secret; what is searched for is.
-                for secret in ("candidates", "contributions", "search", "evidence"):
+                for secret in ("candidates", "effect_response", "search", "evidence"):
                     assert not module.startswith(f"quadpi_core.discrepancy.{secret}"), path
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.effect_definition import Parameter, effect
+from quadpi_core.simulation.effect_definition import Parameter, effect
 
 
 @effect(

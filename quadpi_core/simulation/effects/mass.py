@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.effect_definition import Parameter, effect
+from quadpi_core.simulation.effect_definition import Parameter, effect
 from quadpi_core.vehicle import Vehicle
 
 

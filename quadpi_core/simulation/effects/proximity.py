@@ -8,8 +8,8 @@ from typing import Any
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
-from quadpi_core.simulation.effects.effect_kernels import (
+from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
+from quadpi_core.simulation.effect_kernels import (
     NO_WRENCH,
     hub_height,
     in_plane_speed,

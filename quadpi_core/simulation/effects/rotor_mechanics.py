@@ -10,8 +10,8 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
-from quadpi_core.simulation.effects.effect_kernels import NO_WRENCH, with_hub_force
+from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
+from quadpi_core.simulation.effect_kernels import NO_WRENCH, with_hub_force
 from quadpi_core.vehicle import ROTORS
 
 _WHICH = Parameter("rotor", "", 1.0, 1.0, float(ROTORS), whole=True)

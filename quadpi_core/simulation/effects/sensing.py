@@ -16,7 +16,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import Recording, Stamps, Stream
 from quadpi_core.frames import Array
 from quadpi_core.signals.rotations import from_rotation_vector, matrix
-from quadpi_core.simulation.effects.effect_definition import Parameter, effect, three
+from quadpi_core.simulation.effect_definition import Parameter, effect, three
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _Late = TypeVar("_Late", bound=Stream)

@@ -16,7 +16,8 @@ import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.effect_formulas import python_source
-from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
+from quadpi_core.simulation.applied_effects import effect_wrench
+from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.state_records import STATE, VEHICLE
 
@@ -110,7 +111,8 @@ def test_is_found_in_flights_of_its_own(name, flown):
 
 _USE = """
 import numpy as np
-from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
+from quadpi_core.simulation.applied_effects import effect_wrench
+from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 
 assert list(EFFECTS).index("canopy_lift") < list(EFFECTS).index("cg_offset")

@@ -29,7 +29,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effects import EFFECTS, read_effects
+from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.vehicle import Vehicle
 
 

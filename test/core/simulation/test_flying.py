@@ -8,7 +8,8 @@ import pytest
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
-from quadpi_core.simulation.effects import EFFECTS, effect_wrench, read_effects
+from quadpi_core.simulation.applied_effects import effect_wrench
+from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.reference import STEP_HZ, Reference
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle

@@ -8,7 +8,7 @@ import pytest
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.signals.rotations import from_rotation_vector, inverse, matrix, product, to_rotation_vector
-from quadpi_core.simulation.effects import read_effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.failures import read_faults
 from quadpi_core.simulation.sensor_noise import (
     Anemometer,

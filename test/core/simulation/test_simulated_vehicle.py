@@ -6,7 +6,7 @@ import yaml
 
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.paths import config_directory
-from quadpi_core.simulation.effects import read_effects
+from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.scenario import load_scenario

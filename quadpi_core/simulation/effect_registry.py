@@ -1,17 +1,63 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a file switches effects on."""
+"""The effects that the files of the folder `effects` declare, in the order in which they act; their settings.
+
+The order is by kind, then by file name, then by position in the file. An effect that must act after all
+others of its kind declares `last`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
+from numba import literal_unroll
+
+from quadpi_core.compiled import modules_in, njit
 from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
-from quadpi_core.simulation.effects.effect_definition import Effect, Effects, Parameter
-from quadpi_core.simulation.effects.effect_registry import EFFECTS
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effect_definition import Effect, Effects, Parameter, Wrench
+from quadpi_core.simulation.effect_kernels import NO_WRENCH
+
+_KINDS = ("wrench", "vehicle", "wind", "sensor")
+
+
+def _declared() -> Iterator[Effect]:
+    for module in modules_in(__file__, "effects"):
+        for value in vars(module).values():
+            if isinstance(value, Effect) and value.function.__module__ == module.__name__:
+                yield value
+
+
+def _in_order() -> dict[str, Effect]:
+    effects: dict[str, Effect] = {}
+    for effect in sorted(_declared(), key=lambda effect: (_KINDS.index(effect.kind), effect.last)):
+        if effect.name in effects:
+            raise TypeError(f"two effects are named `{effect.name}`")
+        effects[effect.name] = effect
+    return effects
+
+
+EFFECTS = _in_order()
+
+_WRENCH_EFFECTS = tuple(effect for effect in EFFECTS.values() if effect.kind == "wrench")
+WRENCH_INDEX = {effect.name: index for index, effect in enumerate(_WRENCH_EFFECTS)}
+_WRENCH_FUNCTIONS = tuple(effect.function for effect in _WRENCH_EFFECTS)
+
+
+# In this file because its cache on disk must be renewed whenever the set or the order of effects changes.
+@njit(cache=True)
+def added_wrench(index: int, state: Any, vehicle: Any, p: Array) -> Wrench:
+    """Wrench of the effect with this index of `WRENCH_INDEX`; zero for any other index."""
+    wrench = NO_WRENCH
+    candidate = 0
+    for function in literal_unroll(_WRENCH_FUNCTIONS):
+        if candidate == index:
+            wrench = function(state, vehicle, p)
+        candidate += 1  # noqa: SIM113
+    return wrench
 
 
 def read_effects(data: Any, where: str) -> Effects:

@@ -10,7 +10,8 @@ from numba import types
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import SimulationError
-from quadpi_core.simulation.effects import EFFECTS, FUNCTION_TYPE, compose, effect_wrench, read_effects
+from quadpi_core.simulation.applied_effects import FUNCTION_TYPE, compose, effect_wrench
+from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
 
 WRENCH = [name for name, effect in EFFECTS.items() if effect.kind == "wrench"]

@@ -17,9 +17,9 @@ from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effects.effect_definition import SHAPE, Effect, Effects, Wrench
-from quadpi_core.simulation.effects.effect_kernels import MODULATORS, modulators, shaped
-from quadpi_core.simulation.effects.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
+from quadpi_core.simulation.effect_definition import SHAPE, Effect, Effects, Wrench
+from quadpi_core.simulation.effect_kernels import MODULATORS, modulators, shaped
+from quadpi_core.simulation.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
 from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
