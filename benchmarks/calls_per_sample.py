@@ -96,9 +96,9 @@ def live_subscriptions(parameters: dict[str, str]) -> Iterator[dict[str, Callabl
     """What the live nodes' subscriptions call with a serialized message, by topic."""
     import rclpy
 
-    from quadpi_ros.lifecycle import start
     from quadpi_ros.live_process import create_nodes
     from quadpi_ros.processes import isolated_domain
+    from quadpi_ros.runtime import start
 
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     with ExitStack() as stack:

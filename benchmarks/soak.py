@@ -163,9 +163,8 @@ def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, loo
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from quadpi_ros.dds_profile import await_listeners
+    from quadpi_ros.dds_profile import SENSOR_QOS, await_listeners
     from quadpi_ros.player import SENSOR_TYPES
-    from quadpi_ros.runtime import SENSOR_QOS
 
     context = Context()
     context.init()

@@ -9,12 +9,13 @@ offers for parameters and the lifecycle: a client can make those raise.
 
 from __future__ import annotations
 
+import threading
 import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
 from functools import wraps
-from typing import Any
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.event_handler import EventHandler
@@ -23,11 +24,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rclpy.timer import Timer
 
 from quadpi_core.errors import one_line
 from quadpi_ros import diagnostics
-from quadpi_ros.qos_overrides import check_overrides, overridden
+from quadpi_ros.dds_profile import check_overrides, overridden
 
 # A callback may fail at every sample; the log names it no more often than this.
 _LOG_PERIOD_S = 5.0
@@ -202,3 +204,59 @@ class GuardedNode(Node):
 def _empty(_: Any, response: Any) -> Any:
     """The response to a request that raised an exception, which may have filled it in part."""
     return type(response)()
+
+
+class SlowService:
+    """Does the work of each request in a thread, one after another, and answers from the executor.
+
+    Neither a callback that waits nor a coroutine would do: the first stops the samples, and the events
+    executor does not await the second.
+
+    Args:
+        node: that offers the service; on an executor.
+        service_type: of the service.
+        name: of the service.
+        work: called in the thread with the request; gives a function that fills the response. That one is
+            called on the executor, between two samples. After an exception in either, the response is empty.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        service_type: type,
+        name: str,
+        work: Callable[[Any], Callable[[Any], None]],
+    ) -> None:
+        self._node = node
+        self._where = f"service {name}"
+        self._work = node.guard(self._where, work, lambda _: lambda _: None)
+        self._one_at_a_time = threading.Lock()
+        self._service = cast(Any, node.create_service(service_type, name, self._take))
+        self._send = self._service.send_response
+        # The executor sends what the callback returns; here that is a promise.
+        self._service.send_response = self._send_when_kept
+
+    def destroy(self) -> None:
+        """Offer the service no longer; requests under way stay without an answer."""
+        self._node.destroy_service(self._service)
+        self._service = None
+
+    def _take(self, request: Any, response: Any) -> Future:
+        promise = Future()
+        threading.Thread(target=self._run, args=(request, response, promise), daemon=True).start()
+        return promise
+
+    def _run(self, request: Any, response: Any, promise: Future) -> None:
+        with self._one_at_a_time:
+            fill = self._work(request)
+        executor = self._node.executor
+        if executor is not None:
+            executor.create_task(lambda: self._keep(fill, response, promise))
+
+    def _keep(self, fill: Callable[[Any], None], response: Any, promise: Future) -> None:
+        if self._service is not None:
+            self._node.guard(self._where, fill)(response)
+            promise.set_result(response)
+
+    def _send_when_kept(self, promise: Future, header: Any) -> None:
+        promise.add_done_callback(lambda kept: self._send(kept.result(), header))

@@ -24,11 +24,10 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.consistency_watch import ConsistencyWatch
 from quadpi_ros.input_sources import AdaptedSources, Source, adapters_of
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, FRAMES, STRICT, WARN, SensorNode
+from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, FRAMES, STRICT, WARN, ConsistencyWatch, SensorNode
 
 # Of several in a bag, the first is used.
 MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")

@@ -1,17 +1,31 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the inputs of a node come from: standard topics, or messages of other packages."""
+"""Where the inputs of a node come from: standard topics, or messages of other packages.
+
+Messages of other packages are read by `messages.adapters`. Their layout comes from the installed package, so
+that whatever version flies is understood.
+"""
 
 from __future__ import annotations
 
+import importlib
+import re
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from quadpi_core.errors import QuadpiError
-from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.flight import Stream
+from quadpi_core.messages.adapters import ADAPTERS, Adapter, AdapterSettings
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros.foreign_messages import AdapterError, adapted
 from quadpi_ros.parameters import ParameterError
+
+_PRIMITIVES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
+# `sequence<T>` or `sequence<T, 4>`, `T[4]`, or `T`, where T may be `package/Type` or `string<9>`.
+_FIELD = re.compile(
+    r"(?:sequence<(?P<item>[^,>]+(?:<\d+>)?)(?:, *\d+)?>|(?P<plain>[^\[]+)(?P<array>\[\d+\])?)$"
+)
+_RULE = f"{'=' * 80}\n"
 
 
 class Source(NamedTuple):
@@ -75,3 +89,98 @@ class AdaptedSources:
             return standard
         (name,) = adapters_of(kind)
         return self.named(name)
+
+
+class AdapterError(QuadpiError):
+    """Messages of another package cannot be subscribed to."""
+
+
+class AdaptedSubscription:
+    """What a node needs in order to listen to messages of another package.
+
+    Attributes:
+        message_type: for the subscription, which stays serialized (`raw=True`).
+        topic: that the settings name, else where the package publishes it by default.
+        kind: the stream that comes out: "rotor_speeds", "mocap" (poses), "odometry" or "imu".
+    """
+
+    def __init__(self, adapter: Adapter, settings: AdapterSettings, vehicle: Vehicle | None) -> None:
+        self.message_type = message_class(adapter.type_name)
+        self.kind = adapter.kind
+        self._unpacker = adapter.open(definition_of(self.message_type), settings, vehicle)
+        self.topic: str = getattr(settings, adapter.kind).topic or adapter.topic
+        self._dropped: Counter[str] = Counter()
+
+    def unpack(self, payload: bytes) -> Stream:
+        """The sample in a message.
+
+        Raises:
+            LogError: for a message that cannot be read, or saying why it holds no sample.
+        """
+        stream = self._unpacker.unpack(payload)
+        if len(stream) == 0:
+            reasons = self._unpacker.dropped - self._dropped
+            self._dropped = Counter(self._unpacker.dropped)
+            raise LogError(", ".join(reasons))
+        return stream
+
+
+def adapted(name: str, settings: AdapterSettings, vehicle: Vehicle | None) -> AdaptedSubscription:
+    """The subscription of an adapter.
+
+    Args:
+        name: key of `quadpi_core.messages.adapters.ADAPTERS`.
+        settings: what the messages do not say; must have those of the adapter's kind.
+        vehicle: that flies.
+
+    Raises:
+        AdapterError: for an unknown name, or if the package that defines the message is not installed.
+        LogError: for settings that are missing, or a version of the package that is not known.
+    """
+    if name not in ADAPTERS:
+        raise AdapterError(f"no adapter `{name}`; known: {', '.join(ADAPTERS)}")
+    return AdaptedSubscription(ADAPTERS[name], settings, vehicle)
+
+
+def message_class(type_name: str) -> Any:
+    """The Python class of a message type such as `px4_msgs/msg/EscStatus`.
+
+    Raises:
+        AdapterError: if its package is not installed, or does not have it.
+    """
+    package, _, name = type_name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise AdapterError(
+            f"{type_name}: the package {package} that defines it is not installed here"
+        ) from None
+
+
+def definition_of(message_type: Any) -> str:
+    """The definition of an installed message and all that it contains, as a bag embeds it (`ros2msg`)."""
+    contained: dict[str, Any] = {}
+    text = _fields_of(message_type, contained)
+    sections, done = [text], set[str]()
+    while names := contained.keys() - done:
+        for name in sorted(names):
+            done.add(name)
+            sections.append(f"MSG: {name}\n{_fields_of(contained[name], contained)}")
+    return _RULE.join(sections)
+
+
+def _fields_of(message_type: Any, contained: dict[str, Any]) -> str:
+    """One line per field; adds the classes of messages that are fields to `contained`."""
+    lines = []
+    for name, kind in message_type.get_fields_and_field_types().items():
+        match = _FIELD.match(kind)
+        if match is None:
+            raise AdapterError(f"{message_type.__name__}: field {name} is of the unknown kind {kind}")
+        item = match["item"] or match["plain"]
+        array = "[]" if match["item"] else match["array"] or ""
+        if "/" in item:
+            package, stem = item.split("/")
+            contained[item] = message_class(f"{package}/msg/{stem}")
+        bare = item.partition("<")[0]
+        lines.append(f"{_PRIMITIVES.get(bare, bare)}{array} {name}\n")
+    return "".join(lines)

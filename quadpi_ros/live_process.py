@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from quadpi_ros.estimator_node import EstimatorNode
-from quadpi_ros.lifecycle import ManagedNode
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.runtime import run, serve
+from quadpi_ros.runtime import ManagedNode, run, serve
 
 
 def create_nodes() -> list[ManagedNode[Any]]:

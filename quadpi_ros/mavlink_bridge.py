@@ -34,10 +34,10 @@ from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.dds_profile import DiscoveryError, await_subscribers
+from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_subscribers
 from quadpi_ros.mavlink_link import Chunk, Link, check_connection, is_replay, open_link
 from quadpi_ros.parameters import ParameterError, namespaced_body_frame, parameter, read_parameters
-from quadpi_ros.runtime import SENSOR_QOS, run, spin
+from quadpi_ros.runtime import run, spin
 
 _STANDARD, _AUTO = "standard", "auto"
 _READ_TIMEOUT_S = 0.02

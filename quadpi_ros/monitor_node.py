@@ -42,15 +42,13 @@ from quadpi_core.monitor.silence import WATCH_S, Silence
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.callbacks import guarded
-from quadpi_ros.consistency_watch import ConsistencyWatch
+from quadpi_ros.callbacks import SlowService, guarded
 from quadpi_ros.estimator_node import FASTEST_IMU_HZ, IMU_RATE, IMU_TOPIC, EstimatorNode, framed_imu
 from quadpi_ros.input_sources import AdaptedSources, Source, adapters_of
 from quadpi_ros.parameters import namespaced_body_frame, parameter
 from quadpi_ros.result_publishers import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import FRAMES, STEADY, STRICT, WARN, SensorNode
-from quadpi_ros.slow_service import SlowService
+from quadpi_ros.sensor_node import FRAMES, STEADY, STRICT, WARN, ConsistencyWatch, SensorNode
 
 _SETTINGS = MonitorSettings()
 

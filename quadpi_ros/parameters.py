@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.messages.sensor_messages import BODY_FRAME
-from quadpi_ros import qos_overrides
+from quadpi_ros.dds_profile import QOS_PREFIX
 
 # Declared by rclpy itself.
 _RCLPY_PARAMETERS = {"use_sim_time", "start_type_description_service"}
@@ -124,7 +124,7 @@ class ParameterServer(Generic[Parameters]):
 
     def _pass_over(self, node: Node, names: set[str]) -> None:
         """Refuse parameters that no node has, and take off this one those that only others have."""
-        names = {name for name in names if not name.startswith(qos_overrides.PREFIX)}
+        names = {name for name in names if not name.startswith(QOS_PREFIX)}
         for name in sorted(names - _names_of_all_nodes() if names else ()):
             raise ParameterError(
                 f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"
@@ -176,7 +176,7 @@ class ParameterServer(Generic[Parameters]):
     def _judge(self, given: list[Parameter]) -> SetParametersResult:
         try:
             for item in given:
-                if item.name.startswith(qos_overrides.PREFIX):
+                if item.name.startswith(QOS_PREFIX):
                     raise ParameterError(f"{self._where}: `{item.name}` is read only when the node starts")
                 if item.name in self._fields:
                     self._checked(item.name, item.value)

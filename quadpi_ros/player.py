@@ -31,10 +31,9 @@ from quadpi_core.messages.adapters import ADAPTERS
 from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import whole_output
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.dds_profile import DiscoveryError, await_listeners
-from quadpi_ros.foreign_messages import AdapterError, message_class
-from quadpi_ros.input_sources import adapters_of
-from quadpi_ros.runtime import SENSOR_QOS, run
+from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
+from quadpi_ros.input_sources import AdapterError, adapters_of, message_class
+from quadpi_ros.runtime import run
 
 SENSOR_TYPES: dict[str, type] = {
     "imu": Imu,

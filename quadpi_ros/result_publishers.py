@@ -25,7 +25,7 @@ from quadpi_core.monitor.several_models import Monitors
 from quadpi_core.results import LEVEL_OK
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.runtime import LOG_QOS
+from quadpi_ros.dds_profile import LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
 
 _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,16 +19,18 @@ from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 from rclpy.subscription import Subscription
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Stream
+from quadpi_core.flight import Recording, Stream
 from quadpi_core.messages.frame_ids import BodyFrames
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.monitor.health import TopicHealth
+from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
+from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.foreign_messages import AdapterError, message_class
-from quadpi_ros.lifecycle import ManagedNode
+from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
+from quadpi_ros.input_sources import AdapterError, message_class
 from quadpi_ros.parameters import Parameters
-from quadpi_ros.runtime import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
+from quadpi_ros.runtime import ManagedNode
 
 Sample = TypeVar("Sample", bound=Stream)
 
@@ -327,3 +330,48 @@ class SensorNode(ManagedNode[Parameters]):
             output.mismatch = None
             return None
         return self._other_types(output.publisher) or output.mismatch
+
+
+class ConsistencyWatch:
+    """Looks for mistakes in frames, units, clocks and vehicle while the node goes on.
+
+    Args:
+        node: whose samples they are.
+        vehicle: whose rotor speeds are among the samples; without one only the motion is looked at.
+    """
+
+    def __init__(self, node: SensorNode[Any], vehicle: Vehicle | None) -> None:
+        self._node = node
+        self._vehicle = vehicle
+        self._samples = FirstSeconds(node.get_name())
+        self._found: dict[str, None] = {}
+        self._judged = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether no more samples are needed."""
+        return self._samples.complete
+
+    def take(self, *streams: Stream) -> None:
+        """Take samples; those of the IMU last, as they complete a stretch."""
+        stretch = self._samples.take(*streams)
+        if stretch is not None:
+            work = self._node.guard("consistency check", self._judge)
+            threading.Thread(target=work, args=(stretch,), name="consistency", daemon=True).start()
+
+    def _judge(self, stretch: Recording) -> None:
+        for problem in contradictions(stretch, self._vehicle):
+            self._found[problem] = None
+            self._node.get_logger().warning(f"consistency: {problem}")
+        self._judged += 1
+
+    def status(self) -> DiagnosticStatus:
+        """What `/diagnostics` says: every contradiction that was found since the node became active."""
+        found, judged = list(self._found), self._judged
+        level, message = diagnostics.OK, "sensors and vehicle agree"
+        if found:
+            level, message = diagnostics.WARN, "; ".join(found)
+        elif judged == 0:
+            message = "not judged yet: it takes some seconds of motion"
+        values = {"stretches": f"{judged} of {STRETCHES}"}
+        return self._node.status("consistency", level, message, values)

@@ -31,8 +31,7 @@ from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Collector
-from quadpi_ros.foreign_messages import AdapterError
-from quadpi_ros.input_sources import AdaptedSources
+from quadpi_ros.input_sources import AdaptedSources, AdapterError
 from quadpi_ros.live_session import play
 from quadpi_ros.player import playable
 from quadpi_ros.processes import Child, isolated_domain
@@ -221,7 +220,7 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
     nodes, managed = "monitor_node", ("monitor",)
     if "mocap" in by_kind:
         given["mocap_topic"] = by_kind["mocap"]
-        nodes, managed = "live", ("estimator", "monitor")
+        nodes, managed = "live_process", ("estimator", "monitor")
     arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
     assert set(playable(bag)) == set(names) | ({"imu"} - kinds)
     with isolated_domain() as scratch, Collector(int(recording.imu.time_ns[0])) as collector:

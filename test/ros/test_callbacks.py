@@ -25,9 +25,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from quadpi_ros import runtime
-from quadpi_ros.callbacks import GuardedNode
+from quadpi_ros.callbacks import GuardedNode, SlowService
 from quadpi_ros.processes import Child
-from quadpi_ros.slow_service import SlowService
 
 from .failing_live import ESTIMATOR_FAILS_HZ, MONITOR_FAILS_HZ
 from .rig import STARTED_S, Rig, arguments, assert_whole, values_of

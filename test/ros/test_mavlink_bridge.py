@@ -35,10 +35,10 @@ from sensor_msgs.msg import Imu
 from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
+from quadpi_ros.dds_profile import SENSOR_QOS
 from quadpi_ros.mavlink_bridge import BridgeParameters, MavlinkBridge
 from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
 from quadpi_ros.parameters import ParameterError
-from quadpi_ros.runtime import SENSOR_QOS
 
 ROOT = Path(__file__).parents[2]
 # Rear right, front right, rear left, front left of neurobem are motors 4, 1, 2, 3 of PX4.

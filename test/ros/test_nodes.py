@@ -23,9 +23,9 @@ from quadpi_core.messages.result_messages import ReportedAlarms
 from quadpi_core.monitor import MonitorSettings
 from quadpi_ros.collector import AlarmFollower
 from quadpi_ros.estimator_node import EstimatorParameters
-from quadpi_ros.lifecycle import start
 from quadpi_ros.monitor_node import MonitorParameters
 from quadpi_ros.parameters import parameter
+from quadpi_ros.runtime import start
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -97,7 +97,7 @@ def test_estimator_refuses_wrong_parameters(run_main: Main, overrides: list[str]
 )
 def test_live_process_refuses_wrong_parameters(run_main: Main, overrides: list[str], message: str) -> None:
     arguments = [part for override in overrides for part in ("-p", override)]
-    status, errors = run_main("live", "--ros-args", *arguments)
+    status, errors = run_main("live_process", "--ros-args", *arguments)
     assert status == 2
     (line,) = errors.splitlines()
     assert message in line

@@ -23,13 +23,12 @@ from sensor_msgs.msg import Imu
 from quadpi_core.errors import QuadpiError
 from quadpi_ros import diagnostics, estimator_node, mavlink_bridge, monitor_node, parameters
 from quadpi_ros.callbacks import GuardedNode
+from quadpi_ros.dds_profile import SENSOR_QOS, QosOverrideError
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.mavlink_bridge import BridgeParameters
 from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.parameters import ParameterError, parameter, read_parameters
 from quadpi_ros.player import player_node
-from quadpi_ros.qos_overrides import QosOverrideError
-from quadpi_ros.runtime import SENSOR_QOS
 
 ROOT = Path(__file__).parents[2]
 ASLEEP = ("-p", "autostart:=false", "-p", "vehicle:=neurobem")

@@ -3,7 +3,7 @@
 """Messages of other packages (mavros, PX4, motion capture) as the streams of the core.
 
 :data:`ADAPTERS` lists them. None needs the package that defines the message: the layout comes from the
-definition that a bag embeds, or that an installed package gives (:mod:`quadpi_ros.foreign_messages`).
+definition that a bag embeds, or that an installed package gives (:mod:`quadpi_ros.input_sources`).
 """
 
 from quadpi_core.messages.adapters.adapter_registry import ADAPTERS, Adapter, Unpacker

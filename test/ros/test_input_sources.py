@@ -23,7 +23,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.messages.adapters.adapter_settings import RotorSettings
 from quadpi_core.messages.definitions import typestore
-from quadpi_ros.foreign_messages import AdapterError, adapted, definition_of, message_class
+from quadpi_ros.input_sources import AdapterError, adapted, definition_of, message_class
 
 from ..core.messages.adapters.conftest import DEFINITIONS, Messages
 
