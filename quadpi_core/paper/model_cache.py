@@ -19,8 +19,8 @@ from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.paths import write_json
 from quadpi_core.vehicle import Vehicle
 
-# Parts of the package that no model depends on.
-_SHOWING = ("report", "cli.py")
+# Folders of the package that no model depends on.
+_PRESENTATION = ("report", "cli")
 
 
 def identify_or_take(
@@ -82,13 +82,12 @@ def named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
 
 
 @functools.cache
-def code_fingerprint() -> str:
-    """Hash of the code that identifies: a version in development changes without changing its number."""
+def code_fingerprint(package: Path = Path(__file__).resolve().parents[1]) -> str:
+    """Hash of the code that identifies models: a version in development changes without a new number."""
     digest = hashlib.sha256()
-    package = Path(__file__).resolve().parents[1]
     for path in sorted(package.rglob("*.py")):
         place = path.relative_to(package)
-        if place.parts[0] not in _SHOWING:
+        if place.parts[0] not in _PRESENTATION:
             digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
