@@ -156,7 +156,7 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
     )
 
     console.rule("5  Report")
-    summary = evaluation | {"live": live}
+    summary = evaluation.to_json() | {"live": live}
     write_json(output / "summary.json", summary)
     replay = _replay(flights.replayed.stem, session, live)
     write_report(output / "report.html", evaluation, results, model, replay)

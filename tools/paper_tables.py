@@ -9,7 +9,6 @@ other text is written by hand and stays. Same code and data give the same bytes.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import subprocess
@@ -18,14 +17,20 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
+
+from pydantic import TypeAdapter
 
 from quadpi_core import __version__
+from quadpi_core.evaluation.evaluation_result import Comparison
 from quadpi_core.flight import AXES
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.paper.published import METHODS
+from quadpi_core.paper.validation_result import Validation
 from quadpi_core.paths import data_directory, whole_output
 from quadpi_core.report import markdown
+
+Result = TypeVar("Result")
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper-tables.md"
@@ -102,8 +107,8 @@ def validation(job: Job) -> str:
         found = folder / "result.json"
         count = ("--realisations", job.realisations)
         job.quadpi("validate", "--settings", settings, *count, "-o", folder, "--json", found)
-        results.append(json.loads(found.read_text()))
-    flights = len(results[0]["flights"])
+        results.append(_read(Validation, found))
+    flights = len(results[0].flights)
     return "\n\n".join(
         [
             f"Realisations of the noise: {job.realisations}, on each of {flights} flights.",
@@ -119,7 +124,7 @@ def tunnel(job: Job) -> str:
     """The table of the wind tunnel, simulated."""
     folder = job.work / "tunnel"
     job.quadpi("evaluate", "-o", folder, "--json", folder / "result.json")
-    return markdown.comparison(json.loads((folder / "result.json").read_text()))
+    return markdown.comparison(_read(Comparison, folder / "result.json"))
 
 
 def simulation_structures(job: Job) -> str:
@@ -159,7 +164,7 @@ def neurobem(job: Job) -> str:
     ]
     found = job.work / "neurobem" / "groups.json"
     job.quadpi("evaluate", *folders.values(), *groups, "--json", found)
-    return markdown.comparison(json.loads(found.read_text()))
+    return markdown.comparison(_read(Comparison, found))
 
 
 def left_out(job: Job) -> str:
@@ -171,13 +176,13 @@ def left_out(job: Job) -> str:
         ("identify", *_others(bags, speed), *_kind(method, "default"), "-o", folder)
         for (speed, method), folder in folders.items()
     )
-    results: dict[str, dict[str, Any]] = {}
+    results: dict[str, dict[str, Comparison]] = {}
     for speed, bag in bags.items():
         results[f"{speed} m/s"] = of_flight = {}
         for kind, options in (("fixed", ()), ("adaptive", ("--adaptive",))):
             found = place / speed / f"{kind}.json"
             job.quadpi("evaluate", *(folders[speed, m] for m in METHODS), bag, *options, "--json", found)
-            of_flight[kind] = json.loads(found.read_text())
+            of_flight[kind] = _read(Comparison, found)
     *slower, fastest = results
     inside = markdown.left_out_summary({flight: results[flight] for flight in slower})
     return (
@@ -186,6 +191,11 @@ def left_out(job: Job) -> str:
         "width."
         f"\n\n{inside}"
     )
+
+
+def _read(kind: type[Result], file: Path) -> Result:
+    """The result that a command wrote as JSON."""
+    return TypeAdapter(kind).validate_json(file.read_bytes())
 
 
 def _others(bags: dict[str, Path], speed: str) -> list[Path]:

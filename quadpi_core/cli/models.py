@@ -194,7 +194,7 @@ def evaluate(
         return
     results, compared = compare(comparison, adaptive=adaptive)
     console.print(comparison_table(compared))
-    write_result(json_file, compared)
+    write_result(json_file, compared.to_json())
     if html_file is not None:
         write_comparison_page(html_file, compared, results, models)
 
@@ -226,12 +226,12 @@ def _report(
     html_file: Path | None,
     *,
     adaptive: bool = False,
-) -> dict[str, Any]:
+) -> Any:
     from quadpi_core.evaluation.evaluate import judge
     from quadpi_core.report.evaluation_page import write_report
 
     results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)
-    write_result(json_file, evaluation)
+    write_result(json_file, evaluation.to_json())
     if html_file is not None:
         write_report(html_file, evaluation, results, model)
     return evaluation

@@ -168,7 +168,7 @@ def validate(
         raise
     result = summarise(case, tally, training=training, published=published)
     console.print(validation_tables(result))
-    write_result(json_file, result)
+    write_result(json_file, result.to_json())
     if html_file is not None:
         from quadpi_core.paper.realisations import spread
         from quadpi_core.parallel import map_tasks

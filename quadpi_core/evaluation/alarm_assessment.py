@@ -15,8 +15,7 @@ what is outside: the alarm goes by them, and would be its own judge.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -191,23 +190,43 @@ def per_hour(count: float, hours: float) -> float | None:
     return count / hours if hours >= SHORTEST_HOURS else None
 
 
-def assess(flights: Sequence[Assessed]) -> dict[str, Any]:
-    """The alarm on flights as plain JSON; keys as of `flight_results.evaluate_flights`."""
+@dataclass(frozen=True)
+class AlarmAssessment(Counted):
+    """How good the alarm is on flights.
+
+    Attributes:
+        false_alarms_per_hour: inside the envelope; None for too short a time to state a rate.
+        flights_off: flights in which the model is off.
+        flights_undetected: those of them without an alarm from then on.
+        detection_delay_s: median delay of the others; None without any.
+        auroc: by name of :data:`SIGNALS`, area under the ROC curve of the signal for samples that lie outside
+            their interval in any axis; None where all or none do.
+    """
+
+    false_alarms_per_hour: float | None
+    flights_off: int
+    flights_undetected: int
+    detection_delay_s: float | None
+    auroc: Mapping[str, float | None]
+
+
+def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
+    """How good the alarm is on flights, all of them together."""
     counted = Counted.total([flight.counted() for flight in flights])
     delays = [delay for flight in flights if (delay := flight.delay_s()) is not None]
     detected = [delay for delay in delays if np.isfinite(delay)]
     missed = np.concatenate([flight.missed.any(axis=1) for flight in flights])
-    return {
-        **asdict(counted),
-        "false_alarms_per_hour": per_hour(counted.false_alarms, counted.hours_inside),
-        "flights_off": len(delays),
-        "flights_undetected": len(delays) - len(detected),
-        "detection_delay_s": float(np.median(detected)) if detected else None,
-        "auroc": {
+    return AlarmAssessment(
+        **vars(counted),
+        false_alarms_per_hour=per_hour(counted.false_alarms, counted.hours_inside),
+        flights_off=len(delays),
+        flights_undetected=len(delays) - len(detected),
+        detection_delay_s=float(np.median(detected)) if detected else None,
+        auroc={
             name: auroc(np.concatenate([flight.alarm.scores[name] for flight in flights]), missed)
             for name in SIGNALS
         },
-    }
+    )
 
 
 def auroc(scores: Array, positive: npt.NDArray[np.bool_]) -> float | None:

@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from quadpi_core import __version__
 from quadpi_core.errors import ModelError
 from quadpi_core.evaluation.evaluate import judge
+from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison, PublishedTable
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.logs import FORMATS
@@ -54,7 +54,7 @@ def common_confidence(models: Mapping[str, AerodynamicModel], confidence: float 
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ComparisonCase:
     """Models and the flights to judge them on.
 
     Attributes:
@@ -69,7 +69,7 @@ class Comparison:
     flights: Mapping[float, Sequence[PreparedFlight]]
     groups: Mapping[str, Sequence[str]]
     confidence: float
-    published: Mapping[str, Any] | None = None
+    published: PublishedTable | None = None
 
 
 def given_comparison(
@@ -80,7 +80,7 @@ def given_comparison(
     confidence: float | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
-) -> Comparison:
+) -> ComparisonCase:
     """Stored models and the flights in files; each flight is read once for each low-pass.
 
     Args:
@@ -109,41 +109,40 @@ def given_comparison(
     names = (flight.name for flight in next(iter(flights.values())))
     name_of = dict(zip(files, names, strict=True))
     named = {name: [name_of[path] for path in members] for name, members in groups.items()}
-    return Comparison(models, flights, named, level)
+    return ComparisonCase(models, flights, named, level)
 
 
 def compare(
-    comparison: Comparison, *, adaptive: bool = False
-) -> tuple[dict[str, list[FlightResult]], dict[str, Any]]:
-    """What each model says of the flights, and how good that is.
+    case: ComparisonCase, *, adaptive: bool = False
+) -> tuple[dict[str, list[FlightResult]], Comparison]:
+    """Predict each flight with each model, and judge the intervals.
 
     Args:
-        comparison: of at least one model.
+        case: of at least one model.
         adaptive: see :func:`quadpi_core.evaluation.evaluate.predict_flight`.
 
     Returns:
-        Per model one result per flight, and plain JSON: `quadpi_version`, `vehicle`, `confidence`,
-        `adaptive`, `groups.NAME` (names of its flights), `published`, and `models.NAME` with `settings`,
-        `cutoff_hz` and the keys of :func:`quadpi_core.evaluation.flight_results.evaluate_flights`.
+        One result per flight of each model, and the metrics.
 
     Raises:
         EvaluationError: for groups and flights that do not fit.
         ModelError: for a confidence that a model has no intervals of.
     """
-    groups, confidence = comparison.groups, comparison.confidence
     results: dict[str, list[FlightResult]] = {}
-    evaluations: dict[str, Any] = {}
-    for name, model in comparison.models.items():
+    evaluations: dict[str, ComparedEvaluation] = {}
+    for name, model in case.models.items():
         results[name], evaluation = judge(
-            model, comparison.flights[model.cutoff_hz], groups, confidence, adaptive=adaptive
+            model, case.flights[model.cutoff_hz], case.groups, case.confidence, adaptive=adaptive
         )
-        evaluations[name] = {"settings": model.settings, "cutoff_hz": model.cutoff_hz, **evaluation}
-    return results, {
-        "quadpi_version": __version__,
-        "vehicle": next(iter(comparison.models.values())).vehicle,
-        "confidence": confidence,
-        "adaptive": adaptive,
-        "groups": {name: list(members) for name, members in groups.items()},
-        "published": comparison.published,
-        "models": evaluations,
-    }
+        evaluations[name] = ComparedEvaluation(
+            **vars(evaluation), settings=model.settings, cutoff_hz=model.cutoff_hz
+        )
+    return results, Comparison(
+        quadpi_version=__version__,
+        vehicle=next(iter(case.models.values())).vehicle,
+        confidence=case.confidence,
+        adaptive=adaptive,
+        groups={name: list(members) for name, members in case.groups.items()},
+        published=case.published,
+        models=evaluations,
+    )

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from quadpi_core.evaluation.alarm_assessment import alarm_of_flight
+from quadpi_core.evaluation.evaluation_result import Evaluation
 from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -62,7 +63,7 @@ def judge(
     confidence: float,
     *,
     adaptive: bool = False,
-) -> tuple[list[FlightResult], dict[str, Any]]:
+) -> tuple[list[FlightResult], Evaluation]:
     """What the model says of flights, and how good that is.
 
     Args:
@@ -73,7 +74,7 @@ def judge(
         adaptive: see :func:`predict_flight`.
 
     Returns:
-        One result per flight, and the JSON of :func:`quadpi_core.evaluation.flight_results.evaluate_flights`.
+        One result per flight, and the metrics of each flight and group.
 
     Raises:
         EvaluationError: for groups and flights that do not fit.
@@ -96,5 +97,4 @@ def judge(
         adaptive=adaptive,
         at_confidence=at,
     )
-    evaluation["data_quality"] = {flight.name: flight.quality.to_json() for flight in flights}
-    return results, evaluation
+    return results, replace(evaluation, data_quality={flight.name: flight.quality for flight in flights})

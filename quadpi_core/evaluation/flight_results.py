@@ -6,16 +6,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 import quadpi_core
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.evaluation import metrics
-from quadpi_core.evaluation.alarm_assessment import Assessed, FlightAlarm, assess
+from quadpi_core.evaluation.alarm_assessment import AlarmAssessment, Assessed, FlightAlarm, assess
 from quadpi_core.evaluation.autocorrelation import effective_sample_size
 from quadpi_core.evaluation.coverage_interval import coverage_interval
+from quadpi_core.evaluation.evaluation_result import (
+    AxisMetrics,
+    CoverageWidthCriterion,
+    Evaluation,
+    FlightEvaluation,
+    GroupEvaluation,
+)
 from quadpi_core.evaluation.regimes import by_bin, round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -118,35 +124,8 @@ def evaluate_flights(
     method: str = "polynomial",
     adaptive: bool = False,
     at_confidence: Callable[[float], Iterable[FlightResult]] | None = None,
-) -> dict[str, Any]:
-    """Judge the intervals; the result is plain JSON, with null and never NaN where a metric is undefined.
-
-    Keys: `model`, `vehicle`, `method`, `adaptive`, `confidence`, `quadpi_version`, `training_range.AXIS`,
-    `nmpiw_denominator`, `cwc.{eta, mu}`, `calibration_levels`, `regime_edges.QUANTITY`,
-    `groups.NAME.{flights, axes.AXIS, alarm}` and `flights.NAME.{duration_s, axes.AXIS, alarm}`. Each axis
-    holds
-
-    - `picp`: coverage as a fraction; `picp_ci`: its 95 % confidence interval [low, high], see
-      :func:`quadpi_core.evaluation.coverage_interval.coverage_interval`;
-    - `mpiw`, `rmse`, `winkler` in N or Nm; `nmpiw`: mpiw over the range of the measured training data;
-    - `cwc`: coverage width criterion; `crps` in N or Nm of the normal distribution that the interval implies,
-      null for methods that imply none (see :mod:`quadpi_core.evaluation.metrics`);
-    - `r2`: null where the measurement is constant;
-    - `calibration`: coverage at each of `calibration_levels`, null where the model has no such interval;
-    - `regimes.QUANTITY.{n, picp, mpiw}`: the same in each bin between `regime_edges`, null for an empty one.
-      All groups and flights share the bins;
-    - `n` samples; `n_eff`: how many independent samples the prediction errors are worth.
-
-    `alarm` is null where the alarm was not run, else holds (see `evaluation.alarm_assessment`)
-
-    - `false_alarms` in `hours_inside`: alarms that begin inside the envelope while the model is not off, and
-      the time there was; `false_alarms_per_hour`, null for less than a minute of it;
-    - `alarms_outside` in `hours_outside`: alarms that begin outside the envelope, where an input is beyond
-      its warning limit; `hours_monitored`: all time in which the alarm had something to judge;
-    - `flights_off`: flights in which the model is off; `flights_undetected`: those without an alarm from then
-      on; `detection_delay_s`: median delay of the others, null without any;
-    - `auroc.{inputs, leverage, width, miscoverage}`: area under the ROC curve of each signal for samples
-      that lie outside their interval in any axis, null where all or none do.
+) -> Evaluation:
+    """Judge the intervals on each flight and on each group of flights.
 
     Args:
         results: one per flight.
@@ -156,7 +135,7 @@ def evaluate_flights(
         model: identity of the model.
         vehicle: name of the vehicle file.
         method: of the model.
-        adaptive: whether the intervals adapted to the measurement; only told.
+        adaptive: whether the intervals adapted to the measurement; only recorded.
         at_confidence: gives the results of the same flights with intervals of another confidence, or raises
             ModelError where there are none; without it there is no calibration curve.
 
@@ -179,47 +158,39 @@ def evaluate_flights(
     }
     curve = [_covered(at_confidence, level) for level in LEVELS]
 
-    def judge(flights: Sequence[FlightResult]) -> dict[str, dict[str, Any]]:
+    def judge(flights: Sequence[FlightResult]) -> dict[str, AxisMetrics]:
         axes = [axis for axis in AXES if all(axis in flight.axes for flight in flights)]
         normal = method in NORMAL_METHODS
         return {
-            axis: _evaluate_axis(flights, axis, training_range[axis], confidence, normal, edges)
-            | {"calibration": [_pooled(covered, flights, axis) for covered in curve]}
+            axis: _evaluate_axis(flights, axis, training_range[axis], confidence, normal, edges, curve)
             for axis in axes
         }
 
-    return {
-        "quadpi_version": quadpi_core.__version__,
-        "model": model,
-        "vehicle": vehicle,
-        "method": method,
-        "adaptive": adaptive,
-        "confidence": confidence,
-        "training_range": dict(training_range),
-        "nmpiw_denominator": "training_range",
-        "cwc": {"eta": metrics.CWC_ETA, "mu": confidence},
-        "calibration_levels": list(LEVELS),
-        "regime_edges": {quantity: values.tolist() for quantity, values in edges.items()},
-        "groups": {
-            name: {
-                "flights": [flight.name for flight in flights],
-                "axes": judge(flights),
-                "alarm": _assess(flights),
-            }
+    return Evaluation(
+        quadpi_version=quadpi_core.__version__,
+        model=model,
+        vehicle=vehicle,
+        method=method,
+        adaptive=adaptive,
+        confidence=confidence,
+        training_range=dict(training_range),
+        cwc=CoverageWidthCriterion(mu=confidence),
+        calibration_levels=list(LEVELS),
+        regime_edges={quantity: values.tolist() for quantity, values in edges.items()},
+        groups={
+            name: GroupEvaluation([flight.name for flight in flights], judge(flights), _assess(flights))
             for name, flights in members.items()
         },
-        "flights": {
-            name: {
-                "duration_s": float(flight.time[-1] - flight.time[0]),
-                "axes": judge([flight]),
-                "alarm": _assess([flight]),
-            }
+        flights={
+            name: FlightEvaluation(
+                float(flight.time[-1] - flight.time[0]), judge([flight]), _assess([flight])
+            )
             for name, flight in by_name.items()
         },
-    }
+    )
 
 
-def _assess(flights: Sequence[FlightResult]) -> dict[str, Any] | None:
+def _assess(flights: Sequence[FlightResult]) -> AlarmAssessment | None:
     """The alarm on the flights; None where it was not run on all of them."""
     assessed = []
     for flight in flights:
@@ -237,8 +208,9 @@ def _evaluate_axis(
     confidence: float,
     normal: bool,
     edges: Mapping[str, Array],
-) -> dict[str, Any]:
-    """Metrics of one axis over the samples of all `flights`; keys as in :func:`evaluate_flights`."""
+    curve: Sequence[Mapping[tuple[str, str], float] | None],
+) -> AxisMetrics:
+    """Metrics of one axis over the samples of all `flights`."""
     measured, predicted, lower, upper = (
         np.concatenate([flight.column(quantity, axis) for flight in flights])
         for quantity in ("measured", "predicted", "lower", "upper")
@@ -248,20 +220,21 @@ def _evaluate_axis(
     inside = metrics.inside_interval(measured, lower, upper)
     errors = measured - predicted
     std = metrics.implied_std(lower, upper, confidence)
-    return {
-        "picp": metrics.picp(measured, lower, upper),
-        "picp_ci": list(coverage_interval(inside, errors, labels)),
-        "mpiw": metrics.mpiw(lower, upper),
-        "nmpiw": metrics.nmpiw(lower, upper, training_range),
-        "rmse": metrics.rmse(measured, predicted),
-        "r2": metrics.r_squared(measured, predicted),
-        "winkler": metrics.winkler(measured, lower, upper, confidence),
-        "cwc": metrics.cwc(measured, lower, upper, training_range, confidence),
-        "crps": metrics.crps_normal(measured, predicted, std) if normal else None,
-        "regimes": {name: by_bin(regime[name], inside, upper - lower, edges[name]) for name in edges},
-        "n": len(measured),
-        "n_eff": effective_sample_size(errors, labels),
-    }
+    return AxisMetrics(
+        picp=metrics.picp(measured, lower, upper),
+        picp_ci=list(coverage_interval(inside, errors, labels)),
+        mpiw=metrics.mpiw(lower, upper),
+        nmpiw=metrics.nmpiw(lower, upper, training_range),
+        rmse=metrics.rmse(measured, predicted),
+        r2=metrics.r_squared(measured, predicted),
+        winkler=metrics.winkler(measured, lower, upper, confidence),
+        cwc=metrics.cwc(measured, lower, upper, training_range, confidence),
+        crps=metrics.crps_normal(measured, predicted, std) if normal else None,
+        regimes={name: by_bin(regime[name], inside, upper - lower, edges[name]) for name in edges},
+        n=len(measured),
+        n_eff=effective_sample_size(errors, labels),
+        calibration=[_pooled(covered, flights, axis) for covered in curve],
+    )
 
 
 def _covered(

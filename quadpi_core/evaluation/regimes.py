@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,15 @@ import numpy.typing as npt
 from quadpi_core.frames import Array
 
 MOST_BINS = 8
+
+
+@dataclass(frozen=True)
+class RegimeBins:
+    """Samples, coverage and mean width (N or Nm) in each bin; the last two are None where a bin is empty."""
+
+    n: list[int]
+    picp: list[float | None]
+    mpiw: list[float | None]
 
 
 def round_edges(values: Array, most: int = MOST_BINS) -> Array:
@@ -32,8 +42,8 @@ def round_edges(values: Array, most: int = MOST_BINS) -> Array:
     return edges
 
 
-def by_bin(values: Array, inside: npt.NDArray[np.bool_], width: Array, edges: Array) -> dict[str, list[Any]]:
-    """Samples, coverage and mean width in each bin [edge, next edge); null where a bin is empty.
+def by_bin(values: Array, inside: npt.NDArray[np.bool_], width: Array, edges: Array) -> RegimeBins:
+    """Samples, coverage and mean width in each bin [edge, next edge).
 
     Args:
         values: (N,) that the bins are of, all within the edges.
@@ -48,4 +58,4 @@ def by_bin(values: Array, inside: npt.NDArray[np.bool_], width: Array, edges: Ar
         sums = np.bincount(bins, weights=quantity, minlength=len(edges) - 1)
         return [float(total / n) if n else None for total, n in zip(sums, count, strict=True)]
 
-    return {"n": count.tolist(), "picp": mean(inside), "mpiw": mean(width)}
+    return RegimeBins(count.tolist(), mean(inside), mean(width))

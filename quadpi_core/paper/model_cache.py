@@ -19,6 +19,7 @@ from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.paths import write_json
 from quadpi_core.vehicle import Vehicle
 
+_PACKAGE = Path(__file__).resolve().parents[1]
 # Folders of the package that no model depends on.
 _PRESENTATION = ("report", "cli")
 
@@ -82,7 +83,7 @@ def named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
 
 
 @functools.cache
-def code_fingerprint(package: Path = Path(__file__).resolve().parents[1]) -> str:
+def code_fingerprint(package: Path = _PACKAGE) -> str:
     """Hash of the code that identifies models: a version in development changes without a new number."""
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):

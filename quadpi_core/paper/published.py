@@ -17,7 +17,7 @@ from quadpi_core.paper.clean_flights import simulated_flights
 from quadpi_core.paper.model_cache import identify_or_take, named
 from quadpi_core.paper.realisations import noise_seed
 from quadpi_core.paper.validation_case import ValidationCase, flight_hash
-from quadpi_core.paper.validation_result import VARIATIONS
+from quadpi_core.paper.validation_result import PublishedAxis, PublishedCoverage
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise, contaminate
 from quadpi_core.simulation.truth import LOG_HZ
@@ -53,18 +53,14 @@ Mz polynomial      96.75 100.00 96.92  4.64  6.00  5.77
 """
 
 
-def published_tables() -> dict[str, dict[str, dict[str, dict[str, float]]]]:
-    """What the paper found: method, axis, `training` or a variation, `picp` and `nmpiw` as fractions."""
-    tables: dict[str, dict[str, dict[str, dict[str, float]]]] = {method: {} for method in METHODS}
-    columns = ("training", *VARIATIONS[:2])
+def published_tables() -> dict[str, dict[str, PublishedAxis]]:
+    """What the paper found, by method and axis."""
+    tables: dict[str, dict[str, PublishedAxis]] = {method: {} for method in METHODS}
     for line in _TABLES.split("\n")[1:-1]:
         axis, method, *cells = line.split()
         values = [round(float(cell) / 100.0, 4) for cell in cells]
         pairs = zip(values[:3], values[3:], strict=True)
-        tables[method][axis] = {
-            column: {"picp": picp, "nmpiw": nmpiw}
-            for column, (picp, nmpiw) in zip(columns, pairs, strict=True)
-        }
+        tables[method][axis] = PublishedAxis(*(PublishedCoverage(*pair) for pair in pairs))
     return tables
 
 

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Coverage and width of all realisations, as plain JSON."""
+"""Coverage and width over all realisations of the noise."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,154 @@ from quadpi_core.paper.validation_case import ValidationCase
 from quadpi_core.simulation.sensor_noise import StateNoise
 
 VARIATIONS = ("model_variation", "measurement_variation", "combined_variation")
-# Published coverage and width, as they stand in :mod:`quadpi_core.paper.published`.
-Published = Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]]
+
+
+@dataclass(frozen=True)
+class PublishedCoverage:
+    """Coverage, and mean width over the range of what is to be covered, as fractions."""
+
+    picp: float
+    nmpiw: float
+
+
+@dataclass(frozen=True)
+class PublishedAxis:
+    """Published numbers of one axis: on the training flights, and under each variation."""
+
+    training: PublishedCoverage
+    model_variation: PublishedCoverage
+    measurement_variation: PublishedCoverage
+
+
+# By model and axis.
+Published = Mapping[str, Mapping[str, PublishedAxis]]
+
+
+@dataclass(frozen=True)
+class TrainingCoverage:
+    """Coverage and width on the flights that a model was identified on.
+
+    Attributes:
+        picp: coverage as a fraction.
+        mpiw: mean width of the interval, N or Nm.
+        range: of the measurements.
+        nmpiw: mean width over that range.
+    """
+
+    picp: float
+    mpiw: float
+    range: float
+    nmpiw: float
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Coverage and width under noise, over all realisations, flights and samples.
+
+    Attributes:
+        picp: coverage as a fraction.
+        picp_sd: its standard deviation over realisations; None for a single one.
+        mpiw: mean width of the interval, N or Nm.
+        range: of what is to be covered, predictions or measurements; the mean over realisations.
+        nmpiw: mean width over that range; None where the range is zero.
+        nmpiw_training: mean width over the range of the measured training data.
+    """
+
+    picp: float
+    picp_sd: float | None
+    mpiw: float
+    range: float
+    nmpiw: float | None
+    nmpiw_training: float
+
+
+@dataclass(frozen=True)
+class AxisValidation:
+    """What the intervals of one axis cover.
+
+    Attributes:
+        training: measurements of the training flights; None without those.
+        model_variation: predictions from noisy inputs in the interval at the noise-free inputs.
+        measurement_variation: noisy measurements in the same interval.
+        combined_variation: noisy measurements in the interval at the noisy inputs, as a flight shows it.
+    """
+
+    training: TrainingCoverage | None
+    model_variation: Variation
+    measurement_variation: Variation
+    combined_variation: Variation
+
+
+@dataclass(frozen=True)
+class FlightCoverage:
+    """Coverage of the three variations on one flight, as fractions."""
+
+    model_variation: float
+    measurement_variation: float
+    combined_variation: float
+
+
+@dataclass(frozen=True)
+class ModelValidation:
+    """One model: its identity, method and settings, its axes, and the coverage by flight and axis."""
+
+    model: str
+    method: str
+    settings: str
+    axes: Mapping[str, AxisValidation]
+    flights: Mapping[str, Mapping[str, FlightCoverage]]
+
+
+@dataclass(frozen=True)
+class ValidationFlight:
+    """Length of one flight."""
+
+    duration_s: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Standard deviations of the white noise on the states."""
+
+    velocity_m_s: float
+    attitude_rad: float
+    rates_rad_s: float
+    specific_force_m_s2: float
+    rotor_speeds_rad_s: float
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Models validated under noise; the names of the attributes are the keys of the JSON file.
+
+    Attributes:
+        quadpi_version: that validated.
+        vehicle: name of the vehicle file.
+        confidence: nominal coverage of the intervals.
+        seed: of all noise.
+        realisations: of the noise on each flight.
+        noise: its levels.
+        cutoff_hz: low-pass of the models.
+        flights: by name.
+        models: by name.
+        published: numbers to set beside; None without any.
+    """
+
+    quadpi_version: str
+    vehicle: str
+    confidence: float
+    seed: int
+    realisations: int
+    noise: NoiseLevels
+    cutoff_hz: float
+    flights: Mapping[str, ValidationFlight]
+    models: Mapping[str, ModelValidation]
+    published: Published | None
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        return asdict(self)
 
 
 def summarise(
@@ -30,59 +177,45 @@ def summarise(
     *,
     training: Sequence[PreparedFlight] = (),
     published: Published | None = None,
-) -> dict[str, Any]:
-    """What the realisations say of each model; the result is plain JSON, null where something is undefined.
-
-    Keys: `quadpi_version`, `vehicle`, `confidence`, `seed`, `realisations`, `noise.…`, `cutoff_hz`,
-    `flights.NAME.{duration_s, samples}` and `models.NAME.{model, method, settings, axes.AXIS, flights}`. Each
-    axis holds `training` (null without training flights) and three variations:
-
-    - `model_variation`: predictions from noisy inputs in the interval at the noise-free inputs;
-    - `measurement_variation`: noisy measurements in the same interval;
-    - `combined_variation`: noisy measurements in the interval at the noisy inputs, as a flight shows it;
-      `training` is the same on the training flights;
-
-    each with `picp` over all realisations, flights and samples, `picp_sd` over realisations, `mpiw`, `range`
-    of what is to be covered (predictions or measurements, the mean over realisations), `nmpiw` = mpiw / range
-    and `nmpiw_training` = mpiw over the range of the measured training data. `models.NAME.flights.NAME.AXIS`
-    holds the `picp` of the three variations on one flight.
+) -> Validation:
+    """Summarise the realisations by model and axis.
 
     Args:
         case: that was validated.
         tally: of its realisations.
         training: noisy flights that the models were identified on.
-        published: numbers to set beside; returned as `published`.
+        published: numbers to set beside.
     """
     sizes = np.array([len(flight) for flight in case.flights])
-    return {
-        "quadpi_version": __version__,
-        "vehicle": case.vehicle.name,
-        "confidence": case.confidence,
-        "seed": case.seed,
-        "realisations": len(tally.width),
-        "noise": _with_units(case.noise),
-        "cutoff_hz": next(iter(case.models.values())).cutoff_hz,
-        "flights": {
-            flight.name: {"duration_s": float(flight.time[-1] - flight.time[0]), "samples": len(flight)}
+    return Validation(
+        quadpi_version=__version__,
+        vehicle=case.vehicle.name,
+        confidence=case.confidence,
+        seed=case.seed,
+        realisations=len(tally.width),
+        noise=_with_units(case.noise),
+        cutoff_hz=next(iter(case.models.values())).cutoff_hz,
+        flights={
+            flight.name: ValidationFlight(float(flight.time[-1] - flight.time[0]), len(flight))
             for flight in case.flights
         },
-        "models": {
-            name: {
-                "model": model.identity,
-                "method": model.method,
-                "settings": model.settings,
-                "axes": _axes(case, tally, place, training, sizes),
-                "flights": _flights(case, tally, place, sizes),
-            }
+        models={
+            name: ModelValidation(
+                model.identity,
+                model.method,
+                model.settings,
+                _axes(case, tally, place, training, sizes),
+                _flights(case, tally, place, sizes),
+            )
             for place, (name, model) in enumerate(case.models.items())
         },
-        "published": published,
-    }
+        published=published,
+    )
 
 
 def _axes(
     case: ValidationCase, tally: Tally, place: int, training: Sequence[PreparedFlight], sizes: Counts
-) -> dict[str, Any]:
+) -> dict[str, AxisValidation]:
     name, model = list(case.models.items())[place]
     total = int(sizes.sum())
     reference_width = sum((r.upper - r.lower).sum(axis=0) for r in case.references[name]) / total
@@ -90,37 +223,39 @@ def _axes(
     predicted, measured = _spans(tally.predicted[:, place]), _spans(tally.measured)
     seen = _training(model, training, case.confidence)
 
-    def variation(inside: Counts, width: Array, extents: Array, axis: str) -> dict[str, Any]:
+    def variation(inside: Counts, width: Array, extents: Array, axis: str) -> Variation:
         k = AXES.index(axis)
         coverage = inside[:, place, :, k].sum(axis=1) / total
         extent, mpiw = float(extents[:, k].mean()), float(width[k])
-        return {
-            "picp": float(coverage.mean()),
-            "picp_sd": float(coverage.std(ddof=1)) if len(coverage) > 1 else None,
-            "mpiw": mpiw,
-            "range": extent,
-            "nmpiw": mpiw / extent if extent > 0.0 else None,
-            "nmpiw_training": mpiw / model.training_range[axis],
-        }
+        return Variation(
+            picp=float(coverage.mean()),
+            picp_sd=float(coverage.std(ddof=1)) if len(coverage) > 1 else None,
+            mpiw=mpiw,
+            range=extent,
+            nmpiw=mpiw / extent if extent > 0.0 else None,
+            nmpiw_training=mpiw / model.training_range[axis],
+        )
 
     return {
-        axis: {
-            "training": seen.get(axis),
-            "model_variation": variation(tally.model, reference_width, predicted, axis),
-            "measurement_variation": variation(tally.measurement, reference_width, measured, axis),
-            "combined_variation": variation(tally.combined, noisy_width, measured, axis),
-        }
+        axis: AxisValidation(
+            training=seen.get(axis),
+            model_variation=variation(tally.model, reference_width, predicted, axis),
+            measurement_variation=variation(tally.measurement, reference_width, measured, axis),
+            combined_variation=variation(tally.combined, noisy_width, measured, axis),
+        )
         for axis in model.axes
     }
 
 
-def _flights(case: ValidationCase, tally: Tally, place: int, sizes: Counts) -> dict[str, Any]:
+def _flights(
+    case: ValidationCase, tally: Tally, place: int, sizes: Counts
+) -> dict[str, dict[str, FlightCoverage]]:
     model = list(case.models.values())[place]
-    counts = zip(VARIATIONS, (tally.model, tally.measurement, tally.combined), strict=True)
-    shares = {variation: inside[:, place].mean(axis=0) / sizes[:, None] for variation, inside in counts}
+    counts = (tally.model, tally.measurement, tally.combined)
+    shares = [inside[:, place].mean(axis=0) / sizes[:, None] for inside in counts]
     return {
         flight.name: {
-            axis: {variation: float(share[k, AXES.index(axis)]) for variation, share in shares.items()}
+            axis: FlightCoverage(*(float(share[k, AXES.index(axis)]) for share in shares))
             for axis in model.axes
         }
         for k, flight in enumerate(case.flights)
@@ -129,7 +264,7 @@ def _flights(case: ValidationCase, tally: Tally, place: int, sizes: Counts) -> d
 
 def _training(
     model: AerodynamicModel, flights: Sequence[PreparedFlight], confidence: float
-) -> dict[str, dict[str, float]]:
+) -> dict[str, TrainingCoverage]:
     """Coverage and width on the flights that a model was identified on."""
     if not flights:
         return {}
@@ -140,12 +275,9 @@ def _training(
         column = (slice(None), AXES.index(axis))
         lower, upper, extent = said.lower[column], said.upper[column], float(np.ptp(measured[column]))
         width = metrics.mpiw(lower, upper)
-        result[axis] = {
-            "picp": metrics.picp(measured[column], lower, upper),
-            "mpiw": width,
-            "range": extent,
-            "nmpiw": width / extent,
-        }
+        result[axis] = TrainingCoverage(
+            picp=metrics.picp(measured[column], lower, upper), mpiw=width, range=extent, nmpiw=width / extent
+        )
     return result
 
 
@@ -155,11 +287,11 @@ def _spans(extremes: Array) -> Array:
     return spans
 
 
-def _with_units(noise: StateNoise) -> dict[str, float]:
-    return {
-        "velocity_m_s": noise.velocity,
-        "attitude_rad": noise.attitude,
-        "rates_rad_s": noise.rates,
-        "specific_force_m_s2": noise.specific_force,
-        "rotor_speeds_rad_s": noise.rotor_speeds,
-    }
+def _with_units(noise: StateNoise) -> NoiseLevels:
+    return NoiseLevels(
+        velocity_m_s=noise.velocity,
+        attitude_rad=noise.attitude,
+        rates_rad_s=noise.rates,
+        specific_force_m_s2=noise.specific_force,
+        rotor_speeds_rad_s=noise.rotor_speeds,
+    )

@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from quadpi_core.evaluation.compare import Comparison
+from quadpi_core.evaluation.compare import ComparisonCase
+from quadpi_core.evaluation.evaluation_result import PublishedMetrics
 from quadpi_core.identification.identify import CUTOFF_HZ, MethodName, Settings
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.models.candidate_pool import load_pools
@@ -43,18 +44,18 @@ My polynomial      97.15 97.31  98.92 0.02 0.02 0.02
 """
 
 
-def published_table() -> dict[str, dict[str, dict[str, dict[str, float]]]]:
-    """What the paper found: method, axis, group, `picp` as a fraction and `mpiw` in N or Nm.
+def published_table() -> dict[str, dict[str, dict[str, PublishedMetrics]]]:
+    """What the paper found, by method, axis and group.
 
     The text says that 0, 5 and 10 m/s are the identification data, the caption of the table 10 m/s alone.
     """
-    table: dict[str, dict[str, dict[str, dict[str, float]]]] = {method: {} for method in METHODS}
+    table: dict[str, dict[str, dict[str, PublishedMetrics]]] = {method: {} for method in METHODS}
     for line in _TABLE.split("\n")[1:-1]:
         axis, method, *cells = line.split()
         values = [float(cell) for cell in cells]
         pairs = zip(values[:3], values[3:], strict=True)
         table[method][axis] = {
-            group: {"picp": round(picp / 100.0, 4), "mpiw": mpiw}
+            group: PublishedMetrics(round(picp / 100.0, 4), mpiw)
             for group, (picp, mpiw) in zip(GROUPS, pairs, strict=True)
         }
     return table
@@ -69,7 +70,7 @@ def wind_tunnel(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> Comparison:
+) -> ComparisonCase:
     """Fly the scenario, and identify a model by each method and settings on the first group.
 
     Flights are the same bytes each time, so they are flown anew and replaced. Models are named after method
@@ -124,7 +125,7 @@ def wind_tunnel(
                 device=device,
                 progress=named(progress, name),
             )
-    return Comparison(models, flights, groups, confidence, published_table())
+    return ComparisonCase(models, flights, groups, confidence, published_table())
 
 
 def _in_wind(plans: Sequence[FlightPlan], winds: Sequence[float]) -> list[str]:

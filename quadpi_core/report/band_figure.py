@@ -14,7 +14,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.paper.realisations import HIGHEST, LOWEST, Spread
 from quadpi_core.paper.validation_case import ValidationCase
-from quadpi_core.paper.validation_result import VARIATIONS
+from quadpi_core.paper.validation_result import Validation
 from quadpi_core.report.decimation import extreme_samples
 from quadpi_core.report.figures import series, styled
 from quadpi_core.report.style import INK, MEASURED, PREDICTED, method_colours, translucent, unit
@@ -26,16 +26,14 @@ LINES = 7
 SHOWN = 20
 
 
-def band_figure(
-    case: ValidationCase, place: int, spread: Spread, result: Mapping[str, Any], bins: int
-) -> go.Figure:
+def band_figure(case: ValidationCase, place: int, spread: Spread, result: Validation, bins: int) -> go.Figure:
     """Rows Fz, Fx, My, a column per model: its bounds, and what they have to cover.
 
     Args:
         case: that was validated.
         place: of the flight in it.
         spread: of that flight.
-        result: gives the coverage of the flight, as :func:`quadpi_core.paper.validation_result.summarise`.
+        result: gives the coverage of the flight.
         bins: parts that the flight is cut into; of each the extremes are drawn.
     """
     flight = case.flights[place]
@@ -70,7 +68,7 @@ def band_figure(
             _line(figure, flight.time, reference.wrench[:, k], INK, "without noise", bins, cell)
             for bound in (reference.lower, reference.upper):
                 _line(figure, flight.time, bound[:, k], colour, f"{name} interval", bins, cell)
-            covered = result["models"][name]["flights"][flight.name][axis][VARIATIONS[1]]
+            covered = result.models[name].flights[flight.name][axis].measurement_variation
             figure.add_annotation(
                 text=f"{100.0 * covered:.1f} % covered",
                 x=1,

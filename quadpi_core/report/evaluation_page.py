@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import plotly.graph_objects as go
 
+from quadpi_core.evaluation.evaluation_result import Evaluation
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -29,7 +29,7 @@ _UNGROUPED = "flights in no group"
 
 def write_report(
     path: Path,
-    evaluation: Mapping[str, Any],
+    evaluation: Evaluation,
     results: Sequence[FlightResult],
     model: AerodynamicModel,
     live: LiveReplay | None = None,
@@ -44,9 +44,7 @@ def write_report(
         live: what the live nodes said of one of the flights.
     """
     by_name = {result.name: result for result in results}
-    groups = {
-        name: [by_name[flight] for flight in part["flights"]] for name, part in evaluation["groups"].items()
-    }
+    groups = {name: [by_name[flight] for flight in part.flights] for name, part in evaluation.groups.items()}
     grouped = {flight.name for flights in groups.values() for flight in flights}
     rest = [result for result in results if result.name not in grouped]
     if rest:
@@ -54,27 +52,27 @@ def write_report(
     bins = bins_within(_DRAWN_SAMPLES, _LINES_PER_AXIS * sum(len(result.axes) for result in results))
 
     parts = [evaluation_sections.header(evaluation, model), evaluation_sections.coverage(evaluation)]
-    figures = {"coverage": coverage_figure(evaluation)} if evaluation["groups"] else {}
+    figures = {"coverage": coverage_figure(evaluation)} if evaluation.groups else {}
     if live is not None:
         figures["alarm"] = alarm_figure(live, by_name.get(live.flight))
         parts.append(evaluation_sections.live(live))
     figures |= _histories(groups, evaluation, bins)
     figures["envelope"] = envelope_figure(groups, model.envelope, [flight.name for flight in model.flights])
-    figures["residuals"] = residual_figure(groups, _common_axes(results), evaluation["confidence"])
+    figures["residuals"] = residual_figure(groups, _common_axes(results), evaluation.confidence)
     parts += [
         evaluation_sections.histories(
             {group: [f.name for f in flights] for group, flights in groups.items()}, bins
         ),
         evaluation_sections.envelope(),
-        evaluation_sections.residuals(evaluation["confidence"]),
+        evaluation_sections.residuals(evaluation.confidence),
         evaluation_sections.model(model),
         evaluation_sections.definitions(evaluation),
     ]
-    write_page(path, f"quadpi: {evaluation['model']}", parts, figures)
+    write_page(path, f"quadpi: {evaluation.model}", parts, figures)
 
 
 def _histories(
-    groups: Mapping[str, Sequence[FlightResult]], evaluation: Mapping[str, Any], bins: int
+    groups: Mapping[str, Sequence[FlightResult]], evaluation: Evaluation, bins: int
 ) -> dict[str, go.Figure]:
     """One figure per flight; a flight of several groups has the colour of the first."""
     figures: dict[str, go.Figure] = {}
@@ -82,7 +80,7 @@ def _histories(
         for flight in flights:
             name = f"{evaluation_sections.HISTORY} {flight.name}"
             if name not in figures:
-                metrics = evaluation["flights"][flight.name]["axes"]
+                metrics = evaluation.flights[flight.name].axes
                 figures[name] = time_history_figure(flight, metrics, colour, bins)
     return figures
 

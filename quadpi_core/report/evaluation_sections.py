@@ -9,9 +9,10 @@ from html import escape
 from itertools import zip_longest
 from typing import Any
 
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Evaluation
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.report.holding import Holding, covers_too_little, joint, listed, of_axes
+from quadpi_core.report.holding import Holding, joint, listed, of_axes
 from quadpi_core.report.live_figure import LiveReplay
 from quadpi_core.report.page import (
     cells,
@@ -37,19 +38,19 @@ from quadpi_core.report.terminal_tables import alarm_sentence, final_terms, sele
 HISTORY = "history"
 
 
-def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
+def verdict(evaluation: Evaluation, training: Collection[str]) -> str:
     """One sentence: on which groups the intervals hold, on which that is not shown, on which they do not.
 
     A group of `training` flights alone is marked: there the intervals hold by construction. The axis that
     covers least is named with its numbers, of those that the clause is about, unless all cover enough.
     """
-    confidence = evaluation["confidence"]
+    confidence = evaluation.confidence
     groups: dict[Holding, list[str]] = {}
-    for group, part in evaluation["groups"].items():
-        holding, axes = joint(of_axes(part["axes"]), confidence)
-        remarks = ["in sample"] if set(part["flights"]) <= set(training) else []
+    for group, part in evaluation.groups.items():
+        holding, axes = joint(of_axes(part.axes), confidence)
+        remarks = ["in sample"] if set(part.flights) <= set(training) else []
         if holding is not Holding.HOLDS:
-            remarks.append(f"{len(axes)} of {len(part['axes'])} axes")
+            remarks.append(f"{len(axes)} of {len(part.axes)} axes")
         if holding is not Holding.HOLDS or axes[0].estimate < confidence:
             remarks.append(axes[0].sentence())
         groups.setdefault(holding, []).append(f"{group} ({'; '.join(remarks)})" if remarks else group)
@@ -59,32 +60,32 @@ def verdict(evaluation: Mapping[str, Any], training: Collection[str]) -> str:
     return f"{100 * confidence:g} % prediction intervals {', and '.join(clauses)}."
 
 
-def header(evaluation: Mapping[str, Any], model: AerodynamicModel) -> str:
+def header(evaluation: Evaluation, model: AerodynamicModel) -> str:
     """Verdict, and which model of which vehicle it is about."""
     facts = {
-        "model": evaluation["model"],
-        "vehicle": evaluation["vehicle"],
+        "model": evaluation.model,
+        "vehicle": evaluation.vehicle,
         "settings": model.settings,
         "low-pass": f"{model.cutoff_hz:g} Hz",
         "identified on": f"{len(model.flights)} flights",
-        "evaluated on": f"{len(evaluation['flights'])} flights",
+        "evaluated on": f"{len(evaluation.flights)} flights",
     }
     training = [flight.name for flight in model.flights]
     return heading("how far can this model be trusted?", verdict(evaluation, training), facts)
 
 
-def coverage(evaluation: Mapping[str, Any]) -> str:
+def coverage(evaluation: Evaluation) -> str:
     """PICP and MPIW per axis and group, the figure, and all metrics folded away."""
-    nominal = f"{100 * evaluation['confidence']:g} %"
+    nominal = f"{100 * evaluation.confidence:g} %"
     details = "".join(
         f"<details><summary>All metrics by {kind}</summary>{metrics_table(evaluation, kind + 's')}</details>"
         for kind in ("group", "flight")
     )
-    overview = _coverage_table(evaluation) + figure("coverage") if evaluation["groups"] else ""
+    overview = _coverage_table(evaluation) + figure("coverage") if evaluation.groups else ""
     alarms = "".join(
-        f"<p><b>Alarm on {escape(name)}</b>: {escape(alarm_sentence(part['alarm']))}.</p>"
-        for name, part in evaluation["groups"].items()
-        if part["alarm"] is not None
+        f"<p><b>Alarm on {escape(name)}</b>: {escape(alarm_sentence(part.alarm))}.</p>"
+        for name, part in evaluation.groups.items()
+        if part.alarm is not None
     )
     return section(
         "Coverage and width",
@@ -205,11 +206,11 @@ def _held_out_table(held: AerodynamicModel) -> str:
     return f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>"
 
 
-def definitions(evaluation: Mapping[str, Any]) -> str:
+def definitions(evaluation: Evaluation) -> str:
     """What the metrics mean."""
-    alpha = f"{1 - evaluation['confidence']:.3g}"
+    alpha = f"{1 - evaluation.confidence:.3g}"
     ranges = ", ".join(
-        f"{axis} {number(extent)} {unit(axis)}" for axis, extent in evaluation["training_range"].items()
+        f"{axis} {number(extent)} {unit(axis)}" for axis, extent in evaluation.training_range.items()
     )
     entries = {
         "PICP and its interval": "Clopper–Pearson at the effective sample size that a block bootstrap within "
@@ -221,9 +222,9 @@ def definitions(evaluation: Mapping[str, Any]) -> str:
     return footer(entries)
 
 
-def _coverage_table(evaluation: Mapping[str, Any]) -> str:
-    groups = evaluation["groups"]
-    axes = [axis for axis in AXES if any(axis in part["axes"] for part in groups.values())]
+def _coverage_table(evaluation: Evaluation) -> str:
+    groups = evaluation.groups
+    axes = [axis for axis in AXES if any(axis in part.axes for part in groups.values())]
     top = "".join(
         f'<th colspan="3" class="group" style="--group: {colour}">{escape(group)}</th>'
         for group, colour in group_colours(groups).items()
@@ -234,31 +235,32 @@ def _coverage_table(evaluation: Mapping[str, Any]) -> str:
     for axis in axes:
         cells = [f'<td>{axis}</td><td class="unit">{unit(axis)}</td>']
         for part in groups.values():
-            metrics = part["axes"].get(axis)
+            metrics = part.axes.get(axis)
             if metrics is None:
                 cells.append('<td class="start">–</td><td></td><td></td>')
                 continue
             cells.append(
-                f"{_coverage_cell(metrics, evaluation['confidence'])}"
-                f'<td class="ci">{percent_range(metrics["picp_ci"])}</td><td>{number(metrics["mpiw"])}</td>'
+                f"{_coverage_cell(metrics, evaluation.confidence)}"
+                f'<td class="ci">{percent_range(metrics.picp_ci)}</td><td>{number(metrics.mpiw)}</td>'
             )
         rows.append("".join(cells))
     return table(head, rows)
 
 
-def metrics_table(evaluation: Mapping[str, Any], kind: str) -> str:
+def metrics_table(evaluation: Evaluation, kind: str) -> str:
     """All metrics by axis of each of its `kind`, "groups" or "flights"."""
+    parts = evaluation.groups if kind == "groups" else evaluation.flights
     headings = ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "Winkler", "n", "n_eff")
     head = f'<tr><th>{kind[:-1]}</th><th class="text">axis</th>{cells("th", headings)}</tr>'
     rows = [
         f'<td>{escape(name)}</td><td class="text">{axis} <span class="unit">[{unit(axis)}]</span></td>'
-        + _coverage_cell(metrics, evaluation["confidence"])
-        + f'<td class="ci">{percent_range(metrics["picp_ci"])}</td>'
-        + cells("td", (number(metrics["mpiw"]), percent(metrics["nmpiw"])))
-        + cells("td", (number(metrics["rmse"]), determination(metrics["r2"]), number(metrics["winkler"])))
-        + cells("td", (_count(metrics["n"]), _count(metrics["n_eff"])))
-        for name, part in evaluation[kind].items()
-        for axis, metrics in part["axes"].items()
+        + _coverage_cell(metrics, evaluation.confidence)
+        + f'<td class="ci">{percent_range(metrics.picp_ci)}</td>'
+        + cells("td", (number(metrics.mpiw), percent(metrics.nmpiw)))
+        + cells("td", (number(metrics.rmse), determination(metrics.r2), number(metrics.winkler)))
+        + cells("td", (_count(metrics.n), _count(metrics.n_eff)))
+        for name, part in parts.items()
+        for axis, metrics in part.axes.items()
     ]
     return table(head, rows)
 
@@ -272,10 +274,10 @@ def _selection_table(log: Sequence[Mapping[str, Any]]) -> str:
     return table(head, rows)
 
 
-def _coverage_cell(metrics: Mapping[str, Any], confidence: float) -> str:
-    if covers_too_little(metrics, confidence):
-        return f'<td class="start short">▼ {percent(metrics["picp"])}</td>'
-    return f'<td class="start">{percent(metrics["picp"])}</td>'
+def _coverage_cell(metrics: AxisMetrics, confidence: float) -> str:
+    if metrics.covers_too_little(confidence):
+        return f'<td class="start short">▼ {percent(metrics.picp)}</td>'
+    return f'<td class="start">{percent(metrics.picp)}</td>'
 
 
 def _optional(value: float | None, text: Any) -> str:

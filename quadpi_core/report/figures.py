@@ -11,6 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Evaluation
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.report.decimation import extreme_samples
@@ -29,7 +30,7 @@ from quadpi_core.report.style import (
 
 
 def time_history_figure(
-    result: FlightResult, metrics: Mapping[str, Mapping[str, Any]], colour: str, bins: int
+    result: FlightResult, metrics: Mapping[str, AxisMetrics], colour: str, bins: int
 ) -> go.Figure:
     """Measured and predicted wrench of one flight with the prediction interval as a band, axis by axis.
 
@@ -90,7 +91,7 @@ def time_history_figure(
         )
         figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
         figure.add_annotation(
-            text=f"PICP {percent(metrics[axis]['picp'])}",
+            text=f"PICP {percent(metrics[axis].picp)}",
             x=1,
             y=1,
             xref="x domain",
@@ -106,18 +107,18 @@ def time_history_figure(
     return styled(figure, height=90 + 150 * len(axes), hovermode="x unified")
 
 
-def coverage_figure(evaluation: Mapping[str, Any]) -> go.Figure:
+def coverage_figure(evaluation: Evaluation) -> go.Figure:
     """Coverage of each axis and group with its confidence interval, against the nominal coverage.
 
     The colours are those of the table beside it, so there is no legend.
     """
-    groups = evaluation["groups"]
-    axes = list(dict.fromkeys(axis for part in groups.values() for axis in part["axes"]))
+    groups = evaluation.groups
+    axes = list(dict.fromkeys(axis for part in groups.values() for axis in part.axes))
     figure = go.Figure()
     for i, (group, colour) in enumerate(group_colours(groups).items()):
-        held = groups[group]["axes"]
-        coverage = 100.0 * np.array([metrics["picp"] for metrics in held.values()])
-        interval = 100.0 * np.array([metrics["picp_ci"] for metrics in held.values()]).reshape(-1, 2)
+        held = groups[group].axes
+        coverage = 100.0 * np.array([metrics.picp for metrics in held.values()])
+        interval = 100.0 * np.array([metrics.picp_ci for metrics in held.values()]).reshape(-1, 2)
         figure.add_scatter(
             x=coverage,
             y=[axes.index(axis) + 0.5 * (i + 0.5) / len(groups) - 0.25 for axis in held],
@@ -125,18 +126,16 @@ def coverage_figure(evaluation: Mapping[str, Any]) -> go.Figure:
             mode="markers",
             marker={"color": colour, "size": 9},
             name=group,
-            text=[
-                f"{axis}: {percent(m['picp'])} ({percent_range(m['picp_ci'])})" for axis, m in held.items()
-            ],
+            text=[f"{axis}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for axis, m in held.items()],
             hovertemplate="%{text}",
         )
-    nominal = 100.0 * evaluation["confidence"]
+    nominal = 100.0 * evaluation.confidence
     figure.add_vline(
         x=nominal,
         line={"color": INK, "width": 1, "dash": "dash"},
         annotation={"text": f"nominal {nominal:g} %", "yanchor": "bottom", "y": 1, "xanchor": "right"},
     )
-    bounds = [m["picp_ci"][0] for part in groups.values() for m in part["axes"].values()]
+    bounds = [m.picp_ci[0] for part in groups.values() for m in part.axes.values()]
     lowest = min(nominal, 100.0 * min(bounds, default=1.0))
     figure.update_xaxes(title_text="PICP [%]", range=[lowest - 2.0, 101.0])
     figure.update_yaxes(

@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from quadpi_core.evaluation.evaluation_result import Comparison
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.report.decimation import extreme_samples
@@ -22,13 +22,13 @@ _MARKERS = {"default": "circle", "paper": "circle-open"}
 _DASHES = {"default": "solid", "paper": "dot"}
 
 
-def group_figure(comparison: Mapping[str, Any]) -> go.Figure:
+def group_figure(comparison: Comparison) -> go.Figure:
     """A column per axis: coverage of each group by each model, and below its width over that on the first.
 
     Args:
         comparison: as :func:`quadpi_core.evaluation.compare.compare` gives it.
     """
-    models, groups = comparison["models"], list(comparison["groups"])
+    models, groups = comparison.models, list(comparison.groups)
     axes = _axes(comparison)
     colours = _colours(comparison)
     figure = make_subplots(
@@ -42,24 +42,24 @@ def group_figure(comparison: Mapping[str, Any]) -> go.Figure:
     )
     for column, axis in enumerate(axes, start=1):
         for place, (name, model) in enumerate(models.items()):
-            found = [model["groups"][group]["axes"].get(axis) for group in groups]
-            if None in found:
+            if axis not in model.training_range:
                 continue
-            coverage = 100.0 * np.array([metrics["picp"] for metrics in found])
-            interval = 100.0 * np.array([metrics["picp_ci"] for metrics in found])
-            width = np.array([metrics["mpiw"] for metrics in found])
+            found = [model.groups[group].axes[axis] for group in groups]
+            coverage = 100.0 * np.array([metrics.picp for metrics in found])
+            interval = 100.0 * np.array([metrics.picp_ci for metrics in found])
+            width = np.array([metrics.mpiw for metrics in found])
             style = {
                 "x": np.arange(len(groups)) + 0.5 * ((place + 0.5) / len(models) - 0.5),
                 "mode": "lines+markers",
-                "marker": {"color": colours[name], "size": 9, "symbol": _MARKERS[model["settings"]]},
-                "line": {"color": colours[name], "width": 1, "dash": _DASHES[model["settings"]]},
+                "marker": {"color": colours[name], "size": 9, "symbol": _MARKERS[model.settings]},
+                "line": {"color": colours[name], "width": 1, "dash": _DASHES[model.settings]},
                 "name": name,
                 "legendgroup": name,
             }
             figure.add_scatter(
                 y=coverage,
                 error_y=error_bar(coverage, interval, 1.5),
-                text=[f"{name}: {percent(m['picp'])} ({percent_range(m['picp_ci'])})" for m in found],
+                text=[f"{name}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for m in found],
                 hovertemplate="%{text}<extra></extra>",
                 showlegend=column == 1,
                 row=1,
@@ -75,7 +75,7 @@ def group_figure(comparison: Mapping[str, Any]) -> go.Figure:
                 col=column,
                 **style,
             )
-    nominal = 100.0 * comparison["confidence"]
+    nominal = 100.0 * comparison.confidence
     figure.add_hline(y=nominal, line={"color": INK, "width": 1, "dash": "dash"}, row=1, col="all")
     figure.update_xaxes(tickvals=list(range(len(groups))), ticktext=groups, showgrid=False)
     figure.update_yaxes(title_text="PICP [%]", row=1, col=1)
@@ -83,9 +83,7 @@ def group_figure(comparison: Mapping[str, Any]) -> go.Figure:
     return _with_legend_below(figure, height=620)
 
 
-def interval_figure(
-    comparison: Mapping[str, Any], results: Mapping[str, FlightResult], bins: int
-) -> go.Figure:
+def interval_figure(comparison: Comparison, results: Mapping[str, FlightResult], bins: int) -> go.Figure:
     """A row per axis and a column per low-pass: bounds of the models around what was measured.
 
     Args:
@@ -93,14 +91,14 @@ def interval_figure(
         results: what each model says of one flight.
         bins: parts that the flight is cut into; of each the extremes are drawn.
     """
-    models, axes, colours = comparison["models"], _axes(comparison), _colours(comparison)
+    models, axes, colours = comparison.models, _axes(comparison), _colours(comparison)
     # Models that share a colour share an entry of the legend.
     labels = {
-        name: model["method"] if list(colours.values()).count(colours[name]) > 1 else name
+        name: model.method if list(colours.values()).count(colours[name]) > 1 else name
         for name, model in models.items()
     }
     shown: set[str] = set()
-    cutoffs = list(dict.fromkeys(model["cutoff_hz"] for model in models.values()))
+    cutoffs = list(dict.fromkeys(model.cutoff_hz for model in models.values()))
     figure = make_subplots(
         rows=len(axes),
         cols=len(cutoffs),
@@ -111,7 +109,7 @@ def interval_figure(
         vertical_spacing=0.06 / max(1, len(axes) - 2),
     )
     for column, cutoff in enumerate(cutoffs, start=1):
-        names = [name for name, model in models.items() if model["cutoff_hz"] == cutoff]
+        names = [name for name, model in models.items() if model.cutoff_hz == cutoff]
         for row, axis in enumerate(axes, start=1):
             cell = {"row": row, "col": column}
             first = results[names[0]]
@@ -153,30 +151,30 @@ def _with_legend_below(figure: go.Figure, height: int) -> go.Figure:
     return figure.update_layout(legend={"y": 0, "yanchor": "bottom"})
 
 
-def lines_drawn(comparison: Mapping[str, Any]) -> int:
+def lines_drawn(comparison: Comparison) -> int:
     """Lines in the figure of one flight."""
-    models = comparison["models"].values()
-    bounds = 2 * sum(len(model["training_range"]) for model in models)
-    return bounds + len(_axes(comparison)) * len({model["cutoff_hz"] for model in models})
+    models = comparison.models.values()
+    bounds = 2 * sum(len(model.training_range) for model in models)
+    return bounds + len(_axes(comparison)) * len({model.cutoff_hz for model in models})
 
 
-def _axes(comparison: Mapping[str, Any]) -> list[str]:
-    held = {axis for model in comparison["models"].values() for axis in model["training_range"]}
+def _axes(comparison: Comparison) -> list[str]:
+    held = {axis for model in comparison.models.values() for axis in model.training_range}
     return [axis for axis in AXES if axis in held]
 
 
-def _colours(comparison: Mapping[str, Any]) -> dict[str, str]:
+def _colours(comparison: Comparison) -> dict[str, str]:
     """A colour per method where settings tell its models apart, else one per model."""
-    methods = {name: model["method"] for name, model in comparison["models"].items()}
-    kinds = {(model["method"], model["settings"]) for model in comparison["models"].values()}
+    methods = {name: model.method for name, model in comparison.models.items()}
+    kinds = {(model.method, model.settings) for model in comparison.models.values()}
     if len(kinds) < len(methods):
         return method_colours(methods)
     of_method = method_colours(methods.values())
     return {name: of_method[method] for name, method in methods.items()}
 
 
-def _column_title(comparison: Mapping[str, Any], cutoff: float) -> str:
+def _column_title(comparison: Comparison, cutoff: float) -> str:
     settings = dict.fromkeys(
-        model["settings"] for model in comparison["models"].values() if model["cutoff_hz"] == cutoff
+        model.settings for model in comparison.models.values() if model.cutoff_hz == cutoff
     )
     return f"{' and '.join(settings)} settings, low-pass {cutoff:g} Hz"

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
+from quadpi_core.evaluation.evaluation_result import AxisMetrics
 from quadpi_core.report.style import percent
 
 # Intervals that cover 93 % instead of 95 % serve the same decisions; below that, nobody would say "hold".
@@ -61,17 +61,9 @@ class Coverage:
         return f"{self.what} {percent(self.estimate)}, {percent(low)} to {percent(high)}"
 
 
-def of_axes(axes: Mapping[str, Mapping[str, Any]]) -> list[Coverage]:
+def of_axes(axes: Mapping[str, AxisMetrics]) -> list[Coverage]:
     """The coverages of the axes of a group or flight, as `evaluate_flights` gives them."""
-    return [Coverage(axis, found["picp"], _pair(found["picp_ci"])) for axis, found in axes.items()]
-
-
-def covers_too_little(metrics: Mapping[str, Any], confidence: float) -> bool:
-    """Whether a table marks an axis: the confidence interval of its coverage lies below the nominal coverage.
-
-    That is beyond chance, but may be by less than :data:`TOLERANCE`.
-    """
-    return bool(metrics["picp_ci"][1] < confidence)
+    return [Coverage(axis, found.picp, _pair(found.picp_ci)) for axis, found in axes.items()]
 
 
 def _pair(interval: Sequence[float]) -> tuple[float, float]:

@@ -9,8 +9,9 @@ from itertools import zip_longest
 from statistics import NormalDist, fmean
 from typing import Any
 
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison
 from quadpi_core.flight import AXES
-from quadpi_core.paper.validation_result import VARIATIONS
+from quadpi_core.paper.validation_result import VARIATIONS, AxisValidation, PublishedAxis, Validation
 from quadpi_core.report import comparison_page as compared
 from quadpi_core.report.style import hundredths, unit
 from quadpi_core.report.terminal_tables import final_terms
@@ -34,13 +35,13 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], texts: Contain
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
 
 
-def comparison(result: Mapping[str, Any]) -> str:
+def comparison(result: Comparison) -> str:
     """Coverage and width of several models on groups of flights.
 
     Args:
         result: as :func:`quadpi_core.evaluation.compare.compare` gives it.
     """
-    groups, confidence = list(result["groups"]), result["confidence"]
+    groups, confidence = list(result.groups), result.confidence
     headings = ["axis", "model", *(f"PICP % {group}" for group in groups), *(f"MPIW {g}" for g in groups)]
     rows, axis = [], ""
     for row in compared.rows(result):
@@ -57,7 +58,7 @@ def comparison(result: Mapping[str, Any]) -> str:
     return table(headings, rows, texts=range(2))
 
 
-def validation(results: Sequence[Mapping[str, Any]], axes: Sequence[str] = AXES) -> str:
+def validation(results: Sequence[Validation], axes: Sequence[str] = AXES) -> str:
     """Coverage and width under noise, the settings of a method and the paper's numbers below each other.
 
     Args:
@@ -67,36 +68,31 @@ def validation(results: Sequence[Mapping[str, Any]], axes: Sequence[str] = AXES)
     headings = ["axis", "method", "settings"]
     headings += [f"PICP % {_HEADINGS[key]}" for key in _COVERAGE]
     headings += [f"NMPIW % {_HEADINGS[key]}" for key in _WIDTH]
-    published = results[0]["published"] or {}
+    published = results[0].published or {}
     rows = []
     for axis in axes:
-        for place, name in enumerate(results[0]["models"]):
+        for place, name in enumerate(results[0].models):
             for again, result in enumerate(results):
-                model = result["models"][name]
-                cells = _validation_cells(model["axes"][axis], result["confidence"])
+                model = result.models[name]
+                cells = _validation_cells(model.axes[axis], result.confidence)
                 first = axis if place == again == 0 else ""
-                rows.append([first, "" if again else name, model["settings"], *cells])
+                rows.append([first, "" if again else name, model.settings, *cells])
             if known := published.get(name, {}).get(axis):
                 cells = [f"*{cell}*" if cell else "" for cell in _validation_cells(known, None)]
                 rows.append(["", "", _PUBLISHED, *cells])
     return table(headings, rows, texts=range(3))
 
 
-def _validation_cells(found: Mapping[str, Any], confidence: float | None) -> list[str]:
+def _validation_cells(found: AxisValidation | PublishedAxis, confidence: float | None) -> list[str]:
     """Percentages of one row; coverage below the confidence of the intervals is marked, if there is one."""
+    parts: dict[str, Any] = {key: getattr(found, key, None) for key in _COVERAGE}
     cells = []
-    for key in _COVERAGE:
-        part = found.get(key)
-        if part is None:
-            cells.append("")
-            continue
-        # Training and combined variation stand for reference.
-        short = confidence is not None and key in VARIATIONS[:2] and part["picp"] < confidence
-        cells.append(("▼ " if short else "") + hundredths(part["picp"]))
-    for key in _WIDTH:
-        part = found.get(key)
-        cells.append("" if part is None or part["nmpiw"] is None else f"{100.0 * part['nmpiw']:.2f}")
-    return cells
+    for key, part in parts.items():
+        # Training and combined variation are for reference only.
+        short = confidence is not None and key in VARIATIONS[:2] and part.picp < confidence
+        cells.append("" if part is None else ("▼ " if short else "") + hundredths(part.picp))
+    widths = [getattr(parts[key], "nmpiw", None) for key in _WIDTH]
+    return cells + ["" if width is None else f"{100.0 * width:.2f}" for width in widths]
 
 
 def structures(selection: Mapping[str, Sequence[Mapping[str, Any]]], axes: Sequence[str]) -> str:
@@ -120,7 +116,7 @@ def structures(selection: Mapping[str, Sequence[Mapping[str, Any]]], axes: Seque
     return table(headings, rows, texts=range(0, len(headings), 3))
 
 
-def left_out(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+def left_out(results: Mapping[str, Mapping[str, Comparison]]) -> str:
     """Coverage of each flight by models of the others, and width over that of an ideal constant interval.
 
     Args:
@@ -133,9 +129,9 @@ def left_out(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
         for model in models:
             for kind in kinds:
                 found = _on_all(of_flight[kind], model)
-                confidence = of_flight[kind]["confidence"]
+                confidence = of_flight[kind].confidence
                 cells = [
-                    f"{100.0 * found[axis]['picp']:.1f} · {_ratio(found[axis], confidence):.2f}"
+                    f"{100.0 * found[axis].picp:.1f} · {_ratio(found[axis], confidence):.2f}"
                     if axis in found
                     else ""
                     for axis in axes
@@ -145,7 +141,7 @@ def left_out(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     return table(["flight", "model", "intervals", *axes], rows, texts=range(3))
 
 
-def left_out_summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+def left_out_summary(results: Mapping[str, Mapping[str, Comparison]]) -> str:
     """Least and mean coverage over flights, and the largest width over that of an ideal constant interval.
 
     Args:
@@ -157,9 +153,9 @@ def left_out_summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> 
         for kind in kinds:
             cells = []
             for axis in axes:
-                found = [(_on_all(r[kind], model).get(axis), r[kind]["confidence"]) for r in results.values()]
+                found = [(_on_all(r[kind], model).get(axis), r[kind].confidence) for r in results.values()]
                 known = [(metrics, confidence) for metrics, confidence in found if metrics is not None]
-                coverage = [100.0 * metrics["picp"] for metrics, _ in known]
+                coverage = [100.0 * metrics.picp for metrics, _ in known]
                 widest = max((_ratio(*pair) for pair in known), default=0.0)
                 cells.append(f"{min(coverage):.1f} / {fmean(coverage):.1f} · {widest:.2f}" if known else "")
             rows.append([model if kind == kinds[0] else "", kind, *cells])
@@ -167,23 +163,22 @@ def left_out_summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> 
 
 
 def _left_out_parts(
-    results: Mapping[str, Mapping[str, Mapping[str, Any]]],
+    results: Mapping[str, Mapping[str, Comparison]],
 ) -> tuple[list[str], list[str], list[str]]:
     """Axes, models and kinds of intervals, the same for every flight."""
     of_flight = next(iter(results.values()))
     first = next(iter(of_flight.values()))
-    return compared.held_axes(first), list(first["models"]), list(of_flight)
+    return compared.held_axes(first), list(first.models), list(of_flight)
 
 
-def _on_all(result: Mapping[str, Any], model: str) -> Mapping[str, Any]:
-    axes: Mapping[str, Any] = result["models"][model]["groups"]["all"]["axes"]
-    return axes
+def _on_all(result: Comparison, model: str) -> Mapping[str, AxisMetrics]:
+    return result.models[model].groups["all"].axes
 
 
-def _ratio(metrics: Mapping[str, Any], confidence: float) -> float:
-    return float(metrics["mpiw"]) / ideal_width(metrics, confidence)
+def _ratio(metrics: AxisMetrics, confidence: float) -> float:
+    return metrics.mpiw / ideal_width(metrics, confidence)
 
 
-def ideal_width(metrics: Mapping[str, Any], confidence: float) -> float:
+def ideal_width(metrics: AxisMetrics, confidence: float) -> float:
     """Width that a perfect constant interval would need on normal errors of that RMSE."""
-    return 2.0 * NormalDist().inv_cdf(0.5 + 0.5 * confidence) * float(metrics["rmse"])
+    return 2.0 * NormalDist().inv_cdf(0.5 + 0.5 * confidence) * metrics.rmse

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -97,7 +97,7 @@ def _in_percent(fraction: float, decimals: int) -> str:
     return f"{100.0 * fraction:.{decimals}f}"
 
 
-def percent_range(interval: list[float]) -> str:
+def percent_range(interval: Sequence[float]) -> str:
     """A confidence interval of a fraction in percent."""
     low, high = interval
     return f"{100.0 * low:.1f}–{100.0 * high:.1f} %"

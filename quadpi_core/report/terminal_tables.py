@@ -14,7 +14,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from quadpi_core.report.holding import covers_too_little
+from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Evaluation
 from quadpi_core.report.style import determination, number, percent, percent_range, unit
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def axis_with_unit(axis: str) -> Text:
     return Text.assemble(axis, (f" {unit(axis)}", "dim"))
 
 
-def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
+def evaluation_table(evaluation: Evaluation) -> Group:
     """Coverage and width per axis, a table per group; coverage below the nominal level is marked.
 
     The columns fit a terminal of 80 characters; the JSON and the page hold every metric.
@@ -34,22 +35,22 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Group:
     Args:
         evaluation: as :func:`quadpi_core.evaluation.flight_results.evaluate_flights` gives it.
     """
-    confidence = evaluation["confidence"]
-    parts = evaluation["groups"]
+    confidence = evaluation.confidence
+    parts = evaluation.groups
     tables: list[Table | Text] = []
     for name, part in parts.items():
-        tables.append(_group_table(name, part["axes"], confidence))
-        if part["alarm"] is not None:
-            tables.append(Text(f"alarm: {alarm_sentence(part['alarm'])}", style="dim"))
-    intervals = "adaptive prediction intervals" if evaluation["adaptive"] else "prediction intervals"
-    heading = Text(f"{evaluation['model']}: {percent(confidence)} {intervals}", style="bold")
-    if any(covers_too_little(metrics, confidence) for p in parts.values() for metrics in p["axes"].values()):
+        tables.append(_group_table(name, part.axes, confidence))
+        if part.alarm is not None:
+            tables.append(Text(f"alarm: {alarm_sentence(part.alarm)}", style="dim"))
+    intervals = "adaptive prediction intervals" if evaluation.adaptive else "prediction intervals"
+    heading = Text(f"{evaluation.model}: {percent(confidence)} {intervals}", style="bold")
+    if any(metrics.covers_too_little(confidence) for p in parts.values() for metrics in p.axes.values()):
         note = f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
         return Group(heading, *tables, Text(note, style="dim"))
     return Group(heading, *tables)
 
 
-def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table:
+def _group_table(name: str, axes: Mapping[str, AxisMetrics], confidence: float) -> Table:
     table = Table(
         title=Text(name), title_justify="left", box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False
     )
@@ -57,38 +58,38 @@ def _group_table(name: str, axes: Mapping[str, Any], confidence: float) -> Table
     for heading in ("PICP", "95 % CI", "MPIW", "NMPIW", "RMSE", "R²", "n_eff"):
         table.add_column(heading, justify="right", no_wrap=True)
     for axis, metrics in axes.items():
-        short = covers_too_little(metrics, confidence)
-        coverage = ("▼ " if short else "") + percent(metrics["picp"])
+        short = metrics.covers_too_little(confidence)
+        coverage = ("▼ " if short else "") + percent(metrics.picp)
         table.add_row(
             axis_with_unit(axis),
             Text(coverage, style="bold red" if short else ""),
-            percent_range(metrics["picp_ci"]),
-            number(metrics["mpiw"]),
-            percent(metrics["nmpiw"]),
-            number(metrics["rmse"]),
-            determination(metrics["r2"]),
-            number(metrics["n_eff"]),
+            percent_range(metrics.picp_ci),
+            number(metrics.mpiw),
+            percent(metrics.nmpiw),
+            number(metrics.rmse),
+            determination(metrics.r2),
+            number(metrics.n_eff),
         )
     return table
 
 
-def alarm_sentence(alarm: Mapping[str, Any]) -> str:
+def alarm_sentence(alarm: AlarmAssessment) -> str:
     """False alarms, detection and what each signal tells, as `evaluate_flights` found them for one group."""
     parts = []
-    if alarm["hours_inside"] > 0.0:
-        rate = alarm["false_alarms_per_hour"]
+    if alarm.hours_inside > 0.0:
+        rate = alarm.false_alarms_per_hour
         stated = "–, too short to state a rate" if rate is None else f"{number(rate)} per hour"
-        minutes = _minutes(alarm["hours_inside"])
-        parts.append(f"{alarm['false_alarms']} false in {minutes} inside the envelope ({stated})")
-    if alarm["hours_outside"] > 0.0:
-        plural = "" if alarm["alarms_outside"] == 1 else "s"
-        minutes = _minutes(alarm["hours_outside"])
-        parts.append(f"{alarm['alarms_outside']} alarm{plural} in {minutes} outside the envelope")
-    if alarm["flights_off"]:
-        found = alarm["flights_off"] - alarm["flights_undetected"]
-        late = "" if alarm["detection_delay_s"] is None else f", {alarm['detection_delay_s']:.2f} s late"
-        parts.append(f"{found} of {alarm['flights_off']} flights with the model off detected{late}")
-    known = [f"{name} {area:.2f}" for name, area in alarm["auroc"].items() if area is not None]
+        minutes = _minutes(alarm.hours_inside)
+        parts.append(f"{alarm.false_alarms} false in {minutes} inside the envelope ({stated})")
+    if alarm.hours_outside > 0.0:
+        plural = "" if alarm.alarms_outside == 1 else "s"
+        minutes = _minutes(alarm.hours_outside)
+        parts.append(f"{alarm.alarms_outside} alarm{plural} in {minutes} outside the envelope")
+    if alarm.flights_off:
+        found = alarm.flights_off - alarm.flights_undetected
+        late = "" if alarm.detection_delay_s is None else f", {alarm.detection_delay_s:.2f} s late"
+        parts.append(f"{found} of {alarm.flights_off} flights with the model off detected{late}")
+    known = [f"{name} {area:.2f}" for name, area in alarm.auroc.items() if area is not None]
     if known:
         parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
     return "; ".join(parts)

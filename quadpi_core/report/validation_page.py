@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
-from typing import Any
 
 from rich import box
 from rich.console import Group
@@ -19,7 +19,13 @@ from scipy.stats import t as student_t
 from quadpi_core.flight import AXES
 from quadpi_core.paper.realisations import Spread
 from quadpi_core.paper.validation_case import ValidationCase
-from quadpi_core.paper.validation_result import VARIATIONS
+from quadpi_core.paper.validation_result import (
+    VARIATIONS,
+    AxisValidation,
+    PublishedAxis,
+    Validation,
+    Variation,
+)
 from quadpi_core.report.band_figure import BAND_AXES, LINES, SHOWN, band_figure
 from quadpi_core.report.decimation import bins_within
 from quadpi_core.report.holding import Coverage, in_cells
@@ -51,25 +57,25 @@ _NOISE = {
 _DRAWN_SAMPLES = 300_000
 
 
-def validation_tables(result: Mapping[str, Any]) -> Group:
+def validation_tables(result: Validation) -> Group:
     """The two tables, with the paper's numbers below each row where there are some.
 
     Args:
         result: as :func:`quadpi_core.paper.validation_result.summarise` gives it.
     """
-    nominal = f"{100.0 * result['confidence']:g} %"
+    nominal = f"{100.0 * result.confidence:g} %"
     head = Text(
-        f"{nominal} prediction intervals; realisations of noise: {result['realisations']}, on each of "
-        f"{len(result['flights'])} flights",
+        f"{nominal} prediction intervals; realisations of noise: {result.realisations}, on each of "
+        f"{len(result.flights)} flights",
         style="bold",
     )
     tables = [_rich_table(result, title, axes) for title, axes in _TABLES.items() if _rows(result, axes)]
     notes = [f"▼ covers less than {nominal}"] if _any_short(result) else []
-    notes += ["dim: the paper's numbers"] if result["published"] else []
+    notes += ["dim: the paper's numbers"] if result.published else []
     return Group(head, *tables, *(Text(note, style="dim") for note in notes))
 
 
-def _rich_table(result: Mapping[str, Any], title: str, axes: Sequence[str]) -> Table:
+def _rich_table(result: Validation, title: str, axes: Sequence[str]) -> Table:
     shown = Table(
         title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
     )
@@ -80,7 +86,7 @@ def _rich_table(result: Mapping[str, Any], title: str, axes: Sequence[str]) -> T
             shown.add_column(f"{'' if i else quantity}\n{text}", justify="right", no_wrap=True)
     for axis, name, found, published in _rows(result, axes):
         cells = [
-            Text(_coverage_text(found, key, result["confidence"]), style=_style(found, key, result))
+            Text(_coverage_text(found, key, result.confidence), style=_style(found, key, result))
             for key in _COVERAGE
         ]
         shown.add_row(axis, name, *cells, *(_hundredths(found, key, "nmpiw") for key in _WIDTH))
@@ -91,12 +97,12 @@ def _rich_table(result: Mapping[str, Any], title: str, axes: Sequence[str]) -> T
     return shown
 
 
-def _style(found: Mapping[str, Any], key: str, result: Mapping[str, Any]) -> str:
-    return "bold red" if _covers_too_little(found, key, result["confidence"]) else ""
+def _style(found: AxisValidation, key: str, result: Validation) -> str:
+    return "bold red" if _covers_too_little(found, key, result.confidence) else ""
 
 
 def write_validation_page(
-    path: Path, result: Mapping[str, Any], case: ValidationCase, spreads: Mapping[str, Spread]
+    path: Path, result: Validation, case: ValidationCase, spreads: Mapping[str, Spread]
 ) -> None:
     """Write the page; it appears whole or not at all.
 
@@ -118,54 +124,53 @@ def write_validation_page(
     write_page(path, "quadpi: validation under noise", parts, figures)
 
 
-def _header(result: Mapping[str, Any]) -> str:
+def _header(result: Validation) -> str:
     cells: dict[str, list[Coverage]] = {f"the {key.replace('_', ' ')}": [] for key in _JUDGED}
     for axis, name, found, _ in _rows(result, AXES):
         for group, key in zip(cells, _JUDGED, strict=True):
-            interval = _over_realisations(found[key], result["realisations"])
-            cells[group].append(Coverage(f"{name} {axis}", found[key]["picp"], interval))
-    confidence = result["confidence"]
+            variation = getattr(found, key)
+            interval = _over_realisations(variation, result.realisations)
+            cells[group].append(Coverage(f"{name} {axis}", variation.picp, interval))
+    confidence = result.confidence
     verdict = f"On these flights {100.0 * confidence:g}\u00a0% intervals {in_cells(cells, confidence)}."
     facts = {
-        "models": ", ".join(f"{name} ({model['settings']})" for name, model in result["models"].items()),
-        "vehicle": result["vehicle"],
-        "realisations": str(result["realisations"]),
-        "flights": str(len(result["flights"])),
-        "seed": str(result["seed"]),
+        "models": ", ".join(f"{name} ({model.settings})" for name, model in result.models.items()),
+        "vehicle": result.vehicle,
+        "realisations": str(result.realisations),
+        "flights": str(len(result.flights)),
+        "seed": str(result.seed),
     }
     return heading("do the intervals hold under noise?", verdict, facts)
 
 
-def _over_realisations(found: Mapping[str, Any], realisations: int) -> tuple[float, float] | None:
+def _over_realisations(found: Variation, realisations: int) -> tuple[float, float] | None:
     """95 % confidence interval of a mean coverage over realisations of noise; None for a single one."""
-    if found["picp_sd"] is None:
+    if found.picp_sd is None:
         return None
-    margin = float(student_t.ppf(0.975, realisations - 1)) * found["picp_sd"] / math.sqrt(realisations)
-    return max(found["picp"] - margin, 0.0), min(found["picp"] + margin, 1.0)
+    margin = float(student_t.ppf(0.975, realisations - 1)) * found.picp_sd / math.sqrt(realisations)
+    return max(found.picp - margin, 0.0), min(found.picp + margin, 1.0)
 
 
-def _tables(result: Mapping[str, Any]) -> str:
+def _tables(result: Validation) -> str:
     tables = "".join(
         f"<h3>{title}</h3>{_html_table(result, axes)}"
         for title, axes in _TABLES.items()
         if _rows(result, axes)
     )
     paper = (
-        " In the second row of each method, what van Beers and de Visser found."
-        if result["published"]
-        else ""
+        " In the second row of each method, what van Beers and de Visser found." if result.published else ""
     )
     return section(
         "Coverage and width under noise",
         "PICP: share of predictions from noisy inputs (model), or of noisy measurements (meas.), inside "
         "the interval at the noise-free inputs; both: noisy measurements inside the interval at the "
         "noisy inputs, as in flight; train: the same on the training flights. NMPIW: mean width over the "
-        f"range of what is to be covered. ▼ less than {100.0 * result['confidence']:g} %.{paper}",
+        f"range of what is to be covered. ▼ less than {100.0 * result.confidence:g} %.{paper}",
         tables,
     )
 
 
-def _html_table(result: Mapping[str, Any], axes: Sequence[str]) -> str:
+def _html_table(result: Validation, axes: Sequence[str]) -> str:
     top = (
         f'<tr><th></th><th></th><th colspan="{len(_COVERAGE)}" class="group">PICP [%]</th>'
         f'<th colspan="{len(_WIDTH)}" class="group">NMPIW [%]</th></tr>'
@@ -174,7 +179,7 @@ def _html_table(result: Mapping[str, Any], axes: Sequence[str]) -> str:
     rows = []
     for axis, name, found, published in _rows(result, axes):
         cells = [
-            f"<td{_mark(found, key, result)}>{_coverage_text(found, key, result['confidence'])}</td>"
+            f"<td{_mark(found, key, result)}>{_coverage_text(found, key, result.confidence)}</td>"
             for key in _COVERAGE
         ]
         cells += [f"<td>{_hundredths(found, key, 'nmpiw')}</td>" for key in _WIDTH]
@@ -189,31 +194,31 @@ def _html_table(result: Mapping[str, Any], axes: Sequence[str]) -> str:
     return table(f'{top}<tr><th>axis</th><th class="text">method</th>{headings}</tr>', rows)
 
 
-def _mark(found: Mapping[str, Any], key: str, result: Mapping[str, Any]) -> str:
-    return ' class="short"' if _covers_too_little(found, key, result["confidence"]) else ""
+def _mark(found: AxisValidation, key: str, result: Validation) -> str:
+    return ' class="short"' if _covers_too_little(found, key, result.confidence) else ""
 
 
-def _bands(result: Mapping[str, Any], bins: int) -> str:
+def _bands(result: Validation, bins: int) -> str:
     return section(
         "Intervals and what they have to cover",
         "Bounds at the noise-free inputs (lines, a colour per model) around the spread over "
         f"{SHOWN} realisations of the noisy measurements (grey) and of the predictions from noisy inputs "
         f"(pink). Of each of {bins} equal parts of a flight the extremes are drawn. Drag to zoom, "
         "double-click to reset.",
-        flight_menu({"": list(result["flights"])}) + figure_of_flight("bands"),
+        flight_menu({"": list(result.flights)}) + figure_of_flight("bands"),
     )
 
 
-def _flights(result: Mapping[str, Any]) -> str:
+def _flights(result: Validation) -> str:
     """Coverage of the measurements flight by flight: flights differ more than realisations do."""
-    axes = [axis for axis in AXES if any(axis in model["axes"] for model in result["models"].values())]
+    axes = [axis for axis in AXES if any(axis in model.axes for model in result.models.values())]
     head = "".join(f"<th>{axis}</th>" for axis in axes)
     rows = []
-    for flight in result["flights"]:
-        for name, model in result["models"].items():
-            shares = (model["flights"][flight].get(axis) for axis in axes)
+    for flight in result.flights:
+        for name, model in result.models.items():
+            shares = (model.flights[flight].get(axis) for axis in axes)
             cells = "".join(
-                "<td>–</td>" if share is None else f"<td>{100.0 * share[VARIATIONS[1]]:.2f}</td>"
+                "<td>–</td>" if share is None else f"<td>{100.0 * share.measurement_variation:.2f}</td>"
                 for share in shares
             )
             rows.append(f'<td>{escape(flight)}</td><td class="text">{escape(name)}</td>{cells}')
@@ -225,11 +230,12 @@ def _flights(result: Mapping[str, Any]) -> str:
     )
 
 
-def _definitions(result: Mapping[str, Any]) -> str:
-    noise = ", ".join(f"{what} {number(result['noise'][key])} {of}" for key, (what, of) in _NOISE.items())
+def _definitions(result: Validation) -> str:
+    levels = asdict(result.noise)
+    noise = ", ".join(f"{what} {number(levels[key])} {of}" for key, (what, of) in _NOISE.items())
     ranges = ", ".join(
-        f"{axis} {number(found[VARIATIONS[1]]['range'])} {unit(axis)}"
-        for axis, found in next(iter(result["models"].values()))["axes"].items()
+        f"{axis} {number(found.measurement_variation.range)} {unit(axis)}"
+        for axis, found in next(iter(result.models.values())).axes.items()
     )
     return footer(
         {
@@ -243,35 +249,35 @@ def _definitions(result: Mapping[str, Any]) -> str:
 
 
 def _rows(
-    result: Mapping[str, Any], axes: Sequence[str]
-) -> list[tuple[str, str, Mapping[str, Any], Mapping[str, Any] | None]]:
+    result: Validation, axes: Sequence[str]
+) -> list[tuple[str, str, AxisValidation, PublishedAxis | None]]:
     """Axis, model, what was found, and what the paper found."""
-    published = result["published"] or {}
+    published = result.published or {}
     return [
-        (axis, name, model["axes"][axis], published.get(name, {}).get(axis))
+        (axis, name, model.axes[axis], published.get(name, {}).get(axis))
         for axis in axes
-        for name, model in result["models"].items()
-        if axis in model["axes"]
+        for name, model in result.models.items()
+        if axis in model.axes
     ]
 
 
-def _any_short(result: Mapping[str, Any]) -> bool:
+def _any_short(result: Validation) -> bool:
     return any(
-        _covers_too_little(found, key, result["confidence"])
+        _covers_too_little(found, key, result.confidence)
         for _, _, found, _ in _rows(result, AXES)
         for key in _JUDGED
     )
 
 
-def _covers_too_little(found: Mapping[str, Any], key: str, confidence: float) -> bool:
-    return key in _JUDGED and found[key]["picp"] < confidence
+def _covers_too_little(found: AxisValidation, key: str, confidence: float) -> bool:
+    return key in _JUDGED and bool(getattr(found, key).picp < confidence)
 
 
-def _coverage_text(found: Mapping[str, Any], key: str, confidence: float) -> str:
+def _coverage_text(found: AxisValidation, key: str, confidence: float) -> str:
     return ("▼ " if _covers_too_little(found, key, confidence) else "") + _hundredths(found, key, "picp")
 
 
-def _hundredths(found: Mapping[str, Any], key: str, quantity: str) -> str:
+def _hundredths(found: AxisValidation | PublishedAxis, key: str, quantity: str) -> str:
     """A fraction in percent with the two decimals of the paper; a dash for what is undefined."""
-    part = found.get(key)
-    return "–" if part is None or part[quantity] is None else f"{100.0 * part[quantity]:.2f}"
+    value = getattr(getattr(found, key, None), quantity, None)
+    return "–" if value is None else f"{100.0 * value:.2f}"

@@ -33,23 +33,23 @@ def flight(duration_s: float, *, raised=(), outside=(), missed=(), unknown=()) -
 
 def test_an_alarm_outside_the_envelope_is_not_false_and_counts_apart():
     found = assess([flight(120.0, raised=[(20.0, 25.0), (40.0, 41.0)], outside=[(19.0, 26.0)])])
-    assert (found["false_alarms"], found["alarms_outside"]) == (1, 1)
-    assert 3600.0 * found["hours_outside"] == pytest.approx(7.0)
-    assert 3600.0 * found["hours_inside"] == pytest.approx(113.0, abs=0.1)
-    assert found["false_alarms_per_hour"] == pytest.approx(3600.0 / 113.0, rel=1e-3)
+    assert (found.false_alarms, found.alarms_outside) == (1, 1)
+    assert 3600.0 * found.hours_outside == pytest.approx(7.0)
+    assert 3600.0 * found.hours_inside == pytest.approx(113.0, abs=0.1)
+    assert found.false_alarms_per_hour == pytest.approx(3600.0 / 113.0, rel=1e-3)
 
 
 def test_an_alarm_while_the_model_is_off_is_neither():
     found = assess([flight(120.0, raised=[(21.0, 25.0)], missed=[(20.0, 26.0)])])
-    assert (found["false_alarms"], found["alarms_outside"], found["flights_off"]) == (0, 0, 1)
-    assert found["hours_inside"] < found["hours_monitored"]
+    assert (found.false_alarms, found.alarms_outside, found.flights_off) == (0, 0, 1)
+    assert found.hours_inside < found.hours_monitored
 
 
 @pytest.mark.parametrize(("duration_s", "stated"), [(59.0, False), (62.0, True)])
 def test_a_rate_takes_a_minute(duration_s, stated):
     found = assess([flight(duration_s, raised=[(5.0, 6.0)])])
-    assert found["false_alarms"] == 1
-    assert (found["false_alarms_per_hour"] is not None) is stated
+    assert found.false_alarms == 1
+    assert (found.false_alarms_per_hour is not None) is stated
     sentence = alarm_sentence(found)
     assert ("per hour" in sentence) is stated
     assert ("too short to state" in sentence) is not stated
@@ -57,11 +57,11 @@ def test_a_rate_takes_a_minute(duration_s, stated):
 
 def test_flights_add_up_to_a_minute_and_what_was_not_monitored_does_not_count():
     half = flight(35.0)
-    assert assess([half])["false_alarms_per_hour"] is None
-    assert assess([half, half])["false_alarms_per_hour"] == 0.0
+    assert assess([half]).false_alarms_per_hour is None
+    assert assess([half, half]).false_alarms_per_hour == 0.0
     blind = flight(70.0, unknown=[(10.0, 50.0)])
-    assert assess([blind])["false_alarms_per_hour"] is None
-    assert 3600.0 * assess([blind])["hours_monitored"] == pytest.approx(30.0, abs=0.1)
+    assert assess([blind]).false_alarms_per_hour is None
+    assert 3600.0 * assess([blind]).hours_monitored == pytest.approx(30.0, abs=0.1)
 
 
 def test_the_bundled_flight_that_leaves_the_envelope_raises_no_false_alarm(quadpi, tmp_path):

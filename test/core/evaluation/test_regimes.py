@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadpi_core.evaluation.regimes import MOST_BINS, by_bin, round_edges
+from quadpi_core.evaluation.regimes import MOST_BINS, RegimeBins, by_bin, round_edges
 
 
 @pytest.mark.parametrize(
@@ -34,4 +34,4 @@ def test_edges_span_any_values_in_few_equal_bins(seed):
 def test_bins_are_closed_below_and_null_where_empty():
     values, inside = np.array([0.0, 0.5, 1.0, 2.9]), np.array([True, False, True, True])
     bins = by_bin(values, inside, np.array([1.0, 3.0, 5.0, 7.0]), np.array([0.0, 1.0, 2.0, 3.0, 4.0]))
-    assert bins == {"n": [2, 1, 1, 0], "picp": [0.5, 1.0, 1.0, None], "mpiw": [2.0, 5.0, 7.0, None]}
+    assert bins == RegimeBins([2, 1, 1, 0], [0.5, 1.0, 1.0, None], [2.0, 5.0, 7.0, None])

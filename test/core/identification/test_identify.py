@@ -101,12 +101,12 @@ def test_judging_gives_the_calibration_curve_and_tells_of_adaptation(model, flig
     groups = {"new": [flight.name for flight in flights[3:]]}
     results, own = judge(model, flights[3:], groups, 0.95)
     assert [result.name for result in results] == groups["new"]
-    curve = own["groups"]["new"]["axes"]["Fx"]["calibration"]
+    curve = own.groups["new"].axes["Fx"].calibration
     assert curve == sorted(curve)
-    assert curve[own["calibration_levels"].index(0.95)] == own["groups"]["new"]["axes"]["Fx"]["picp"]
+    assert curve[own.calibration_levels.index(0.95)] == own.groups["new"].axes["Fx"].picp
     _, adapted = judge(model, flights[3:], groups, 0.95, adaptive=True)
-    assert (own["adaptive"], adapted["adaptive"]) == (False, True)
-    assert adapted["groups"]["new"]["axes"]["Fx"]["picp"] != own["groups"]["new"]["axes"]["Fx"]["picp"]
+    assert (own.adaptive, adapted.adaptive) == (False, True)
+    assert adapted.groups["new"].axes["Fx"].picp != own.groups["new"].axes["Fx"].picp
 
 
 def test_height_is_above_the_origin(paths, flights, vehicle):
@@ -240,8 +240,8 @@ def test_adaptive_intervals_cover_every_neurobem_flight(shared_data, vehicle):
     slower = [flight for flight in flights if flight.name != "bemnn20210218172600seg1"]
     assert (len(slower), len(flights)) == (3, 4)
     model = identify(slower, vehicle, load_pools("quadrotor"), cutoff_hz=30.0)
-    for name, flight in judge(model, flights, {}, 0.95, adaptive=True)[1]["flights"].items():
+    for name, flight in judge(model, flights, {}, 0.95, adaptive=True)[1].flights.items():
         for axis in AXES:
-            assert 0.93 <= flight["axes"][axis]["picp"] <= 0.97, (name, axis)
-    own = judge(model, flights, {}, 0.95)[1]["flights"]["bemnn20210218172600seg1"]["axes"]
-    assert own["Fx"]["picp"] < 0.90
+            assert 0.93 <= flight.axes[axis].picp <= 0.97, (name, axis)
+    own = judge(model, flights, {}, 0.95)[1].flights["bemnn20210218172600seg1"].axes
+    assert own["Fx"].picp < 0.90

@@ -13,6 +13,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.paper import model_cache, published
 from quadpi_core.paper.published import METHODS, published_case, published_tables
+from quadpi_core.paper.validation_result import PublishedCoverage
 
 POOL = 'Fx: {fixed: [mu_x], candidates: ["P^2(mu_x, mu_z)"]}\n'
 
@@ -37,14 +38,14 @@ def identified(monkeypatch, scenario, tmp_path):
 def test_tables_of_the_paper():
     tables = published_tables()
     assert set(tables) == set(METHODS)
-    cells = [cell for axes in tables.values() for row in axes.values() for cell in row.values()]
+    cells = [cell for axes in tables.values() for row in axes.values() for cell in vars(row).values()]
     assert all(set(axes) == set(AXES) for axes in tables.values())
     assert len(cells) == 3 * 6 * 3
     # "All estimation techniques comfortably encompass at least 95 %".
-    assert all(0.95 <= cell["picp"] <= 1.0 for cell in cells)
-    widest = max(cells, key=lambda cell: cell["nmpiw"])
-    assert widest is tables["polynomial"]["Fz"]["model_variation"]
-    assert widest == {"picp": 1.0, "nmpiw": 0.2732}
+    assert all(0.95 <= cell.picp <= 1.0 for cell in cells)
+    widest = max(cells, key=lambda cell: cell.nmpiw)
+    assert widest is tables["polynomial"]["Fz"].model_variation
+    assert widest == PublishedCoverage(1.0, 0.2732)
 
 
 def test_training_and_realisations_have_different_noise(identified):

@@ -8,11 +8,12 @@ import json
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.paper.realisations import Tally, realise
-from quadpi_core.paper.validation_result import VARIATIONS, summarise
+from quadpi_core.paper.validation_result import VARIATIONS, Validation, summarise
 
 
 @pytest.fixture
@@ -31,50 +32,53 @@ def tally(case):
 
 
 def test_numbers_of_known_counts(case, tally, model):
-    result = summarise(case, tally)["models"]["fitted"]["axes"]["Fx"]
-    assert result["training"] is None
-    combined = result["combined_variation"]
-    assert combined["picp"] == pytest.approx(0.2, abs=1e-3)
-    assert combined["picp_sd"] == pytest.approx(0.2 / np.sqrt(2.0), abs=1e-3)
-    assert combined["mpiw"] == pytest.approx(2.0)
+    result = summarise(case, tally).models["fitted"].axes["Fx"]
+    assert result.training is None
+    combined = result.combined_variation
+    assert combined.picp == pytest.approx(0.2, abs=1e-3)
+    assert combined.picp_sd == pytest.approx(0.2 / np.sqrt(2.0), abs=1e-3)
+    assert combined.mpiw == pytest.approx(2.0)
     # Over both flights the measurements span 4 N in one realisation and 7 N in the other.
-    assert combined["range"] == pytest.approx(5.5)
-    assert combined["nmpiw"] == pytest.approx(2.0 / 5.5)
-    assert combined["nmpiw_training"] == pytest.approx(2.0 / model.training_range["Fx"])
-    assert result["model_variation"]["range"] == pytest.approx(0.5)
+    assert combined.range == pytest.approx(5.5)
+    assert combined.nmpiw == pytest.approx(2.0 / 5.5)
+    assert combined.nmpiw_training == pytest.approx(2.0 / model.training_range["Fx"])
+    assert result.model_variation.range == pytest.approx(0.5)
 
 
 def test_width_of_model_and_measurement_variation_is_that_without_noise(case, tally, model, vehicle):
-    result = summarise(case, tally)["models"]["fitted"]["axes"]["Fz"]
+    result = summarise(case, tally).models["fitted"].axes["Fz"]
     said = model.evaluate(np.concatenate([flight_inputs(flight, vehicle) for flight in case.flights]), 0.95)
     width = (said.upper - said.lower)[:, 2].mean()
     for variation in VARIATIONS[:2]:
-        assert result[variation]["mpiw"] == pytest.approx(width, rel=1e-12)
+        assert getattr(result, variation).mpiw == pytest.approx(width, rel=1e-12)
 
 
 def test_flights_add_up_to_the_whole(case):
-    result = summarise(case, realise(case, range(3)))["models"]["fitted"]
+    result = summarise(case, realise(case, range(3))).models["fitted"]
     sizes = [len(flight) for flight in case.flights]
     for axis in case.models["fitted"].axes:
         for variation in VARIATIONS:
-            shares = [result["flights"][flight.name][axis][variation] for flight in case.flights]
-            assert np.average(shares, weights=sizes) == pytest.approx(result["axes"][axis][variation]["picp"])
+            shares = [getattr(result.flights[flight.name][axis], variation) for flight in case.flights]
+            assert np.average(shares, weights=sizes) == pytest.approx(
+                getattr(result.axes[axis], variation).picp
+            )
 
 
 def test_training_is_judged_on_its_own_noise(case, tally, training, model):
-    seen = summarise(case, tally, training=training)["models"]["fitted"]["axes"]
+    seen = summarise(case, tally, training=training).models["fitted"].axes
     for axis in model.axes:
         k = AXES.index(axis)
         measured = np.concatenate([flight.wrench[:, k] for flight in training])
-        assert seen[axis]["training"]["range"] == pytest.approx(np.ptp(measured))
-        assert 0.9 < seen[axis]["training"]["picp"] < 1.0
-        assert seen[axis]["training"]["nmpiw"] == pytest.approx(
-            seen[axis]["training"]["mpiw"] / model.training_range[axis]
+        assert seen[axis].training.range == pytest.approx(np.ptp(measured))
+        assert 0.9 < seen[axis].training.picp < 1.0
+        assert seen[axis].training.nmpiw == pytest.approx(
+            seen[axis].training.mpiw / model.training_range[axis]
         )
 
 
 def test_one_realisation_is_json_without_nan(case):
     result = summarise(case, realise(case, range(1)))
-    text = json.dumps(result, allow_nan=False)
+    text = json.dumps(result.to_json(), allow_nan=False)
     assert json.loads(text)["models"]["fitted"]["axes"]["Fx"]["model_variation"]["picp_sd"] is None
-    assert set(result["models"]["fitted"]["axes"]) == {"Fx", "Fz"}
+    assert TypeAdapter(Validation).validate_json(text) == result
+    assert set(result.models["fitted"].axes) == {"Fx", "Fz"}

@@ -8,8 +8,10 @@ import json
 from functools import partial
 
 import pytest
+from pydantic import TypeAdapter
 
 from quadpi_core.evaluation.compare import compare
+from quadpi_core.evaluation.evaluation_result import Comparison, PublishedMetrics
 from quadpi_core.paper import model_cache, windtunnel
 from quadpi_core.paper.published import METHODS
 from quadpi_core.paper.windtunnel import GROUPS, published_table, wind_tunnel
@@ -56,14 +58,12 @@ def test_table_of_the_paper():
     assert set(table) == set(METHODS)
     assert all(set(axes) == {"Fx", "Fz", "My"} for axes in table.values())
     # "Most pronounced for models of Fz, and especially so for the ANN models."
-    cells = {
-        (m, a): groups["extrapolation"]["picp"] for m, axes in table.items() for a, groups in axes.items()
-    }
+    cells = {(m, a): groups["extrapolation"].picp for m, axes in table.items() for a, groups in axes.items()}
     assert min(cells, key=lambda cell: cells[cell]) == ("quality-driven", "Fz")
-    assert table["bootstrap"]["Fz"]["extrapolation"] == {"picp": 0.3921, "mpiw": 1.06}
+    assert table["bootstrap"]["Fz"]["extrapolation"] == PublishedMetrics(0.3921, 1.06)
     # "The polynomial PI widths remain constant regardless of interpolation or extrapolation."
     for groups in table["polynomial"].values():
-        assert len({part["mpiw"] for part in groups.values()}) == 1
+        assert len({part.mpiw for part in groups.values()}) == 1
 
 
 def test_the_scenario_has_the_winds_of_the_paper():
@@ -103,6 +103,6 @@ def test_without_models_the_command_line_makes_the_papers_table(quadpi, identifi
     assert len(identified) == 2
     result = json.loads(data.read_text())
     assert list(result["groups"]) == list(GROUPS)
-    assert result["published"] == published_table()
+    assert TypeAdapter(Comparison).validate_python(result).published == published_table()
     assert "89.19" in ran.output
     assert "89.19" in (tmp_path / "page.html").read_text()

@@ -3,6 +3,7 @@
 """Three synthetic flights, a model that knows two of them, and their evaluation; a reader of pages."""
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
@@ -56,6 +57,17 @@ class Page(HTMLParser):
         assert "plotly" in bundle[:200]
         assert not any("://" in text for text in (*own, self.text))
         assert not re.search(r"url\(|@import", self.text)
+
+
+@pytest.fixture
+def with_coverage():
+    """with_coverage(group, axis, picp, interval) → the group with another coverage of one axis."""
+
+    def changed(group, axis, picp, interval):
+        metrics = replace(group.axes[axis], picp=picp, picp_ci=interval)
+        return replace(group, axes={**group.axes, axis: metrics})
+
+    return changed
 
 
 @pytest.fixture

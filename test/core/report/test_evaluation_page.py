@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
 import json
-from copy import deepcopy
+from dataclasses import replace
 
 import pytest
 
@@ -54,8 +54,8 @@ def test_page_stays_small_and_is_written_whole(case, tmp_path):
 def test_a_page_that_fails_leaves_the_old_one(case, tmp_path):
     path = tmp_path / "report.html"
     path.write_text("old")
-    broken = deepcopy(case.evaluation)
-    del broken["flights"]["slow"]
+    flights = {name: part for name, part in case.evaluation.flights.items() if name != "slow"}
+    broken = replace(case.evaluation, flights=flights)
     with pytest.raises(KeyError):
         write_report(path, broken, case.results, case.model)
     assert path.read_text() == "old"
@@ -64,7 +64,7 @@ def test_a_page_that_fails_leaves_the_old_one(case, tmp_path):
 
 def test_flights_without_a_group_are_shown_too(case, read_page, tmp_path):
     path = tmp_path / "report.html"
-    evaluation = case.evaluation | {"groups": {}}
+    evaluation = replace(case.evaluation, groups={})
     write_report(path, evaluation, case.results, case.model)
     text = read_page(path).text
     assert "95 % prediction intervals, flight by flight." in text
@@ -72,24 +72,23 @@ def test_flights_without_a_group_are_shown_too(case, read_page, tmp_path):
 
 
 def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
-    axes = case.evaluation["groups"]["new & fast"]["axes"]
-    worst = min(axes, key=lambda axis: axes[axis]["picp"])
-    low, high = axes[worst]["picp_ci"]
+    axes = case.evaluation.groups["new & fast"].axes
+    worst = min(axes, key=lambda axis: axes[axis].picp)
+    low, high = axes[worst].picp_ci
     assert verdict(case.evaluation, ["slow", "mid", "another"]) == (
         "95 % prediction intervals hold on known (in sample), and do not hold on new & fast "
-        f"(6 of 6 axes; {worst} {percent(axes[worst]['picp'])}, {percent(low)} to {percent(high)})."
+        f"(6 of 6 axes; {worst} {percent(axes[worst].picp)}, {percent(low)} to {percent(high)})."
     )
 
 
 def test_verdict_lists_the_groups_on_which_intervals_hold(case):
-    known = case.evaluation["groups"]["known"]
-    evaluation = case.evaluation | {"groups": {"a": known, "b": known, "c": known}}
+    known = case.evaluation.groups["known"]
+    evaluation = replace(case.evaluation, groups={"a": known, "b": known, "c": known})
     assert verdict(evaluation, []) == "95 % prediction intervals hold on a, b and c."
 
 
-def test_verdict_tells_the_least_coverage_that_is_still_called_holding(case):
-    known = deepcopy(case.evaluation["groups"]["known"])
-    known["axes"]["Mz"] |= {"picp": 0.94, "picp_ci": [0.92, 0.96]}
-    assert verdict(case.evaluation | {"groups": {"few": known}}, []) == (
+def test_verdict_tells_the_least_coverage_that_is_still_called_holding(case, with_coverage):
+    few = with_coverage(case.evaluation.groups["known"], "Mz", 0.94, [0.92, 0.96])
+    assert verdict(replace(case.evaluation, groups={"few": few}), []) == (
         "95 % prediction intervals hold on few (Mz 94.0 %, 92.0 % to 96.0 %)."
     )

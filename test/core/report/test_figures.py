@@ -17,7 +17,7 @@ def groups(case):
 
 def test_each_axis_of_a_time_history_has_its_band_between_the_bounds(case):
     result = case.results[2]
-    figure = time_history_figure(result, case.evaluation["flights"][result.name]["axes"], "#0072B2", 500)
+    figure = time_history_figure(result, case.evaluation.flights[result.name].axes, "#0072B2", 500)
     assert len(figure.data) == 4 * len(AXES)
     for k, axis in enumerate(AXES):
         lower, upper, measured, predicted = figure.data[4 * k : 4 * k + 4]
@@ -35,12 +35,12 @@ def test_each_axis_of_a_time_history_has_its_band_between_the_bounds(case):
 
 def test_coverage_figure_shows_coverage_and_interval_in_percent(case):
     figure = coverage_figure(case.evaluation)
-    metrics = case.evaluation["groups"]["new & fast"]["axes"]["Fz"]
+    metrics = case.evaluation.groups["new & fast"].axes["Fz"]
     trace = figure.data[1]
     k = AXES.index("Fz")
-    assert trace.x[k] == pytest.approx(100 * metrics["picp"])
-    assert trace.x[k] + trace.error_x.array[k] == pytest.approx(100 * metrics["picp_ci"][1])
-    assert trace.x[k] - trace.error_x.arrayminus[k] == pytest.approx(100 * metrics["picp_ci"][0])
+    assert trace.x[k] == pytest.approx(100 * metrics.picp)
+    assert trace.x[k] + trace.error_x.array[k] == pytest.approx(100 * metrics.picp_ci[1])
+    assert trace.x[k] - trace.error_x.arrayminus[k] == pytest.approx(100 * metrics.picp_ci[0])
 
 
 def test_envelope_figure_marks_the_training_range_of_every_input(case):

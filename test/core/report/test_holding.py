@@ -4,10 +4,18 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
+from dataclasses import replace
 
 import pytest
 
+from quadpi_core.evaluation.evaluation_result import Comparison
+from quadpi_core.paper.validation_result import (
+    AxisValidation,
+    ModelValidation,
+    NoiseLevels,
+    Validation,
+    Variation,
+)
 from quadpi_core.report import comparison_page
 from quadpi_core.report.evaluation_sections import verdict
 from quadpi_core.report.holding import Coverage, Holding, in_cells, joint
@@ -48,14 +56,13 @@ def test_cells_are_counted_and_what_does_not_hold_is_named():
     )
 
 
-def test_headlines_of_page_and_comparison_go_by_the_same_rule(case):
-    known = deepcopy(case.evaluation["groups"]["known"])
-    known["axes"]["Mz"] |= {"picp": 0.834, "picp_ci": [0.619, 0.955]}
-    evaluation = case.evaluation | {"groups": {"few": known}}
+def test_headlines_of_page_and_comparison_go_by_the_same_rule(case, with_coverage):
+    few = with_coverage(case.evaluation.groups["known"], "Mz", 0.834, [0.619, 0.955])
+    evaluation = replace(case.evaluation, groups={"few": few})
     assert verdict(evaluation, []) == (
         "95 % prediction intervals are not shown to hold on few (1 of 6 axes; Mz 83.4 %, 61.9 % to 95.5 %)."
     )
-    compared = {"confidence": 0.95, "groups": {"few": []}, "models": {"m": evaluation}}
+    compared = Comparison("0", "v", 0.95, False, {"few": []}, None, {"m": evaluation})
     assert comparison_page.verdict(compared) == (
         "95\u00a0% prediction intervals hold in 5 of 6 on few; are not shown to hold in 1 on few "
         "(m Mz 83.4 %, 61.9 % to 95.5 %) (axes of all models)."
@@ -71,19 +78,13 @@ def test_headlines_of_page_and_comparison_go_by_the_same_rule(case):
     ],
 )
 def test_headline_of_a_validation_goes_by_it_too(spread, said):
-    cell = {"picp": 0.99, "picp_sd": 0.001}
-    axes = {"Fx": {"model_variation": cell, "measurement_variation": {"picp": 0.9, "picp_sd": spread}}}
-    result = {
-        **{
-            "confidence": 0.95,
-            "realisations": 10,
-            "vehicle": "v",
-            "seed": 1,
-            "flights": {},
-            "published": None,
-        },
-        "models": {"m": {"axes": axes, "settings": "default"}},
-    }
+    held = Variation(picp=0.99, picp_sd=0.001, mpiw=1.0, range=1.0, nmpiw=1.0, nmpiw_training=1.0)
+    measured = replace(held, picp=0.9, picp_sd=spread)
+    model = ModelValidation(
+        "m", "polynomial", "default", {"Fx": AxisValidation(None, held, measured, held)}, {}
+    )
+    noise = NoiseLevels(*[0.1] * 5)
+    result = Validation("0", "v", 0.95, 1, 10, noise, 30.0, {}, {"m": model}, None)
     page = _header(result)
     assert "95\u00a0% intervals hold in 1 of 1 on the model variation and 0 of 1 on" in page
     assert said in page

@@ -1,11 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-from copy import deepcopy
+from dataclasses import replace
 
 import pytest
 
+from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison, PublishedMetrics
 from quadpi_core.flight import AXES
 from quadpi_core.paper.published import published_tables
+from quadpi_core.paper.validation_result import (
+    AxisValidation,
+    ModelValidation,
+    NoiseLevels,
+    TrainingCoverage,
+    Validation,
+    Variation,
+)
 from quadpi_core.report import markdown
 from quadpi_core.report.comparison_page import rows
 from quadpi_core.report.terminal_tables import final_terms
@@ -24,24 +33,21 @@ def cells(text):
 @pytest.fixture
 def comparison(case):
     """Two models of one method and one of another, which holds three axes only."""
-    other = deepcopy(case.evaluation)
-    for part in (*other["groups"].values(), *other["flights"].values()):
-        part["axes"] = {axis: part["axes"][axis] for axis in AXES[:3]}
-    kinds = {
-        "poly-paper": case.evaluation | {"settings": "paper", "cutoff_hz": 100.0},
-        "poly": case.evaluation | {"settings": "default", "cutoff_hz": 30.0},
-        "net": other | {"settings": "default", "cutoff_hz": 30.0, "method": "bootstrap"},
+    whole = vars(case.evaluation)
+    forces = {
+        name: replace(part, axes={axis: part.axes[axis] for axis in AXES[:3]})
+        for name, part in case.evaluation.groups.items()
     }
-    groups = {name: part["flights"] for name, part in case.evaluation["groups"].items()}
-    known = {group: {"picp": 0.9819, "mpiw": 0.7} for group in groups}
-    return {
-        "vehicle": "v",
-        "confidence": 0.95,
-        "adaptive": False,
-        "groups": groups,
-        "published": {"polynomial": {"Fx": known}},
-        "models": kinds,
+    models = {
+        "poly-paper": ComparedEvaluation(**whole, settings="paper", cutoff_hz=100.0),
+        "poly": ComparedEvaluation(**whole, settings="default", cutoff_hz=30.0),
+        "net": ComparedEvaluation(
+            **whole | {"groups": forces, "method": "bootstrap"}, settings="default", cutoff_hz=30.0
+        ),
     }
+    groups = {name: part.flights for name, part in case.evaluation.groups.items()}
+    known = {group: PublishedMetrics(0.9819, 0.7) for group in groups}
+    return Comparison("0", "v", 0.95, False, groups, {"polynomial": {"Fx": known}}, models)
 
 
 def test_published_numbers_follow_the_models_of_their_method(comparison):
@@ -82,11 +88,11 @@ def test_terms_stand_in_the_order_of_selection(case):
 
 def test_validation_has_both_settings_above_the_papers_numbers():
     def result(settings, picp):
-        cell = {"picp": picp, "nmpiw": 0.0345}
-        keys = ("training", "model_variation", "measurement_variation", "combined_variation")
-        axis = {key: dict(cell) for key in keys}
-        models = {"polynomial": {"settings": settings, "axes": dict.fromkeys(AXES, axis)}}
-        return {"confidence": 0.95, "published": published_tables(), "models": models}
+        variation = Variation(picp, None, 1.0, 1.0, 0.0345, 1.0)
+        axis = AxisValidation(TrainingCoverage(picp, 1.0, 1.0, 0.0345), variation, variation, variation)
+        models = {"polynomial": ModelValidation("m", "polynomial", settings, dict.fromkeys(AXES, axis), {})}
+        noise = NoiseLevels(*[0.1] * 5)
+        return Validation("0", "v", 0.95, 0, 1, noise, 30.0, {}, models, published_tables())
 
     heading, *body = cells(markdown.validation([result("paper", 0.9437), result("default", 1.0)], AXES[2:4]))
     assert len(heading) == 10
@@ -97,14 +103,18 @@ def test_validation_has_both_settings_above_the_papers_numbers():
 
 
 def test_width_is_told_over_that_of_an_ideal_interval(comparison):
-    metrics = comparison["models"]["poly"]["groups"]["known"]["axes"]["Fx"]
-    assert markdown.ideal_width({"rmse": 2.0}, 0.95) == pytest.approx(2.0 * 1.95996 * 2.0, rel=1e-5)
-    for model in comparison["models"].values():
-        model["groups"] = {"all": model["groups"]["known"]}
-    one = comparison | {"groups": {"all": ["slow"]}}
+    metrics = comparison.models["poly"].groups["known"].axes["Fx"]
+    assert markdown.ideal_width(replace(metrics, rmse=2.0), 0.95) == pytest.approx(
+        2.0 * 1.95996 * 2.0, rel=1e-5
+    )
+    models = {
+        name: replace(model, groups={"all": model.groups["known"]})
+        for name, model in comparison.models.items()
+    }
+    one = replace(comparison, groups={"all": ["slow"]}, models=models)
     results = {"3 m/s": {"fixed": one, "adaptive": one}, "8 m/s": {"fixed": one, "adaptive": one}}
-    ratio = metrics["mpiw"] / (2.0 * 1.95996 * metrics["rmse"])
-    covered = f"{100 * metrics['picp']:.1f}"
+    ratio = metrics.mpiw / (2.0 * 1.95996 * metrics.rmse)
+    covered = f"{100 * metrics.picp:.1f}"
     heading, *body = cells(markdown.left_out(results))
     assert heading == ["flight", "model", "intervals", *AXES]
     assert body[0][:4] == ["3 m/s", "poly-paper", "fixed", f"{covered} · {ratio:.2f}"]

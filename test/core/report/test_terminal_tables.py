@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-from copy import deepcopy
+from dataclasses import replace
 from io import StringIO
 
 import pytest
@@ -25,11 +25,13 @@ def test_evaluation_table_marks_short_coverage(case):
 
 
 def test_evaluation_table_fits_a_narrow_terminal(case):
-    evaluation = deepcopy(case.evaluation)
-    for part in evaluation["groups"].values():
-        for metrics in part["axes"].values():
-            metrics |= {"picp": 0.9999, "picp_ci": [0.8, 0.949], "mpiw": 1e-5, "nmpiw": 1.6, "rmse": 1e-5}
-            metrics |= {"r2": -38.794, "n_eff": 12345.0}
+    wide = {"picp": 0.9999, "picp_ci": [0.8, 0.949], "mpiw": 1e-5, "nmpiw": 1.6, "rmse": 1e-5}
+    wide |= {"r2": -38.794, "n_eff": 12345.0}
+    groups = {
+        name: replace(part, axes={axis: replace(metrics, **wide) for axis, metrics in part.axes.items()})
+        for name, part in case.evaluation.groups.items()
+    }
+    evaluation = replace(case.evaluation, groups=groups)
     assert "…" not in rendered(evaluation_table(evaluation), width=80)
 
 
