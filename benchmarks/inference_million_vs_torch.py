@@ -18,9 +18,8 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.ensemble_kernel import CompiledEnsembles
-from quadpi_core.models.ensembles.fitted_ensemble import FittedBootstrap
-from quadpi_core.models.ensembles.network import Networks
+from quadpi_core.models.ensemble_kernel import CompiledEnsembles
+from quadpi_core.models.fitted_ensemble import FittedBootstrap, Networks
 
 NAMES = ("inference_million_vs_torch",)
 

@@ -12,7 +12,7 @@ from benchmarks import Result
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.ensemble_kernel import CompiledEnsembles
+from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 
 NAMES = ("inference_one_sample_us",)
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks import Result, UnavailableError, interleaved_seconds
-from quadpi_core.training.ensemble_plan import Plan
+from quadpi_core.training.training_table import Plan
 
 NAMES = ("training_vs_eager_loop",)
 

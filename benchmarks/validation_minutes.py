@@ -17,10 +17,9 @@ import numpy as np
 
 from benchmarks import Result
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
-from quadpi_core.paper.clean_flights import simulated_flights
 from quadpi_core.paper.published import VALIDATION, published_case
-from quadpi_core.paper.realisation_chunks import CHUNK, run_realisations
-from quadpi_core.paper.validation_case import ValidationCase
+from quadpi_core.paper.realisations import CHUNK, run_realisations
+from quadpi_core.paper.validation_case import ValidationCase, simulated_flights
 from quadpi_core.simulation.scenario import load_scenario
 
 NAMES = ("validation_minutes",)

@@ -125,9 +125,9 @@ def validate(
 ) -> None:
     """Put noise on simulated flights a thousand times: do the intervals hold? The paper's tables."""
     from quadpi_core.evaluation.compare import is_model_folder
-    from quadpi_core.paper.given_case import given_case
     from quadpi_core.paper.published import published_case, published_tables
-    from quadpi_core.paper.realisation_chunks import run_realisations
+    from quadpi_core.paper.realisations import run_realisations
+    from quadpi_core.paper.validation_case import given_case
     from quadpi_core.paper.validation_result import summarise
     from quadpi_core.report.progress import counting
     from quadpi_core.report.validation_page import validation_tables

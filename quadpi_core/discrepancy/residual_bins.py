@@ -21,7 +21,7 @@ from scipy.stats import gamma
 from quadpi_core.discrepancy.residuals import VARIABLES, Residual, most_off, over_time, within_tolerance
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.whitening import BANDS
-from quadpi_core.evaluation.regimes import round_edges
+from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 

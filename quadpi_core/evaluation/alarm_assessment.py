@@ -23,7 +23,7 @@ from scipy.stats import rankdata
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.identification.causal_states import LiveSamples
+from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
 from quadpi_core.results import LEVEL_ALARM

@@ -14,7 +14,7 @@ from typing import Any
 
 from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
-from quadpi_core.evaluation.regimes import RegimeBins
+from quadpi_core.evaluation.metrics import RegimeBins
 from quadpi_core.findings import DataQuality
 
 

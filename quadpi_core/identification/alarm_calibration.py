@@ -17,13 +17,13 @@ import numpy.typing as npt
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.identification.causal_states import LiveSamples
+from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.identification.tail_limits import Walk, lasting_maximum, next_flight, sums_of_misses
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
-from quadpi_core.models.axis_evaluation import Evaluation
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 
 

@@ -20,12 +20,12 @@ from quadpi_core.identification.alarm_calibration import (
     live_errors,
 )
 from quadpi_core.identification.prepared_flights import PreparedFlight
-from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
-from quadpi_core.models.methods import METHODS, FittedAxis
+from quadpi_core.models.methods import FittedAxis
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.selection import StopRule
 from quadpi_core.training.bootstrap_ensemble import BootstrapEnsemble

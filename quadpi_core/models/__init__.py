@@ -3,8 +3,8 @@
 """Aerodynamic models with prediction intervals."""
 
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
-from quadpi_core.models.axis_evaluation import Evaluation
 from quadpi_core.models.candidate_pool import CandidatePool, load_pools
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.models.polynomial import FittedPolynomial, StepwisePolynomial
 
 __all__ = [

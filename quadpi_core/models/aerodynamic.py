@@ -15,10 +15,20 @@ from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.fitted_ensemble import FittedBootstrap, FittedQualityDriven
 from quadpi_core.models.interval_rules import HeldOutRule
-from quadpi_core.models.methods import METHODS, CompiledAxes, Evaluation, FittedAxis
+from quadpi_core.models.methods import CompiledAxes, Evaluation, FittedAxis, Method
+from quadpi_core.models.polynomial import FittedPolynomial
+from quadpi_core.models.polynomial_kernel import CompiledPolynomials
 from quadpi_core.vehicle import Vehicle
+
+METHODS: dict[str, Method] = {
+    FittedPolynomial.method: Method(FittedPolynomial.stored, CompiledPolynomials.pack),
+    FittedBootstrap.method: Method(FittedBootstrap.stored, CompiledEnsembles.pack),
+    FittedQualityDriven.method: Method(FittedQualityDriven.stored, CompiledEnsembles.pack),
+}
 
 
 @dataclass(frozen=True)

@@ -6,17 +6,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from quadpi_core.frames import Array
-from quadpi_core.models.axis_evaluation import Evaluation
-from quadpi_core.models.ensembles.ensemble_kernel import CompiledEnsembles
-from quadpi_core.models.ensembles.fitted_ensemble import FittedBootstrap, FittedQualityDriven
 from quadpi_core.models.interval_rules import AnyRule
-from quadpi_core.models.polynomial import FittedPolynomial
-from quadpi_core.models.polynomial_kernel import CompiledPolynomials
 
-__all__ = ["METHODS", "CompiledAxes", "Evaluation", "FittedAxis", "Method"]
+
+class Evaluation(NamedTuple):
+    """What a model says of N samples; columns Fx … Mz, zero for axes that the model does not hold.
+
+    Attributes:
+        predicted, lower, upper: (N, 6) N and Nm, body forward-right-down.
+        leverage: (N, 6) h = z (ZᵀZ)⁻¹ zᵀ.
+        relative_width: (N, 6) interval width over its root mean square on the training flights.
+    """
+
+    predicted: Array
+    lower: Array
+    upper: Array
+    leverage: Array
+    relative_width: Array
 
 
 class FittedAxis(Protocol):
@@ -63,10 +72,3 @@ class Method:
 
     stored: Callable[[dict[str, Any], dict[str, Array]], FittedAxis]
     compile: Callable[[Mapping[str, Any]], CompiledAxes]
-
-
-METHODS: dict[str, Method] = {
-    FittedPolynomial.method: Method(FittedPolynomial.stored, CompiledPolynomials.pack),
-    FittedBootstrap.method: Method(FittedBootstrap.stored, CompiledEnsembles.pack),
-    FittedQualityDriven.method: Method(FittedQualityDriven.stored, CompiledEnsembles.pack),
-}

@@ -25,10 +25,10 @@ from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.errors import ModelError, OutputError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.methods import METHODS, FittedAxis
+from quadpi_core.models.methods import FittedAxis
 from quadpi_core.paths import require_folder, whole_output
 from quadpi_core.scratch import is_being_replaced
 

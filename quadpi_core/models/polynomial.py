@@ -15,7 +15,6 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.gram import Gram, flight_grams, sum_grams
 from quadpi_core.models.interval_rules import (
     AnyRule,
     HeldOutRule,
@@ -24,9 +23,9 @@ from quadpi_core.models.interval_rules import (
     inside_range,
     rule_from_json,
 )
+from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber, sum_grams
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
-from quadpi_core.models.robust import huber
-from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, fit_coefficients, select
+from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, select
 from quadpi_core.models.spread import PlacedErrors, SpreadShape, fit_shape, leverage_of, squared_speed
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]
@@ -131,7 +130,7 @@ class StepwisePolynomial:
     The defaults deviate from the paper because its residuals are neither independent nor from new flights:
     it stops by the predicted square error and takes σ_e² from the training residuals with N − 2 degrees of
     freedom, of plain least squares, where the default bounds the influence of samples far off (see
-    :func:`quadpi_core.models.robust.huber`). :meth:`paper` gives those settings.
+    :func:`quadpi_core.models.least_squares.huber`). :meth:`paper` gives those settings.
 
     Attributes:
         fitted_: the identified :class:`FittedPolynomial`.

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.axis_evaluation import Evaluation
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, check_inputs, rows_kernel
 

@@ -16,11 +16,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.gram import Gram, sum_grams
+from quadpi_core.models.least_squares import Gram, fit_coefficients, sum_grams
 
 StopRule: TypeAlias = Literal["pse", "r2", "bic", "leave-one-flight-out"]
 # A score of a set of regressors, to be made as small as possible.
@@ -113,23 +112,6 @@ def select(
         if _stalled(steps, settings.stop):
             break
     return list(_best(steps, settings.stop).active), steps
-
-
-def fit_coefficients(gram: Gram, active: list[int]) -> tuple[Array, Array]:
-    """Least squares on the active regressors by a Cholesky factor of the scaled Gram matrix.
-
-    Returns:
-        Coefficients (s,) and the whitening matrix W (s, s), lower triangular, with Wᵀ W = (ZᵀZ)⁻¹, so that
-        the leverage of a regressor row z is |W z|².
-
-    Raises:
-        numpy.linalg.LinAlgError: if the regressors are linearly dependent.
-    """
-    matrix = gram.matrix[np.ix_(active, active)]
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    factor = np.linalg.cholesky(matrix * np.outer(scale, scale))
-    whitening = solve_triangular(factor, np.diag(scale), lower=True)
-    return whitening.T @ (whitening @ gram.moment[active]), whitening
 
 
 class _OrthogonalBasis:

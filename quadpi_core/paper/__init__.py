@@ -4,11 +4,9 @@
 
 Noise-free flights of the simulation get independent realisations of noise (van Beers and de Visser, Sec. IV).
 
-    validation_case      what is validated: models, flights, noise, seed
-    realisations         noise on flights, and what the models then say, counted
-    realisation_chunks   realisations in chunks, on many workers, kept in files so that a later run goes on
-    validation_result    coverage and width of all realisations, as JSON
-    clean_flights        noise-free flights, simulated or from bags
+    validation_case      what is validated: models, noise-free flights (simulated or from bags), noise, seed
+    realisations         noise on flights, what the models then say, counted in chunks on many workers
+    validation_result    coverage and width of all realisations
     published            the paper's own setting, and its two tables
     windtunnel           its wind tunnel simulated, and its table of the HDBeetle
     model_cache          models that a long computation keeps and takes up again

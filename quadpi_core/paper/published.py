@@ -13,10 +13,9 @@ from quadpi_core.identification.identify import MethodName, Settings
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.paper.clean_flights import simulated_flights
 from quadpi_core.paper.model_cache import identify_or_take, named
 from quadpi_core.paper.realisations import noise_seed
-from quadpi_core.paper.validation_case import ValidationCase, flight_hash
+from quadpi_core.paper.validation_case import ValidationCase, flight_hash, simulated_flights
 from quadpi_core.paper.validation_result import PublishedAxis, PublishedCoverage
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise, contaminate

@@ -6,23 +6,30 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadpi_core import __version__
-from quadpi_core.errors import QuadpiError, SignalError
+from quadpi_core.errors import LogError, QuadpiError, SignalError
+from quadpi_core.evaluation.compare import common_confidence, load_models
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
+from quadpi_core.logs.bags import bag_vehicle
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paper.model_cache import code_fingerprint
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.sensor_noise import StateNoise
+from quadpi_core.simulation.flight_plan import FlightPlan
+from quadpi_core.simulation.run import fly_plan
+from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise
+from quadpi_core.simulation.simulated_bags import read_truth
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 
 
@@ -188,3 +195,98 @@ def _hash(values: Sequence[Any]) -> str:
         if isinstance(value, np.ndarray):
             digest.update(np.ascontiguousarray(value).tobytes())
     return digest.hexdigest()
+
+
+def simulated_flights(
+    plans: Sequence[FlightPlan], progress: Callable[[str], None] = lambda _: None
+) -> list[Flight]:
+    """Fly the plans; nothing senses them.
+
+    Args:
+        plans: of the flights.
+        progress: called with the name of each flight before it is flown.
+
+    Raises:
+        SimulationError, VehicleError: as :func:`quadpi_core.simulation.run.simulate`.
+    """
+    flights = []
+    for plan in plans:
+        progress(plan.name)
+        vehicle = SimulatedVehicle.load(plan.vehicle)
+        flights.append(fly_plan(plan, vehicle).flight())
+    return flights
+
+
+def recorded_flight(path: Path, vehicle: Vehicle) -> Flight:
+    """The truth of a simulated flight in the place of an estimated one.
+
+    Args:
+        path: bag that `quadpi simulate` wrote.
+        vehicle: that flew.
+
+    Raises:
+        LogError: naming the bag, for one without the truth, or of another vehicle.
+    """
+    truth = read_truth(path)
+    if (flown := bag_vehicle(path)) != vehicle.name:
+        raise LogError(f"{path}: is a flight of vehicle {flown}, not of {vehicle.name}")
+    state = truth.odometry
+    return Flight(
+        name=path.stem,
+        vehicle=vehicle.name,
+        source=str(path),
+        start_ns=int(truth.time_ns[0]),
+        time=1e-9 * (truth.time_ns - truth.time_ns[0]),
+        position=state.position,
+        attitude=state.attitude,
+        velocity=state.velocity,
+        rates=state.rates,
+        angular_acceleration=truth.angular_acceleration,
+        specific_force=truth.wrench[:, :3] / truth.mass,
+        rotor_speeds=truth.rotor_speeds,
+        wind=truth.wind,
+    )
+
+
+def given_case(
+    folders: Sequence[Path],
+    bags: Sequence[Path],
+    *,
+    vehicle: str | None = None,
+    noise: str = "paper",
+    confidence: float | None = None,
+    seed: int = 0,
+) -> ValidationCase:
+    """Validation of stored models on the truth of simulated flights.
+
+    Args:
+        folders: of the models, of one vehicle and one low-pass; their names are those in the result.
+        bags: that `quadpi simulate` wrote, of the same vehicle.
+        vehicle: name or path of the vehicle file; default: the one that the first model names.
+        noise: name in config/noise, or path.
+        confidence: of the intervals; default: the models' own.
+        seed: of all noise.
+
+    Raises:
+        ValidationError: where models or bags are missing.
+        ModelError: for what is no model, two models of one name, and confidences that differ where none is
+            given.
+        LogError, VehicleError, SimulationError: for what cannot be read.
+    """
+    if not folders or not bags:
+        missing = "model folder" if not folders else "bag of a simulated flight"
+        raise ValidationError(
+            f"no {missing} given: name model folders and bags, or nothing for the paper's own"
+        )
+    models = load_models(folders)
+    first = next(iter(models.values()))
+    level = common_confidence(models, confidence)
+    the_vehicle = first.load_vehicle(vehicle)
+    return ValidationCase(
+        vehicle=the_vehicle,
+        models=models,
+        flights=tuple(recorded_flight(bag, the_vehicle) for bag in bags),
+        noise=SensorSuite.load(noise).states,
+        confidence=level,
+        seed=seed,
+    )

@@ -15,12 +15,10 @@ import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.fitted_ensemble import NOISE_FLOOR, AnyFitted
-from quadpi_core.models.ensembles.network import Networks
+from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, AnyFitted, Networks
 from quadpi_core.models.interval_rules import AnyRule, FlightErrors, HeldOutRule, calibrate, flights_peak
 from quadpi_core.models.regressors import Regressor
-from quadpi_core.training.ensemble_plan import Indices, Plan, Split
-from quadpi_core.training.training_table import Table
+from quadpi_core.training.training_table import Indices, Plan, Split, Table
 
 if TYPE_CHECKING:
     from quadpi_core.training.batches import Samples

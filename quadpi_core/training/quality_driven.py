@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
-from quadpi_core.models.ensembles.fitted_ensemble import FittedQualityDriven
+from quadpi_core.models.fitted_ensemble import FittedQualityDriven
 from quadpi_core.models.interval_rules import AnyRule, TrainedRule
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.training.ensemble_estimator import Calibration, Ensemble, Trained, mean_over
-from quadpi_core.training.ensemble_plan import Plan, Split
-from quadpi_core.training.training_table import Table
+from quadpi_core.training.training_table import Plan, Split, Table
 
 if TYPE_CHECKING:
     from quadpi_core.training.losses import QualityDrivenForm

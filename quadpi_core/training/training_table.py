@@ -8,17 +8,16 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.ensembles.network import Scaling
+from quadpi_core.models.fitted_ensemble import Scaling
 from quadpi_core.models.interval_rules import FEWEST_INSIDE
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
-from quadpi_core.training.ensemble_plan import Flags, Indices
 
 _log = logging.getLogger(__name__)
 # Contiguous parts that stand in for flights where the samples are not grouped.
@@ -136,3 +135,96 @@ def _every_other(flights: Indices, step: int) -> Flags:
     for flight in range(int(flights.max()) + 1):
         kept[np.flatnonzero(flights == flight)[::step]] = True
     return kept
+
+
+Split: TypeAlias = Literal["flight", "sample"]
+Flags: TypeAlias = npt.NDArray[np.bool_]
+Indices: TypeAlias = npt.NDArray[np.int64]
+
+# Units that samples are dealt to where single samples are in or out.
+_SAMPLE_UNITS = 1000
+# Contiguous parts of a flight, which members leave out where there are too few flights to leave out.
+_PARTS = 5
+_FEWEST_FLIGHTS = 3
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Ensembles of B members: the first sees all flights, each other one all but those left out in its turn.
+
+    Networks are numbered ensemble by ensemble, M of them. Of what its ensemble sees, each member leaves some
+    out; that judges it, and errors there are those of a network that was not trained on them.
+
+    Attributes:
+        members: B.
+        unit: (N,) unit of each sample; units are in or out as a whole.
+        trained: (M, U) units that a network is trained on.
+        omitted: (M, U) units that its ensemble sees, and the network does not.
+        left_out: flights that each ensemble does not see.
+        seen: flights that each ensemble sees.
+    """
+
+    members: int
+    unit: npt.NDArray[np.int32]
+    trained: Flags
+    omitted: Flags
+    left_out: tuple[Indices, ...]
+    seen: tuple[Indices, ...]
+
+    @classmethod
+    def make(cls, flights: Indices, members: int, subset: float, split: Split, folds: int, seed: int) -> Plan:
+        """Plan for samples (N,) of flights numbered from 0, which are left out in so many turns."""
+        random = np.random.default_rng(seed)
+        every = np.arange(int(flights.max()) + 1)
+        unit, flight_of = _units(flights, split, random)
+        left_out = (every[:0], *(np.array_split(every, folds) if folds else ()))
+        seen = tuple(np.setdiff1d(every, flights_out) for flights_out in left_out)
+        share = 1.0 - subset
+        omitted = [_omitted(flight_of, flights_in, members, share, split, random) for flights_in in seen]
+        visible = [np.tile(np.isin(flight_of, flights_in), (members, 1)) for flights_in in seen]
+        trained = np.concatenate(visible) & ~np.concatenate(omitted)
+        return cls(members, unit, trained, np.concatenate(omitted), left_out, seen)
+
+    def __len__(self) -> int:
+        """How many ensembles there are."""
+        return len(self.seen)
+
+    def networks(self, ensemble: int) -> slice:
+        """The networks of an ensemble."""
+        return slice(ensemble * self.members, (ensemble + 1) * self.members)
+
+    def unseen(self, ensemble: int) -> Flags:
+        """Which samples (B, N) the members of an ensemble leave out."""
+        return self.omitted[self.networks(ensemble)][:, self.unit]
+
+
+def _units(
+    flights: Indices, split: Split, random: np.random.Generator
+) -> tuple[npt.NDArray[np.int32], Indices]:
+    """Unit of each sample (N,) and flight of each unit (U,)."""
+    count = int(flights.max()) + 1
+    parts = _PARTS if split == "flight" else -(-_SAMPLE_UNITS // count)
+    part = np.empty(len(flights), dtype=np.int64)
+    for flight in range(count):
+        mine = np.flatnonzero(flights == flight)
+        in_order = np.arange(len(mine)) * parts // len(mine)
+        part[mine] = in_order if split == "flight" else random.permutation(in_order)
+    return (flights * parts + part).astype(np.int32), np.repeat(np.arange(count), parts)
+
+
+def _omitted(
+    flight_of: Indices, seen: Indices, members: int, share: float, split: Split, random: np.random.Generator
+) -> Flags:
+    """Units (B, U) that each member of an ensemble leaves out.
+
+    Members take turns through an order that chance gives, so that all are left out about equally often.
+    """
+    if split == "flight" and len(seen) >= _FEWEST_FLIGHTS:
+        pieces = flight_of == seen[:, None]
+    else:
+        pieces = np.eye(len(flight_of), dtype=bool)[np.isin(flight_of, seen)]
+    size = max(1, round(share * len(pieces)))
+    rounds = -(-members * size // len(pieces))
+    order = np.concatenate([random.permutation(len(pieces)) for _ in range(rounds)])[: members * size]
+    omitted: Flags = pieces[order].reshape(members, size, -1).any(axis=1)
+    return omitted

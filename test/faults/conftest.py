@@ -18,7 +18,7 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.models import AerodynamicModel, load_pools
-from quadpi_core.models.methods import METHODS
+from quadpi_core.models.aerodynamic import METHODS
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle

@@ -247,7 +247,7 @@ class TestOutputs:
         for place in (
             "quadpi_core.identification.prepared_flights.prepare_flights",
             "quadpi_core.simulation.run.simulate",
-            "quadpi_core.paper.realisation_chunks.run_realisations",
+            "quadpi_core.paper.realisations.run_realisations",
             "quadpi_core.paper.published.published_case",
         ):
             monkeypatch.setattr(place, work)

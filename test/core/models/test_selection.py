@@ -13,13 +13,12 @@ from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.gram import Gram
+from quadpi_core.models.least_squares import Gram, fit_coefficients
 from quadpi_core.models.regressors import RegressorProgram
 from quadpi_core.models.selection import (
     HELD_OUT_FLOOR,
     SelectionSettings,
     StopRule,
-    fit_coefficients,
     select,
 )
 

@@ -14,8 +14,7 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.paper.clean_flights import simulated_flights
-from quadpi_core.paper.validation_case import ValidationCase
+from quadpi_core.paper.validation_case import ValidationCase, simulated_flights
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import StateNoise, contaminate

@@ -13,10 +13,8 @@ import pytest
 from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.paper import validation_case as case_module
-from quadpi_core.paper.clean_flights import recorded_flight
-from quadpi_core.paper.given_case import given_case
 from quadpi_core.paper.realisations import noisy_flight
-from quadpi_core.paper.validation_case import ValidationError, low_passed
+from quadpi_core.paper.validation_case import ValidationError, given_case, low_passed, recorded_flight
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.vehicle import Vehicle

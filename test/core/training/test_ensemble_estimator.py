@@ -14,8 +14,8 @@ from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import HeldOutRule, NormalRule, TrainedRule
 from quadpi_core.training.bootstrap_ensemble import BootstrapEnsemble
 from quadpi_core.training.ensemble_estimator import Ensemble, fit_axes
-from quadpi_core.training.ensemble_plan import Plan
 from quadpi_core.training.quality_driven import QualityDrivenEnsemble
+from quadpi_core.training.training_table import Plan
 
 pytest.importorskip("torch")
 

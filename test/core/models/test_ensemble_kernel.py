@@ -12,11 +12,10 @@ from benchmarks.random_ensembles import random_ensemble
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.axis_evaluation import Evaluation
-from quadpi_core.models.ensembles.ensemble_kernel import CompiledEnsembles
-from quadpi_core.models.ensembles.fitted_ensemble import AnyFitted, FittedBootstrap
-from quadpi_core.models.ensembles.network import Networks
+from quadpi_core.models.ensemble_kernel import CompiledEnsembles
+from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, Networks
 from quadpi_core.models.interval_rules import NormalRule, TrainedRule
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.models.regressors import Regressor
 
 REGRESSORS = tuple(map(Regressor.parse, ("u", "|v|", "mu_z^2", "omega_avg*q", "U_r - U_q", "cos_theta")))

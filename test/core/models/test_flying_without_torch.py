@@ -88,5 +88,5 @@ def test_flies_where_torch_is_not(
 
 def test_models_import_without_torch() -> None:
     modules = run("import sys, quadpi_core.models, quadpi_core.monitor; print(*sys.modules)").split()
-    assert "quadpi_core.models.ensembles.ensemble_kernel" in modules
+    assert "quadpi_core.models.ensemble_kernel" in modules
     assert "torch" not in modules

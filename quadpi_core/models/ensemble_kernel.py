@@ -21,9 +21,14 @@ from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.axis_evaluation import Evaluation
-from quadpi_core.models.ensembles.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven
-from quadpi_core.models.ensembles.network import Networks, Scaling
+from quadpi_core.models.fitted_ensemble import (
+    AnyFitted,
+    FittedBootstrap,
+    FittedQualityDriven,
+    Networks,
+    Scaling,
+)
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, check_inputs, rows_kernel
 from quadpi_core.models.simd import LANES, element, filled, fused, load, rectified, store
 
