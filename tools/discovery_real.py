@@ -217,17 +217,15 @@ def rolled_out(flights: Sequence[Flight], before: Simulation, after: Sequence[Si
     """Roll-outs of flights left out, as a sentence."""
     found = rollouts(flights, [before] * len(flights), after)
     numbers = [
-        f"{what} {found[key]['before']:.3g} to {found[key]['after']:.3g} {unit} "
-        f"(measured wrench {found[key]['floor']:.2g})"
+        f"{what} {found.errors[key].before:.3g} to {found.errors[key].after:.3g} {unit} "
+        f"(measured wrench {found.errors[key].floor:.2g})"
         for what, key, unit in (
             ("velocity", "velocity_m_s", "m/s"),
             ("attitude", "attitude_deg", "°"),
             ("rates", "rates_rad_s", "rad/s"),
         )
     ]
-    return (
-        f"Errors after {found['horizon_s']:g} s of roll-out: {', '.join(numbers)}; {found['starts']} starts."
-    )
+    return f"Errors after {found.horizon_s:g} s of roll-out: {', '.join(numbers)}; {found.starts} starts."
 
 
 def main() -> None:

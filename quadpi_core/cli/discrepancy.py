@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from quadpi_core.cli.outputs import print_quality
+from quadpi_core.discrepancy.discrepancy_result import study_json
 from quadpi_core.discrepancy.effect_sets import write_addition
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.study import read_flights, study
@@ -64,7 +65,7 @@ def run(
         found = study(simulation, flights, names=names, seed=seed)
     with whole_outputs(output) as staging, console.status("Writing"):
         added = [file.name for file in write_addition(found.discovery, staging)]
-        data: dict[str, Any] = {**found.as_dict(), "files": added}
+        data: dict[str, Any] = {**study_json(found), "files": added}
         write_json(staging / DATA, data)
         write_discrepancy_page(staging / PAGE, found)
         if json_file is not None:

@@ -9,14 +9,11 @@ know no physics tell what is left (`generic`), and flights left out in turn show
 """
 
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
-from quadpi_core.discrepancy.discovery import Discovery, FoundEffect, FoundParameter, discover
+from quadpi_core.discrepancy.callable_simulation import CallableSimulation
+from quadpi_core.discrepancy.discovery import discover
+from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter
 from quadpi_core.discrepancy.loading import load_simulation
-from quadpi_core.discrepancy.simulations import (
-    CallableSimulation,
-    Simulation,
-    Tolerances,
-    VehicleSimulation,
-)
+from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
 
 __all__ = [
     "AugmentedSimulation",

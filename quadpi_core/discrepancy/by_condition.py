@@ -7,13 +7,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.discrepancy.residual_bins import SEGMENT_S, Cells, Held, against_draws
-from quadpi_core.discrepancy.residuals import VARIABLES, Residual, residuals
+from quadpi_core.discrepancy.residual_bins import (
+    SEGMENT_S,
+    VARIABLES,
+    Cells,
+    Held,
+    Residual,
+    against_draws,
+    residuals,
+)
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -148,13 +154,6 @@ class Where:
         for part in self.ranges:
             first.setdefault(part.axis, part.variable)
         return tuple(part for part in self.ranges if first[part.axis] == part.variable)
-
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON can hold it."""
-        return {
-            "where": [vars(part) | {"text": part.text} for part in self.ranges],
-            "segments": [vars(segment) for segment in self.segments],
-        }
 
 
 def locate(found: Found, seed: int = 0) -> Where:

@@ -5,14 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.closure import Gap, gap
+from quadpi_core.discrepancy.closure import gap
+from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import UNEXPLAINED_SHARE, Found, search
@@ -28,95 +27,6 @@ _INTERVAL = 1.96
 # axis, the axis is judged by itself, too: an effect may explain another axis so well that it hides this one.
 _MATTERS, _LOUD, _PART = 0.3, 0.8, 0.2
 _FEWEST_FLIGHTS = 2
-
-
-@dataclass(frozen=True)
-class FoundParameter:
-    """A parameter of an effect, with the 95 % interval of its posterior."""
-
-    name: str
-    unit: str
-    value: float
-    lower: float
-    upper: float
-
-
-@dataclass(frozen=True)
-class FoundEffect:
-    """An effect that was named.
-
-    Attributes:
-        name: in the registry.
-        probability: against every other effect in its place, and none.
-        parameters: all that the effect takes.
-        shape: by which flights shape its law, see `simulation.effects.SHAPE`; empty where it holds as it is.
-        axes: in which it shows.
-        rivals: effects that do about as well in its place.
-        shown_by: what to fly to tell them apart.
-    """
-
-    name: str
-    probability: float
-    parameters: tuple[FoundParameter, ...]
-    shape: dict[str, float]
-    axes: tuple[str, ...]
-    rivals: tuple[str, ...]
-    shown_by: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Discovery:
-    """The whole result.
-
-    Attributes:
-        verdict: "none", "effects" or "unknown".
-        effects: that were named, largest first.
-        unexplained: share of the discrepancy that can be predicted but has no name, of all axes together or
-            of a loud axis.
-        unexplained_by: per axis that matters, what predicts it.
-        gap: before and after.
-        found: the search behind it.
-    """
-
-    verdict: str
-    effects: tuple[FoundEffect, ...]
-    unexplained: float
-    unexplained_by: dict[str, list[str]]
-    gap: Gap
-    found: Found
-
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON can hold it."""
-        return {
-            "verdict": self.verdict,
-            "effects": [
-                {
-                    "name": effect.name,
-                    "probability": effect.probability,
-                    "parameters": {
-                        p.name: {"value": p.value, "lower": p.lower, "upper": p.upper, "unit": p.unit}
-                        for p in effect.parameters
-                    },
-                    "shape": effect.shape,
-                    "axes": list(effect.axes),
-                    "shown_by": list(effect.shown_by),
-                }
-                for effect in self.effects
-            ],
-            "ambiguous": [[effect.name, *effect.rivals] for effect in self.effects if effect.rivals],
-            "gap": {
-                **{
-                    axis: {
-                        "before": float(self.gap.before[i]),
-                        "after": float(self.gap.after[i]),
-                        "floor": float(self.gap.floor[i]),
-                    }
-                    for i, axis in enumerate(AXES)
-                },
-                "reduction": self.gap.reduction,
-            },
-            "unexplained": {"share": self.unexplained, "by": self.unexplained_by},
-        }
 
 
 def discover(

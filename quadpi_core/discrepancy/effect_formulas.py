@@ -20,7 +20,7 @@ from quadpi_core.simulation.effect_kernels import shaped
 from quadpi_core.simulation.effect_registry import EFFECTS
 
 if TYPE_CHECKING:
-    from quadpi_core.discrepancy.discovery import FoundEffect
+    from quadpi_core.discrepancy.discrepancy_result import FoundEffect
 
 _SYMBOLS = r"""
 | symbol | |

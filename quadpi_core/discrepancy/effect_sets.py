@@ -15,7 +15,7 @@ import yaml
 from quadpi_core import __version__
 from quadpi_core.config import is_config_path, read_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
-from quadpi_core.discrepancy.discovery import Discovery
+from quadpi_core.discrepancy.discrepancy_result import Discovery
 from quadpi_core.discrepancy.effect_formulas import write_formulas
 from quadpi_core.discrepancy.effect_response import body_tolerances
 from quadpi_core.discrepancy.search import Found

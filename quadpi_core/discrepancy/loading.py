@@ -14,10 +14,9 @@ from typing import Any
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config import is_config_path, nearest
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
-from quadpi_core.discrepancy.simulations import CallableSimulation, Simulation, VehicleSimulation
-from quadpi_core.discrepancy.simulations.model_simulation import ModelSimulation
-from quadpi_core.discrepancy.simulations.recorded_simulation import RecordedSimulation
-from quadpi_core.discrepancy.simulations.simulation_base import read_tolerances
+from quadpi_core.discrepancy.callable_simulation import CallableSimulation, ModelSimulation
+from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
+from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
 from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.config_section import Section

@@ -10,18 +10,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
-from quadpi_core.discrepancy.discovery import Discovery
+from quadpi_core.discrepancy.callable_simulation import ModelSimulation
+from quadpi_core.discrepancy.discrepancy_result import (
+    BeforeAfter,
+    ClosedLoops,
+    Coverage,
+    Discovery,
+    Reflights,
+    Rollouts,
+)
 from quadpi_core.discrepancy.effect_response import residual
 from quadpi_core.discrepancy.effect_sets import augmented
 from quadpi_core.discrepancy.rollout import HORIZON_S, RolloutError, rollout, rollout_floor
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
-from quadpi_core.discrepancy.simulations.model_simulation import ModelSimulation
 from quadpi_core.errors import LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
 from quadpi_core.frames import Array, rotate_body_to_world
@@ -75,66 +81,59 @@ class Track:
         return np.array(sums), len(at)
 
 
-def reflights(discovery: Discovery) -> dict[str, Any]:
-    """All of it as JSON can hold it: `rollout`, `closed_loop` and, for a model with intervals, `coverage`."""
+def reflights(discovery: Discovery) -> Reflights:
+    """Roll-outs, closed loops and, for a model with intervals, their coverage."""
     compared = discovery.found.design.flights
     before = compared[0].simulation
     flights = [one.flight for one in compared]
     after = [augmented(discovery, without=place) for place in range(len(flights))]
-    result = {
-        "rollout": rollouts(flights, [before] * len(flights), after),
-        "closed_loop": closed_loops(flights, before, after),
-    }
     base = before.base if isinstance(before, AugmentedSimulation) else before
-    if isinstance(base, ModelSimulation):
-        result["coverage"] = coverages(flights, base, before, after)
-    return result
+    return Reflights(
+        rollout=rollouts(flights, [before] * len(flights), after),
+        closed_loop=closed_loops(flights, before, after),
+        coverage=coverages(flights, base, before, after) if isinstance(base, ModelSimulation) else {},
+    )
 
 
 def rollouts(
     flights: Sequence[Flight], before: Sequence[Simulation], after: Sequence[Simulation]
-) -> dict[str, Any]:
+) -> Rollouts:
     """Errors of roll-outs before, after, and with the measured wrench, over all flights."""
-    done = {
-        "before": [rollout(flight, simulation) for flight, simulation in zip(flights, before, strict=True)],
-        "after": [rollout(flight, simulation) for flight, simulation in zip(flights, after, strict=True)],
-        "floor": [
-            rollout_floor(flight, simulation.vehicle)
-            for flight, simulation in zip(flights, after, strict=True)
-        ],
-    }
-    starts = [error.starts for error in done["before"]]
-    return {
-        "horizon_s": HORIZON_S,
-        "starts": sum(starts),
-        **{
-            name: {
-                when: float(
-                    np.sqrt(np.average(np.square([getattr(e, name) for e in errors]), weights=starts))
-                )
-                for when, errors in done.items()
-            }
+    first = [rollout(flight, simulation) for flight, simulation in zip(flights, before, strict=True)]
+    then = [rollout(flight, simulation) for flight, simulation in zip(flights, after, strict=True)]
+    floor = [
+        rollout_floor(flight, simulation.vehicle) for flight, simulation in zip(flights, after, strict=True)
+    ]
+    starts = [error.starts for error in first]
+
+    def rms(errors: Sequence[RolloutError], name: str) -> float:
+        return float(np.sqrt(np.average(np.square([getattr(e, name) for e in errors]), weights=starts)))
+
+    return Rollouts(
+        horizon_s=HORIZON_S,
+        starts=sum(starts),
+        errors={
+            name: BeforeAfter(rms(first, name), rms(then, name), rms(floor, name))
             for name in RolloutError._fields
             if name != "starts"
         },
-    }
+    )
 
 
 def closed_loops(
     flights: Sequence[Flight], before: Simulation, after: Sequence[AugmentedSimulation]
-) -> dict[str, Any]:
+) -> ClosedLoops:
     """References of flights flown again by the simulation, before and after, beside the measured flights.
 
     Only flights of quadpi's own simulation hold their reference; what a controller was to do in others
-    is not known. `floor` is what the estimator got wrong, where the bag holds the truth. `missing` says why
-    nothing was flown, `lost` which flights got out of control.
+    is not known. The floor is the error of the estimator, where the bag holds the truth.
     """
     base = before.base if isinstance(before, AugmentedSimulation) else before
     if not isinstance(base, VehicleSimulation):
-        return {"flights": 0, "missing": _NO_VEHICLE}
+        return ClosedLoops(0, missing=_NO_VEHICLE)
     plans = [_plan(flight) for flight in flights]
     if not any(plans):
-        return {"flights": 0, "missing": _NO_REFERENCE}
+        return ClosedLoops(0, missing=_NO_REFERENCE)
     nominal = SimulatedVehicle.load(base.vehicle_file)
     sums, samples, lost = {when: np.zeros(len(_FLOWN)) for when in ("before", "after", "floor")}, 0, []
     flown = 0
@@ -155,17 +154,18 @@ def closed_loops(
             sums[when] += squares
         samples += count
         flown += 1
-    result: dict[str, Any] = {"flights": flown, "lost": lost}
     if not flown:
-        return result
+        return ClosedLoops(0, lost=tuple(lost))
     rms = {when: np.sqrt(total / samples) for when, total in sums.items()}
+    errors = {
+        name: BeforeAfter(**{when: float(values[index]) for when, values in rms.items()})
+        for index, name in enumerate(_FLOWN)
+    }
     shares = []
-    for index, name in enumerate(_FLOWN):
-        result[name] = {when: float(values[index]) for when, values in rms.items()}
-        removable = _beyond(result[name]["before"], result[name]["floor"])
-        kept = _beyond(result[name]["after"], result[name]["floor"])
+    for own in errors.values():
+        removable, kept = _beyond(own.before, own.floor), _beyond(own.after, own.floor)
         shares.append(1.0 - kept / removable if removable > 0.0 else 0.0)
-    return {**result, "reduction": float(np.mean(shares))}
+    return ClosedLoops(flown, lost=tuple(lost), errors=errors, reduction=float(np.mean(shares)))
 
 
 def _beyond(rms: float, floor: float) -> float:
@@ -211,7 +211,7 @@ def _true_track(flight: Flight) -> Track:
 
 def coverages(
     flights: Sequence[Flight], model: ModelSimulation, before: Simulation, after: Iterable[Simulation]
-) -> dict[str, Any]:
+) -> dict[str, Coverage]:
     """Share of samples in the intervals of a model, per axis: about its predictions, and those after."""
     inside = {"before": np.zeros(len(AXES)), "after": np.zeros(len(AXES))}
     samples = 0
@@ -224,6 +224,6 @@ def coverages(
             inside[when] += held.sum(axis=0)
         samples += len(flight)
     return {
-        axis: {when: float(count[index]) / samples for when, count in inside.items()}
+        axis: Coverage(**{when: float(count[index]) / samples for when, count in inside.items()})
         for index, axis in enumerate(AXES)
     }

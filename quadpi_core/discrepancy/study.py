@@ -4,67 +4,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadpi_core import __version__
-from quadpi_core.discrepancy.by_condition import Where, locate
-from quadpi_core.discrepancy.discovery import Discovery, discover, require_flights
-from quadpi_core.discrepancy.excitation import require_excitation
+import numpy as np
+
+from quadpi_core.discrepancy.by_condition import locate
+from quadpi_core.discrepancy.discovery import discover, require_flights
+from quadpi_core.discrepancy.discrepancy_result import Study
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.simulations import Simulation
+from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import Flight
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.identification.prepared_flights import read_flight
+from quadpi_core.inputs import relative_to_air
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.parallel import map_files
+from quadpi_core.vehicle import Vehicle
 
-
-@dataclass(frozen=True)
-class Study:
-    """A simulation beside flights.
-
-    Attributes:
-        simulation: that was compared.
-        flights: in the air.
-        discovery: what is missing.
-        where: it shows.
-        not_flown: manoeuvres that no flight holds.
-        seed: of all draws.
-        flown_again: the gap in roll-outs and closed loop, see
-            :func:`quadpi_core.discrepancy.reflight.reflights`; empty where nothing was added.
-    """
-
-    simulation: Simulation
-    flights: tuple[Flight, ...]
-    discovery: Discovery
-    where: Where
-    not_flown: tuple[str, ...]
-    seed: int
-    flown_again: Mapping[str, Any]
-
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON can hold it."""
-        return {
-            "quadpi_version": __version__,
-            "simulation": self.simulation.name,
-            "code": self.simulation.code or None,
-            "vehicle": self.simulation.vehicle.name,
-            "seed": self.seed,
-            "flights": {
-                flight.name: {
-                    "duration_s": float(flight.time[-1] - flight.time[0]),
-                    "data_quality": flight.quality.to_json(),
-                }
-                for flight in self.flights
-            },
-            **self.discovery.as_dict(),
-            **self.where.as_dict(),
-            **self.flown_again,
-            "not_flown": list(self.not_flown),
-        }
+# Airspeeds in induced velocities of hover, about half of which a gentle manoeuvre of any vehicle reaches.
+_SPEED, _CLIMB = 0.25, 0.12
+_RATE_RAD_S = 0.6
+_HEADING_RAD = 0.8
+_LOAD = 0.15
+_STUCK_RAD_S = 1e-3
+# Of samples: what lies beyond is taken for noise.
+_TAIL = 0.01
 
 
 def read_flights(
@@ -135,5 +103,62 @@ def study(
         where=locate(discovery.found, seed),
         not_flown=missing,
         seed=seed,
-        flown_again=reflights(discovery) if discovery.effects else {},
+        flown_again=reflights(discovery) if discovery.effects else None,
     )
+
+
+def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str, ...]:
+    """Manoeuvres that no flight holds, as a pilot would be told them; refuse flights that hold none of all.
+
+    Raises:
+        DiscrepancyError: for hover alone, naming what is missing; and naming the file, for rotor speeds that
+            do not change, as a sensor that is stuck or a log that was filled in has them.
+    """
+    for flight in flights:
+        stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < _STUCK_RAD_S)
+        if len(stuck):
+            raise DiscrepancyError(
+                f"{flight.source}: topic rotor_speeds: rotor {stuck[0] + 1} has the same speed throughout, "
+                f"{flight.rotor_speeds[0, stuck[0]]:.4g} rad/s; speeds as measured are needed"
+            )
+    flown = _flown(flights, vehicle)
+    missing = tuple(name for name, there in flown.items() if not there)
+    if len(missing) == len(flown):
+        raise DiscrepancyError(
+            f"{', '.join(flight.name for flight in flights)}: nothing but hover, in which effects look "
+            f"alike; fly {', '.join(missing)}"
+        )
+    return missing
+
+
+def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
+    """Whether any flight holds a manoeuvre, by its name."""
+    induced = vehicle.hover_induced_velocity
+    velocity = [relative_to_air(flight.velocity, flight.attitude, flight.wind) for flight in flights]
+    rates = [flight.rates for flight in flights]
+    loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]
+    return {
+        "forward and backward flight": _largest([own[:, 0] for own in velocity]) > _SPEED * induced,
+        "sideways flight": _largest([own[:, 1] for own in velocity]) > _SPEED * induced,
+        "climb and descent": _largest([own[:, 2] for own in velocity]) > _CLIMB * induced,
+        "throttle steps": max(_extent(load) / float(load.mean()) for load in loads) > _LOAD,
+        "roll doublets": _largest([own[:, 0] for own in rates]) > _RATE_RAD_S,
+        "pitch doublets": _largest([own[:, 1] for own in rates]) > _RATE_RAD_S,
+        "yaw doublets": _largest([own[:, 2] for own in rates]) > _RATE_RAD_S,
+        "turns of the heading": max(_extent(_heading(flight)) for flight in flights) > _HEADING_RAD,
+    }
+
+
+def _largest(columns: Sequence[Array]) -> float:
+    return float(np.quantile(np.abs(np.concatenate(columns)), 1.0 - _TAIL))
+
+
+def _extent(values: Array) -> float:
+    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
+    return float(high - low)
+
+
+def _heading(flight: Flight) -> Array:
+    ahead = rotation_matrix(flight.attitude)[:, :2, 0]
+    heading: Array = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return heading

@@ -12,7 +12,7 @@ from plotly.subplots import make_subplots
 
 from quadpi_core.discrepancy.by_condition import WORDS, Profile
 from quadpi_core.discrepancy.closure import Gap
-from quadpi_core.discrepancy.residuals import Residual
+from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array

@@ -13,8 +13,7 @@ import numpy as np
 from latex2mathml.converter import convert as mathml
 
 from quadpi_core.discrepancy.by_condition import Segment
-from quadpi_core.discrepancy.discovery import FoundEffect
-from quadpi_core.discrepancy.study import Study
+from quadpi_core.discrepancy.discrepancy_result import FoundEffect, Study
 from quadpi_core.flight import AXES
 from quadpi_core.report import discrepancy_text as text
 from quadpi_core.report.decimation import bins_within
@@ -190,8 +189,8 @@ def _flown(study: Study) -> str:
     head = f'<tr><th></th><th class="text"></th>{cells("th", ("before", "after", "floor"))}</tr>'
     rows = [
         f'<td>{escape(kind)}</td><td class="text">{escape(name)}</td>'
-        + cells("td", (number(values[when]) for when in ("before", "after", "floor")))
-        for kind, name, values in text.flown_again(study)
+        + cells("td", (number(own) for own in (error.before, error.after, error.floor)))
+        for kind, name, error in text.flown_again(study)
     ]
     note = text.flown_note(study)
     return section(

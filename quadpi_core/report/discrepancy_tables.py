@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from quadpi_core.discrepancy.by_condition import Range
-from quadpi_core.discrepancy.study import Study
+from quadpi_core.discrepancy.discrepancy_result import Study
 from quadpi_core.flight import AXES
 from quadpi_core.report import discrepancy_text as text
 from quadpi_core.report.style import number, percent
@@ -80,8 +80,8 @@ def _flown(study: Study) -> Table:
     table.add_column("")
     for heading in ("before", "after", "floor"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for kind, name, values in text.flown_again(study):
-        table.add_row(kind, Text(name), *(number(values[when]) for when in ("before", "after", "floor")))
+    for kind, name, error in text.flown_again(study):
+        table.add_row(kind, Text(name), *(number(own) for own in (error.before, error.after, error.floor)))
     return table
 
 

@@ -6,8 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from quadpi_core.discrepancy.discovery import Discovery, FoundEffect, FoundParameter
-from quadpi_core.discrepancy.study import Study
+from quadpi_core.discrepancy.discrepancy_result import (
+    BeforeAfter,
+    Discovery,
+    FoundEffect,
+    FoundParameter,
+    Study,
+)
 from quadpi_core.flight import AXES
 from quadpi_core.report.style import number, percent
 
@@ -102,23 +107,27 @@ def removable(discovery: Discovery) -> list[float | None]:
     return shares
 
 
-def flown_again(study: Study) -> list[tuple[str, str, dict[str, float]]]:
-    """What was flown again: kind of flight, quantity with its unit, values before, after and floor."""
-    rows = []
-    rollout, loop = study.flown_again.get("rollout", {}), study.flown_again.get("closed_loop", {})
-    for kind, result in ((f"roll-out, {rollout.get('horizon_s', 0.0):g} s", rollout), ("closed loop", loop)):
-        rows += [(kind, name, result[key]) for key, name in _FLOWN.items() if key in result]
-    return rows
+def flown_again(study: Study) -> list[tuple[str, str, BeforeAfter]]:
+    """What was flown again: kind of flight, quantity with its unit, errors before, after and floor."""
+    if study.flown_again is None:
+        return []
+    rollout, loop = study.flown_again.rollout, study.flown_again.closed_loop
+    kinds = ((f"roll-out, {rollout.horizon_s:g} s", rollout.errors), ("closed loop", loop.errors))
+    return [
+        (kind, name, errors[key]) for kind, errors in kinds for key, name in _FLOWN.items() if key in errors
+    ]
 
 
 def flown_note(study: Study) -> str:
     """What could not be flown again, and how often intervals hold the measurement; empty for nothing."""
-    loop, coverage = study.flown_again.get("closed_loop", {}), study.flown_again.get("coverage", {})
-    notes = [f"Closed loop: {loop['missing']}."] if "missing" in loop else []
-    notes += [f"Lost: {text}." for text in loop.get("lost", ())]
+    if study.flown_again is None:
+        return ""
+    loop, coverage = study.flown_again.closed_loop, study.flown_again.coverage
+    notes = [f"Closed loop: {loop.missing}."] if loop.missing else []
+    notes += [f"Lost: {text}." for text in loop.lost]
     if coverage:
         shares = ", ".join(
-            f"{axis} {percent(own['before'])} → {percent(own['after'])}" for axis, own in coverage.items()
+            f"{axis} {percent(own.before)} → {percent(own.after)}" for axis, own in coverage.items()
         )
         notes.append(f"Coverage of the model's intervals: {shares}.")
     return " ".join(notes)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import VehicleSimulation
-from quadpi_core.discrepancy.study import Study, study
+from quadpi_core.discrepancy.discrepancy_result import Study
+from quadpi_core.discrepancy.study import study
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight

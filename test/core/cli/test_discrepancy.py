@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.excitation import require_excitation
+from quadpi_core.discrepancy.study import require_excitation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.logs import read_recording

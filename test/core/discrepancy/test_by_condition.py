@@ -11,8 +11,15 @@ from scipy.signal import lfilter
 from quadpi_core.discrepancy.by_condition import Range, locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.residual_bins import Cells, against_draws
-from quadpi_core.discrepancy.residuals import most_off, over_time, places, residuals, within_tolerance
+from quadpi_core.discrepancy.residual_bins import (
+    Cells,
+    against_draws,
+    most_off,
+    over_time,
+    places,
+    residuals,
+    within_tolerance,
+)
 from quadpi_core.discrepancy.search import search
 from quadpi_core.discrepancy.whitening import spectrum
 from quadpi_core.flight import AXES

@@ -17,6 +17,7 @@ from quadpi_core.discrepancy import (
     discover,
     load_simulation,
 )
+from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.effect_sets import augmented, merged, write_addition
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.signals.wrench import measured_wrench
@@ -81,7 +82,7 @@ def test_a_law_that_flights_shape(flown, tmp_path):
     (effect,) = found.effects
     assert effect.name == "inflow_damping"
     assert effect.shape["shape_speed"] < -0.1
-    assert found.as_dict()["effects"][0]["shape"] == effect.shape
+    assert discovery_json(found)["effects"][0]["shape"] == effect.shape
     path, text, code = write_addition(found, tmp_path)
     simulation = load_simulation(str(path))
     bare = {p.name: p.value for p in effect.parameters}

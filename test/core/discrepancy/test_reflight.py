@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import AugmentedSimulation, discover, load_simulation
+from quadpi_core.discrepancy.discrepancy_result import reflights_json
 from quadpi_core.discrepancy.reflight import Track, coverages, fly_again, reflights
 from quadpi_core.discrepancy.rollout import rollout, rollout_floor
 from quadpi_core.errors import DiscrepancyError
@@ -110,7 +111,7 @@ def test_flights_of_bags_are_flown_again(quadpi, tmp_path):
         fuse_airborne(read_recording(tmp_path / f"{name}.mcap", vehicle), vehicle, 30.0) for name in names
     ]
     found = discover(load_simulation("bebop2"), flights, names=("inflow_damping", "cg_offset"))
-    result = reflights(found)
+    result = reflights_json(reflights(found))
     loop = result["closed_loop"]
     assert loop["flights"] == 3
     assert loop["lost"] == []
@@ -124,7 +125,7 @@ def test_flights_of_bags_are_flown_again(quadpi, tmp_path):
 def test_flights_without_a_reference_are_not_flown_again(flown):
     hidden = flown("inflow_damping:damping_n_s_m=0.2")
     found = discover(load_simulation("bebop2"), hidden, names=("inflow_damping",))
-    assert reflights(found)["closed_loop"] == {
+    assert reflights_json(reflights(found))["closed_loop"] == {
         "flights": 0,
         "missing": "the bags hold no reference that the simulation could fly again",
     }
@@ -146,5 +147,5 @@ def test_coverage_before_and_after(truth):
     found = coverages([truth], Interval(), Interval(), [good])
     assert set(found) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
     for axis in found.values():
-        assert axis["before"] == 0.0
-        assert axis["after"] > 0.95
+        assert axis.before == 0.0
+        assert axis.after > 0.95

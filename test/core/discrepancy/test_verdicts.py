@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
+from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import _without_idle
 from quadpi_core.errors import DiscrepancyError
@@ -86,7 +87,7 @@ def test_effects_that_look_alike_are_one_set(simulation, flights, pushed):
     (effect,) = found.effects
     assert {"payload", "thrust_coefficient"} <= {effect.name, *effect.rivals}
     assert effect.probability < 0.9
-    assert found.as_dict()["ambiguous"] == [[effect.name, *effect.rivals]]
+    assert discovery_json(found)["ambiguous"] == [[effect.name, *effect.rivals]]
     assert len(effect.shown_by) > 1
 
 

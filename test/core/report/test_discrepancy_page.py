@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from quadpi_core.discrepancy.residuals import Residual
-from quadpi_core.discrepancy.simulations import CallableSimulation
+from quadpi_core.discrepancy.callable_simulation import CallableSimulation
+from quadpi_core.discrepancy.discrepancy_result import study_json
+from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.report.discrepancy_figures import mean_map
 from quadpi_core.report.discrepancy_page import write_discrepancy_page
 from quadpi_core.report.discrepancy_tables import discrepancy_tables
@@ -52,8 +53,8 @@ def test_code_that_ran_is_named(found, read_page, tmp_path):
     console.print(discrepancy_tables(study))
     assert f"Code that ran: {code}." in console.file.getvalue()
     assert code in read_page(tmp_path / "page.html").text
-    assert study.as_dict()["code"] == code
-    assert found.as_dict()["code"] is None
+    assert study_json(study)["code"] == code
+    assert study_json(found)["code"] is None
 
 
 def test_figures_of_every_flight(page_file, read_page, found):

@@ -13,6 +13,7 @@ import numpy as np
 
 from blind.cases import Case, noise_alone
 from quadpi_core.discrepancy import Simulation, discover
+from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.effect_sets import augmented
 from quadpi_core.errors import one_line
 from quadpi_core.flight import Flight
@@ -27,7 +28,7 @@ def searched(shared: None, case: Case) -> dict[str, Any]:  # noqa: ARG001
     left = None
     try:
         discovery = discover(simulation, flights, seed=0)
-        result = discovery.as_dict()
+        result = discovery_json(discovery)
         if result["verdict"] == "effects" and checks:
             left = gap_left(simulation, augmented(discovery), checks, _floor())
     except Exception as error:

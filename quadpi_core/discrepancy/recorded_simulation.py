@@ -11,12 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.simulations.simulation_base import (
-    Column,
-    Simulation,
-    Tolerances,
-    read_tolerances,
-)
+from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, read_tolerances
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps, WrenchStream
 from quadpi_core.frames import Array

@@ -1,0 +1,245 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a study of a simulation against flights gives, as types, and the JSON made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from quadpi_core import __version__
+from quadpi_core.discrepancy.by_condition import Where
+from quadpi_core.discrepancy.closure import Gap
+from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.simulations import Simulation
+from quadpi_core.flight import AXES, Flight
+
+
+@dataclass(frozen=True)
+class FoundParameter:
+    """A parameter of an effect, with the 95 % interval of its posterior."""
+
+    name: str
+    unit: str
+    value: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that was named.
+
+    Attributes:
+        name: in the registry.
+        probability: against every other effect in its place, and none.
+        parameters: all that the effect takes.
+        shape: by which flights shape its law, see `simulation.effect_definition.SHAPE`; empty for the law
+            itself.
+        axes: in which it shows.
+        rivals: effects that do about as well in its place.
+        shown_by: what to fly to tell them apart.
+    """
+
+    name: str
+    probability: float
+    parameters: tuple[FoundParameter, ...]
+    shape: Mapping[str, float]
+    axes: tuple[str, ...]
+    rivals: tuple[str, ...]
+    shown_by: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """What is missing in a simulation.
+
+    Attributes:
+        verdict: "none", "effects" or "unknown".
+        effects: that were named, largest first.
+        unexplained: share of the discrepancy that can be predicted but has no name, of all axes together or
+            of a loud axis.
+        unexplained_by: per axis that matters, what predicts it.
+        gap: before and after.
+        found: the search behind it.
+    """
+
+    verdict: str
+    effects: tuple[FoundEffect, ...]
+    unexplained: float
+    unexplained_by: Mapping[str, list[str]]
+    gap: Gap
+    found: Found
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """A root-mean-square error without and with the effects.
+
+    Attributes:
+        before: of the simulation as it was.
+        after: with the effects.
+        floor: what no simulation can be below: the error of sensors and estimator.
+    """
+
+    before: float
+    after: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Errors of open-loop roll-outs at their horizon.
+
+    Attributes:
+        horizon_s: of each.
+        starts: number of roll-outs.
+        errors: by quantity, with its unit in the name.
+    """
+
+    horizon_s: float
+    starts: int
+    errors: Mapping[str, BeforeAfter]
+
+
+@dataclass(frozen=True)
+class ClosedLoops:
+    """References of flights flown again by the simulation, against the measured flights.
+
+    Attributes:
+        flights: number that was flown again.
+        missing: why none could be; empty where some could.
+        lost: of each flight that got out of control, why.
+        errors: by quantity, with its unit in the name.
+        reduction: share of the removable error that the effects take away; None without flights.
+    """
+
+    flights: int
+    missing: str = ""
+    lost: tuple[str, ...] = ()
+    errors: Mapping[str, BeforeAfter] = field(default_factory=dict)
+    reduction: float | None = None
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Share of samples inside the intervals of a model, without and with the effects in its predictions."""
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Reflights:
+    """The gap in flight.
+
+    Attributes:
+        rollout: open loop.
+        closed_loop: with a controller.
+        coverage: by axis, of a model with intervals; empty for any other simulation.
+    """
+
+    rollout: Rollouts
+    closed_loop: ClosedLoops
+    coverage: Mapping[str, Coverage]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A simulation beside flights.
+
+    Attributes:
+        simulation: that was compared.
+        flights: in the air.
+        discovery: what is missing.
+        where: it shows.
+        not_flown: manoeuvres that no flight holds.
+        seed: of all draws.
+        flown_again: the gap in roll-outs and closed loop; None where no effect was named.
+    """
+
+    simulation: Simulation
+    flights: tuple[Flight, ...]
+    discovery: Discovery
+    where: Where
+    not_flown: tuple[str, ...]
+    seed: int
+    flown_again: Reflights | None
+
+
+def study_json(study: Study) -> dict[str, Any]:
+    """A study as JSON holds it."""
+    return {
+        "quadpi_version": __version__,
+        "simulation": study.simulation.name,
+        "code": study.simulation.code or None,
+        "vehicle": study.simulation.vehicle.name,
+        "seed": study.seed,
+        "flights": {
+            flight.name: {
+                "duration_s": float(flight.time[-1] - flight.time[0]),
+                "data_quality": flight.quality.to_json(),
+            }
+            for flight in study.flights
+        },
+        **discovery_json(study.discovery),
+        "where": [vars(part) | {"text": part.text} for part in study.where.ranges],
+        "segments": [vars(segment) for segment in study.where.segments],
+        **(reflights_json(study.flown_again) if study.flown_again else {}),
+        "not_flown": list(study.not_flown),
+    }
+
+
+def discovery_json(discovery: Discovery) -> dict[str, Any]:
+    """What is missing, as JSON holds it."""
+    gap = discovery.gap
+    return {
+        "verdict": discovery.verdict,
+        "effects": [
+            {
+                "name": effect.name,
+                "probability": effect.probability,
+                "parameters": {
+                    p.name: {"value": p.value, "lower": p.lower, "upper": p.upper, "unit": p.unit}
+                    for p in effect.parameters
+                },
+                "shape": dict(effect.shape),
+                "axes": list(effect.axes),
+                "shown_by": list(effect.shown_by),
+            }
+            for effect in discovery.effects
+        ],
+        "ambiguous": [[effect.name, *effect.rivals] for effect in discovery.effects if effect.rivals],
+        "gap": {
+            **{
+                axis: {"before": float(before), "after": float(after), "floor": float(floor)}
+                for axis, before, after, floor in zip(AXES, gap.before, gap.after, gap.floor, strict=True)
+            },
+            "reduction": gap.reduction,
+        },
+        "unexplained": {"share": discovery.unexplained, "by": dict(discovery.unexplained_by)},
+    }
+
+
+def reflights_json(flown: Reflights) -> dict[str, Any]:
+    """The gap in flight, as JSON holds it."""
+    rollout, loop = flown.rollout, flown.closed_loop
+    coverage = {axis: asdict(own) for axis, own in flown.coverage.items()}
+    closed: dict[str, Any] = {"flights": loop.flights}
+    if loop.missing:
+        closed["missing"] = loop.missing
+    else:
+        closed["lost"] = list(loop.lost)
+        closed |= {name: asdict(error) for name, error in loop.errors.items()}
+    if loop.reduction is not None:
+        closed["reduction"] = loop.reduction
+    return {
+        "rollout": {
+            "horizon_s": rollout.horizon_s,
+            "starts": rollout.starts,
+            **{name: asdict(error) for name, error in rollout.errors.items()},
+        },
+        "closed_loop": closed,
+        **({"coverage": coverage} if coverage else {}),
+    }
