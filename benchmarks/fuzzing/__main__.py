@@ -175,7 +175,7 @@ class Run:
         self.peak = max(self.peak, peak)
         if done < batch.count:
             self._work.append(batch._replace(first=batch.first + done, count=batch.count - done))
-        if not worker.process.is_alive() or peak > MEMORY_MAX:
+        if not worker.process.is_alive() or kinds["memory"]:
             worker.close()
             workers[workers.index(worker)] = worker = Worker()
         self._next(worker)
@@ -218,7 +218,7 @@ def warm_up() -> None:
             for number in range(4):
                 judge(form, make(form, 0, number), number, Path(folder))
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    resource.setrlimit(resource.RLIMIT_AS, (size + 6 * MEMORY_MAX, resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_AS, (size + 12 * MEMORY_MAX, resource.RLIM_INFINITY))
 
 
 def main() -> int:

@@ -13,9 +13,10 @@ from typing import NamedTuple
 from benchmarks.fuzzing.formats import FORMATS, Finding, Format
 from quadpi_core.errors import QuadpiError
 
-# What a case may take; a kill by SIGPROF is a hang.
+# Processor time of a case, beyond which SIGPROF ends its process: a hang.
 SECONDS_MAX = 5.0
-MEMORY_MAX = 2**30
+# By how much a case, whose files are of a few kilobytes, may raise the peak memory of its process.
+MEMORY_MAX = 512 * 2**20
 
 
 class Outcome(NamedTuple):
@@ -45,6 +46,7 @@ def judge(form: Format, data: bytes, number: int, folder: Path) -> Outcome:
     """Read damaged bytes from a file in a folder, and say what came of it."""
     path = folder / f"case{form.suffix}"
     path.write_bytes(data)
+    peak_before = peak_bytes()
     try:
         form.read(path, number)
     except QuadpiError as error:
@@ -60,19 +62,18 @@ def judge(form: Format, data: bytes, number: int, folder: Path) -> Outcome:
     except Exception as error:  # what is looked for
         return Outcome("traceback", _place(error))
     else:
-        return _within_memory("read")
-    return _within_memory("refused")
+        return _within_memory("read", peak_before)
+    return _within_memory("refused", peak_before)
 
 
 def peak_bytes() -> int:
-    """Memory that this process had at most."""
+    """Peak memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _within_memory(kind: str) -> Outcome:
-    return (
-        Outcome("memory", f"{peak_bytes() / 2**20:.0f} MiB") if peak_bytes() > MEMORY_MAX else Outcome(kind)
-    )
+def _within_memory(kind: str, peak_before: int) -> Outcome:
+    grown = peak_bytes() - peak_before
+    return Outcome("memory", f"{grown / 2**20:.0f} MiB") if grown > MEMORY_MAX else Outcome(kind)
 
 
 def _place(error: BaseException) -> str:

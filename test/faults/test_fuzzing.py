@@ -24,6 +24,7 @@ ROOT = Path(__file__).parents[2]
 CORPUS = sorted((Path(__file__).parent / "corpus").iterdir())
 
 
+@pytest.mark.slow
 def test_a_few_cases_of_every_format():
     command = (sys.executable, "-m", "benchmarks.fuzzing", "--cases", "1500", "--workers", "1")
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,12 +16,13 @@ from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.logs.inspect import inspect_recording
+from quadpi_core.paths import bags_directory
 from quadpi_core.screening.consistency import checked, findings
 from quadpi_core.screening.excerpt import WINDOWS, excerpt
 from quadpi_core.vehicle import Vehicle
 from test.core.mistakes import MISTAKES
 
-BAGS = Path(__file__).parents[2] / "bags"
+BAGS = bags_directory()
 RECORDINGS = ("train_2", "train_4")
 # Files of each real data set, and the vehicle and mapping that they take.
 REAL = {

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from quadpi_core.flight import ImuStream, Recording
 from quadpi_core.logs import read_recording
+from quadpi_core.paths import bags_directory
 from quadpi_core.screening.first_seconds import (
     MOVES_RAD_S,
     STRETCH_S,
@@ -21,7 +21,7 @@ from quadpi_core.screening.first_seconds import (
 from quadpi_core.vehicle import Vehicle
 from test.core.mistakes import MISTAKES
 
-BAGS = Path(__file__).parents[2] / "bags"
+BAGS = bags_directory()
 
 
 @pytest.fixture(scope="module")
