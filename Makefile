@@ -16,14 +16,14 @@ help: ## list these targets
 demo: environment ## identify, predict, replay through live nodes, report (DEMO_ARGS="--data FOLDER --rate 4")
 	@$(BIN)/quadpi demo $(DEMO_ARGS)
 
-# The tests that a target selects: all of its marker by two or more workers, live nodes last, each worker in a
-# ROS domain of its own; or, with TEST_ARGS, those that it names, in one process.
+# The tests of one marker: on all cores, then those of live nodes, which wait more than they compute, by three
+# workers, each in a ROS domain of its own. With TEST_ARGS, those that it names, in one process.
 define run_tests
 @sh tools/bootstrap.sh --train
 $(if $(TEST_ARGS),\
     @$(BIN)/python -m pytest -m "$(1)" $(TEST_ARGS),\
     @OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "$(1)" --numprocesses auto --dist worksteal --ignore test/ros
-    @$(BIN)/python -m pytest -m "$(1)" --numprocesses 2 --dist loadfile test/ros)
+    @$(BIN)/python -m pytest -m "$(1)" --numprocesses 3 --dist loadfile test/ros)
 endef
 
 test: ## the fast tests, live nodes included (TEST_ARGS="-k intervals -x" for some)

@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import os
-import secrets
+import random
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -19,8 +20,10 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.scratch import MADE, scratch_folder
 
 _STOP_TIMEOUT_S = 5.0
-# Above, the ports of a domain meet the ephemeral ports of Linux.
-_DOMAIN_MAX = 101
+# The domains that ROS's `domain_coordinator` gives to tests, and the port that reserves the domain before the
+# first: who holds port _DOMAIN_PORT + n owns domain n. The DDS ports of domains above 101 are ephemeral ones.
+_DOMAINS = range(1, 101)
+_DOMAIN_PORT = 32768
 
 
 class ChildError(QuadpiError):
@@ -81,16 +84,16 @@ class Child:
 
 @contextmanager
 def isolated_domain() -> Iterator[Path]:
-    """A scratch folder, and a ROS domain of its own on this machine for this process and its children.
+    """A scratch folder, and a ROS domain that nobody else has, for this process and its children.
 
     SIGTERM unwinds the stack within, as Ctrl-C does, so that the blocks of the children end.
     """
     before = dict(os.environ)
-    with scratch_folder() as scratch, _unwinding_on_sigterm():
+    with scratch_folder() as scratch, _unwinding_on_sigterm(), _reserved_domain() as domain:
         folder = scratch / MADE
         os.environ |= {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_DOMAIN_ID": str(1 + secrets.randbelow(_DOMAIN_MAX)),
+            "ROS_DOMAIN_ID": str(domain),
             "ROS_LOG_DIR": str(folder),
             # A second thread of a linear-algebra library costs more than it brings for one sample.
             "OMP_NUM_THREADS": "1",
@@ -100,6 +103,24 @@ def isolated_domain() -> Iterator[Path]:
         finally:
             os.environ.clear()
             os.environ.update(before)
+
+
+@contextmanager
+def _reserved_domain() -> Iterator[int]:
+    """A ROS domain that no other process on this machine has reserved in the same way.
+
+    Raises:
+        ChildError: if none is free.
+    """
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        with socket.socket() as reservation:
+            try:
+                reservation.bind(("", _DOMAIN_PORT + domain))
+            except OSError:
+                continue
+            yield domain
+            return
+    raise ChildError("every ROS domain of this machine is taken")
 
 
 @contextmanager

@@ -29,6 +29,7 @@ from rich.console import Console
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.fuzzing import flight_logs
+from benchmarks.fuzzing.message_readers import UNPACKERS, sound_message
 from benchmarks.fuzzing.mutation import Split, change_bytes, mutate, mutate_json, mutate_text
 from quadpi_core import cli
 from quadpi_core.discrepancy.loading import load_simulation
@@ -40,9 +41,9 @@ from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
 from quadpi_core.logs.mcap import CHUNK, MAGIC, METADATA, SCHEMA, find_records
 from quadpi_core.logs.unpacking import unlz4
-from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import AdapterSettings
-from quadpi_core.messages.definitions import codec, typestore
+from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models import AerodynamicModel, load_pools
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
@@ -263,36 +264,11 @@ def _pages(data: bytes) -> list[bytes]:
 
 @cache
 def _message_seeds() -> dict[str, bytes]:
-    return {type_name: _sound(type_name) for type_name in _UNPACKERS}
-
-
-def _sound(type_name: str) -> bytes:
-    columns = {
-        field.name: "map" if field.format == "string" else ("mu_x", "u") if field.format == "strings" else 0
-        for field in codec(type_name)._fields
-    }
-    if type_name in {sensor_messages.POSE, sensor_messages.ODOMETRY}:
-        columns[next(name for name in columns if name.endswith("orientation"))] = [0.0, 0.0, 0.0, 1.0]
-    return codec(type_name).encode(1, columns)[0]
-
-
-_UNPACKERS: dict[str, Callable[[Any], object]] = {
-    sensor_messages.IMU: sensor_messages.unpack_imu,
-    sensor_messages.POSE: sensor_messages.unpack_pose,
-    sensor_messages.ODOMETRY: sensor_messages.unpack_odometry,
-    sensor_messages.TWIST: sensor_messages.unpack_twist,
-    sensor_messages.WIND: sensor_messages.unpack_wind,
-    sensor_messages.ROTOR_SPEEDS: sensor_messages.unpack_rotor_speeds,
-    sensor_messages.ERPM: lambda payloads: sensor_messages.unpack_erpm(payloads, _vehicle()),
-    sensor_messages.PREDICTION: result_messages.unpack_predictions,
-    sensor_messages.ALARM: result_messages.unpack_alarms,
-    sensor_messages.EVENT: result_messages.unpack_events,
-    sensor_messages.WRENCH: partial(sensor_messages.unpack_body_vectors, type_name=sensor_messages.WRENCH),
-}
+    return {type_name: sound_message(type_name) for type_name in UNPACKERS}
 
 
 def _damaged_message(rng: random.Random) -> bytes:
-    type_name = rng.choice(sorted(_UNPACKERS))
+    type_name = rng.choice(sorted(UNPACKERS))
     good = _message_seeds()[type_name]
     return type_name.encode() + b"\n" + mutate(rng, good, _words, [good])
 
@@ -304,7 +280,7 @@ def _words(data: bytes) -> list[bytes]:
 def _read_message(path: Path, number: int) -> None:
     name, _, payload = path.read_bytes().partition(b"\n")
     type_name = name.decode()
-    unpack, good = _UNPACKERS[type_name], _message_seeds()[type_name]
+    unpack, good = UNPACKERS[type_name], _message_seeds()[type_name]
     unpack(payload if number % 2 else Payloads.join([good, payload, good]))
 
 

@@ -16,9 +16,18 @@ from typing import Any
 
 Split = Callable[[bytes], list[bytes]]
 
-_WHOLE = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
+# What a length or count may claim: around the limits of each width.
+EXTREME_INTEGERS = (
+    *(0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**40),
+    *(2**63 - 1, 2**63, 2**64 - 1),
+)
 _REAL = (0.0, -0.0, 1e-320, 1e30, -1e30, 1e300, float("inf"), float("-inf"), float("nan"), 1e7, 0.1)
-_WHOLE_FORMS = ("B", "<H", "<I", "<Q", ">H", ">I", ">Q")
+_INTEGER_FORMS = ("B", "<H", "<I", "<Q", ">H", ">I", ">Q")
+# JSON values that are seldom right in the place of another.
+WRONG_VALUES: tuple[Any, ...] = (
+    *(None, True, False, "", "x", 0, -1, 1, 2**63, 10**400, -1e-300, 1e308, 0.5),
+    *([], [1.0], [[1.0]], {}, {"a": 1}, [None]),
+)
 _WORDS = (
     b"",
     b"0",
@@ -112,8 +121,8 @@ def change_bytes(rng: random.Random, data: bytes, other: bytes = b"") -> bytes:
     elif kind == 1:
         changed[place : place + length] = rng.randbytes(length)
     elif kind == 2:
-        form = rng.choice(_WHOLE_FORMS)
-        number = (rng.choice(_WHOLE) + rng.choice((0, 0, 1, -1))) % 256 ** struct.calcsize(form)
+        form = rng.choice(_INTEGER_FORMS)
+        number = (rng.choice(EXTREME_INTEGERS) + rng.choice((0, 0, 1, -1))) % 256 ** struct.calcsize(form)
         changed[place : place + struct.calcsize(form)] = struct.pack(form, number)
     elif kind == 3:
         form, number = rng.choice((("<f", rng.choice(_REAL[:4] + _REAL[6:])), ("<d", rng.choice(_REAL))))
@@ -157,28 +166,6 @@ def _change_records(
     return b"".join(records)
 
 
-_VALUES: tuple[Any, ...] = (
-    None,
-    True,
-    "",
-    "x",
-    0,
-    -1,
-    1,
-    2**63,
-    10**400,
-    -1e-300,
-    1e308,
-    0.5,
-    [],
-    [1.0],
-    [[1.0]],
-    {},
-    {"a": 1},
-    [None],
-)
-
-
 def mutate_json(rng: random.Random, content: Any) -> bytes:
     """JSON in which something is another value, absent, or there twice; or whose text was changed."""
     for _ in range(rng.choice((1, 1, 2))):
@@ -201,4 +188,4 @@ def _altered(rng: random.Random, content: Any) -> Any:
     is_number = isinstance(content, float) or (type(content) is int and abs(content) < 2**64)
     if is_number and rng.random() < 0.4:
         return content * rng.choice((-1, 0, 2, 1000, 1e200))
-    return rng.choice(_VALUES)
+    return rng.choice(WRONG_VALUES)

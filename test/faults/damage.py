@@ -13,26 +13,11 @@ from typing import Any
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
+from benchmarks.fuzzing.mutation import EXTREME_INTEGERS, WRONG_VALUES
 from quadpi_core.errors import QuadpiError
 
 # Small files: whatever takes more than this for one was told a size by the file, and believed it.
 MEMORY_MAX = 100 * 2**20
-_EXTREMES = (
-    0,
-    1,
-    2,
-    0x7F,
-    0xFF,
-    0x7FFF,
-    0xFFFF,
-    2**31 - 1,
-    2**31,
-    2**32 - 1,
-    2**40,
-    2**63 - 1,
-    2**63,
-    2**64 - 1,
-)
 
 
 def bounded(examples: int) -> Callable[[Any], Any]:
@@ -46,28 +31,7 @@ def bounded(examples: int) -> Callable[[Any], Any]:
     )
 
 
-_WRONG = st.sampled_from(
-    (
-        None,
-        True,
-        False,
-        "",
-        "x",
-        0,
-        -1,
-        1,
-        2**63,
-        -1e-300,
-        1e308,
-        0.5,
-        [],
-        [1.0],
-        [[1.0]],
-        {},
-        {"a": 1},
-        [None],
-    )
-)
+_WRONG = st.sampled_from(WRONG_VALUES)
 
 
 @st.composite
@@ -85,7 +49,9 @@ def damaged(draw: st.DrawFn, whole: bytes, changes: int = 3) -> bytes:
         elif kind == "length":
             form = draw(st.sampled_from(("<B", "<H", "<I", "<Q")))
             size = struct.calcsize(form)
-            data[place : place + size] = struct.pack(form, draw(st.sampled_from(_EXTREMES)) % 256**size)
+            data[place : place + size] = struct.pack(
+                form, draw(st.sampled_from(EXTREME_INTEGERS)) % 256**size
+            )
         elif kind == "cut":
             del data[place:]
         elif kind == "take out":

@@ -3,19 +3,17 @@
 """Bytes that are no messages: a decoder refuses them in one line that names the sample, or gives arrays."""
 
 from dataclasses import fields, is_dataclass
-from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.fuzzing.message_readers import UNPACKERS, sound_message
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
 from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
-from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.vehicle import Vehicle
 
 from ..core.messages.adapters.conftest import DEFINITIONS, PX4_1_18, Messages
 from ..core.messages.adapters.test_poses import frame, px4_odometry
@@ -23,32 +21,12 @@ from ..core.messages.adapters.test_rotor_messages import mavros_status, mavros_t
 from .damage import bounded, damaged, refusing
 
 EXAMPLES = 60
-CORE = {
-    sensor_messages.IMU: sensor_messages.unpack_imu,
-    sensor_messages.POSE: sensor_messages.unpack_pose,
-    sensor_messages.ODOMETRY: sensor_messages.unpack_odometry,
-    sensor_messages.TWIST: sensor_messages.unpack_twist,
-    sensor_messages.WIND: sensor_messages.unpack_wind,
-    sensor_messages.ROTOR_SPEEDS: sensor_messages.unpack_rotor_speeds,
-    sensor_messages.ERPM: partial(sensor_messages.unpack_erpm, vehicle=Vehicle.load("hdbeetle")),
-    sensor_messages.PREDICTION: result_messages.unpack_predictions,
-    sensor_messages.ALARM: result_messages.unpack_alarms,
+# Events come as records instead of arrays.
+READERS = UNPACKERS | {
     sensor_messages.EVENT: lambda payloads: [
         np.array([event.time_ns for event in result_messages.unpack_events(payloads)], dtype=np.int64)
-    ],
-    sensor_messages.WRENCH: partial(sensor_messages.unpack_body_vectors, type_name=sensor_messages.WRENCH),
+    ]
 }
-
-
-def sound(type_name):
-    """A message with a frame, numbers and, where there are any, texts."""
-    columns = {
-        field.name: "map" if field.format == "string" else ("mu_x", "u") if field.format == "strings" else 0
-        for field in codec(type_name)._fields
-    }
-    if type_name in {sensor_messages.POSE, sensor_messages.ODOMETRY}:
-        columns[next(name for name in columns if name.endswith("orientation"))] = [0.0, 0.0, 0.0, 1.0]
-    return codec(type_name).encode(1, columns)[0]
 
 
 def assert_arrays(stream, count):
@@ -60,9 +38,9 @@ def assert_arrays(stream, count):
     assert values[0].dtype == np.int64
 
 
-@pytest.mark.parametrize("type_name", CORE)
+@pytest.mark.parametrize("type_name", READERS)
 def test_damaged_messages(type_name):
-    good, unpack = sound(type_name), CORE[type_name]
+    good, unpack = sound_message(type_name), READERS[type_name]
     assert_arrays(unpack(good), 1)
 
     @bounded(EXAMPLES)
@@ -78,7 +56,7 @@ def test_damaged_messages(type_name):
 
 def test_every_type_of_the_project_is_here():
     known = {name for name in vars(sensor_messages).values() if isinstance(name, str) and "/msg/" in name}
-    assert {name for name in known if name.startswith("quadpi/")} <= CORE.keys()
+    assert {name for name in known if name.startswith("quadpi/")} <= READERS.keys()
 
 
 SETTINGS = AdapterSettings(
