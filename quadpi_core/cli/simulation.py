@@ -69,9 +69,8 @@ def simulate(
     from quadpi_core.config import is_config_path
     from quadpi_core.report.flight_summary import flight_json, flight_table, summarise
     from quadpi_core.report.progress import flying
-    from quadpi_core.simulation.flight_choice import choose_flights, parse_effects
     from quadpi_core.simulation.run import simulate as fly
-    from quadpi_core.simulation.scenario import load_scenario
+    from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
 
     the_scenario = load_scenario(scenario)
     plans = choose_flights(

@@ -7,25 +7,42 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config import is_config_path, nearest
+from quadpi_core.config_schema import Section, Text, Within, parse_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.callable_simulation import CallableSimulation, ModelSimulation
 from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
 from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory
-from quadpi_core.simulation.config_section import Section
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.simulated_vehicle import own_effects
 from quadpi_core.vehicle import Vehicle
 
 RECORDED = "recorded"
-_ADDITION_KEYS = ("simulation", "vehicle", "effects", "adjusted", "version")
+# A coefficient further off than this many of its tolerances is not a correction of the simulation.
+_ADJUSTED_MAX = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AdditionFile(Section):
+    """The content of an `addition.json`: effects and adjustments that a search added.
+
+    Attributes:
+        adjusted: by name of the coefficient, in multiples of its tolerance.
+        version: of quadpi that wrote the file.
+    """
+
+    simulation: Text
+    vehicle: Text | None = None
+    effects: dict[str, Any] = field(default_factory=dict)
+    adjusted: dict[str, Annotated[float, Within(-_ADJUSTED_MAX, _ADJUSTED_MAX)]] = field(default_factory=dict)
+    version: Any = None
 
 
 def load_simulation(
@@ -114,8 +131,8 @@ def _addition(
         data: Any = parse_json(read_bounded(path, JSON_BYTES_MAX))
     except (OSError, ValueError) as error:
         raise DiscrepancyError(f"{path}: not a readable JSON file: {one_line(error)}") from error
-    section = Section(data, str(path), _ADDITION_KEYS)
-    named = section.text("simulation")
+    addition = parse_config(_AdditionFile, data, str(path), DiscrepancyError)
+    named = addition.simulation
     if _names_code(named) and not allow_code:
         raise DiscrepancyError(
             f"{path}: names code to run, the function {named}: "
@@ -123,10 +140,12 @@ def _addition(
         )
     if path.resolve() in within:
         raise DiscrepancyError(f"{path}: is an addition to itself")
+    if vehicle is None and addition.vehicle is None:
+        raise DiscrepancyError(f"{path}: missing key `vehicle`")
     try:
         base = load_simulation(
             named,
-            vehicle or section.text("vehicle"),
+            vehicle or addition.vehicle,
             bags,
             allow_code=allow_code,
             within=(*within, path.resolve()),
@@ -135,16 +154,8 @@ def _addition(
         raise DiscrepancyError(f"{path}: {error}") from error
     if isinstance(base, CallableSimulation) and base.code:
         base = replace(base, code=f"{base.code}, named by {path}")
-    adjusted = section.get("adjusted", {})
-    multiples = Section(adjusted, f"{path}: adjusted", adjusted if isinstance(adjusted, dict) else ())
-    return AugmentedSimulation(
-        base,
-        read_effects(section.get("effects", {}), str(path)),
-        {name: multiples.number(name, lowest=-_MOST, highest=_MOST) for name in adjusted},
-    )
+    return AugmentedSimulation(base, read_effects(addition.effects, str(path)), addition.adjusted)
 
 
 # Bytes in the name of a file.
 _NAME_MAX = 250
-# Tolerances: what is further off is no adjustment.
-_MOST = 10.0

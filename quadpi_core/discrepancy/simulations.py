@@ -11,26 +11,30 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.config import read_config
+from quadpi_core.config_schema import Section, Share, parse_config
 from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
-from quadpi_core.simulation.config_section import Section
-from quadpi_core.simulation.rotor_local import RotorLocalCoefficients, RotorLocalModel, vehicle_record
+from quadpi_core.simulation.rotor_local import (
+    RotorLocalCoefficients,
+    RotorLocalModel,
+    read_simulation,
+    vehicle_record,
+)
 from quadpi_core.simulation.state_records import STATE
 from quadpi_core.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Tolerances:
+class Tolerances(Section):
     """One standard deviation of what a simulation is known to be uncertain in.
 
     Attributes:
@@ -40,10 +44,10 @@ class Tolerances:
         cg_m: of the centre of gravity along each axis.
     """
 
-    thrust: float = 0.01
-    coefficient: float = 0.1
-    inertia: float = 0.02
-    cg_m: float = 0.0003
+    thrust: Share = 0.01
+    coefficient: Share = 0.1
+    inertia: Share = 0.02
+    cg_m: Share = 0.0003
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -55,14 +59,11 @@ def read_tolerances(vehicle: str | Path) -> Tolerances:
     """Tolerances of a vehicle file, its mapping `simulation.tolerances`; the usual ones where it has none.
 
     Raises:
-        VehicleError: if there is no such file.
-        SimulationError: naming the file and the key that is unknown or impossible.
+        VehicleError: naming the file and the key that is unknown or impossible.
     """
-    path, data = read_config("vehicle", vehicle, VehicleError)
-    given = (data.get("simulation") or {}).get("tolerances") or {} if isinstance(data, dict) else {}
-    known = [column.name for column in fields(Tolerances)]
-    section = Section(given, f"{path}: simulation.tolerances", known)
-    return Tolerances(**{key: section.number(key, highest=1.0) for key in known if key in section})
+    path, section = read_simulation(vehicle)
+    given = {} if section.tolerances is None else section.tolerances
+    return parse_config(Tolerances, given, str(path), VehicleError, ("simulation", "tolerances"))
 
 
 class Column(NamedTuple):
@@ -171,7 +172,6 @@ class VehicleSimulation(Simulation):
 
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
-            SimulationError: likewise, of tolerances.
         """
         model, tolerances = RotorLocalModel.load(name_or_path), read_tolerances(name_or_path)
         return cls(model, tolerances, str(name_or_path))

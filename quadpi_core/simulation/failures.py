@@ -4,17 +4,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.config import nearest
+from quadpi_core.config_schema import Expected, OneOf, Real, Section, Within, unknown_key
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Stamps, Stream
 from quadpi_core.frames import Array
-from quadpi_core.simulation.config_section import Section
 from quadpi_core.vehicle import ROTORS
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
@@ -27,8 +28,8 @@ SIGNALS: dict[str, dict[str, str | None]] = {
     "wind": {"velocity": "m_s"},
 }
 _SPIKE_EVERY = 10
-# Far beyond any flight, and its nanoseconds are still whole numbers of 64 bits.
-_LONGEST_S = 1e6
+# Far beyond any flight [s], and its nanoseconds are still whole numbers of 64 bits.
+Time: TypeAlias = Annotated[float, Within(0.0, 1e6)]
 
 
 @dataclass(frozen=True)
@@ -38,45 +39,6 @@ class Sent:
     stream: Stream
     taken_ns: Stamps
     arrival_ns: Stamps
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A failure of one sensor, from `at_s` after the start of the flight on, for `for_s`.
-
-    Attributes:
-        kind: a name of :data:`KINDS`.
-        topic: of the stream that fails; `rotor_speeds` also where a bag holds `erpm`.
-        signals: the quantities of the stream that fail; none named: all.
-        rotors: the rotors that fail, from 1; none named: all.
-        size: how much is added, where the kind needs it: in the unit of the signal, or s of the stamps.
-    """
-
-    kind: str
-    topic: str
-    at_s: float
-    for_s: float
-    signals: tuple[str, ...] = ()
-    rotors: tuple[int, ...] = ()
-    size: float = 0.0
-
-    def as_dict(self) -> dict[str, Any]:
-        """The entry of a scenario file that :func:`read_faults` makes into this fault."""
-        entry: dict[str, Any] = {
-            "kind": self.kind,
-            "topic": self.topic,
-            "at_s": self.at_s,
-            "for_s": self.for_s,
-        }
-        sizes = KINDS[self.kind].sizes(self.topic)
-        if sizes:
-            own = (key for key, signal in sizes.items() if not self.signals or signal in self.signals)
-            entry[next(own)] = self.size
-        elif self.signals:
-            entry["signal"] = self.signals[0]
-        if self.rotors:
-            entry["rotors"] = list(self.rotors)
-        return entry
 
 
 @dataclass(frozen=True)
@@ -106,98 +68,6 @@ class FaultKind:
         if self.size == "signal":
             return {f"size_{unit}": signal for signal, unit in SIGNALS[topic].items() if unit}
         return {}
-
-
-def read_faults(data: Any, where: str) -> tuple[Fault, ...]:
-    """Read the list `faults` of a scenario file.
-
-    Args:
-        data: the list; None for no faults.
-        where: file and keys above, for messages.
-
-    Raises:
-        SimulationError: naming the entry and its key that is missing, unknown or impossible.
-    """
-    if data is None:
-        return ()
-    if not isinstance(data, list):
-        raise SimulationError(f"{where}: expected a list of faults, found {data!r}")
-    return tuple(_read_fault(entry, f"{where}: fault {index}") for index, entry in enumerate(data, start=1))
-
-
-def _read_fault(data: Any, where: str) -> Fault:
-    # What may stand in an entry depends on its kind and topic, so these are read first.
-    loose = Section(data, where, data if isinstance(data, dict) else ())
-    name = loose.choice("kind", KINDS)
-    kind = KINDS[name]
-    topic = loose.choice("topic", kind.topics)
-    sizes = kind.sizes(topic)
-    has_signals = kind.one_signal and len(SIGNALS[topic]) > 1
-    has_rotors = topic == "rotor_speeds" and kind.rotors[1] > 0
-    optional = ["signal"] * has_signals + ["rotors"] * has_rotors
-    section = Section(data, where, ["kind", "topic", "at_s", "for_s", *optional, *sizes])
-    signals: tuple[str, ...] = (section.choice("signal", SIGNALS[topic]),) if "signal" in section else ()
-    size = 0.0
-    if sizes:
-        given = [key for key in sizes if key in section]
-        if len(given) != 1:
-            raise SimulationError(f"{where}: {name} of {topic} needs `{'` or `'.join(sizes)}`")
-        stamps = kind.size == "stamps"
-        size = section.number(
-            given[0], lowest=0.0 if stamps else -np.inf, highest=_LONGEST_S if stamps else np.inf
-        )
-        signal = sizes[given[0]]
-        signals = (signal,) if signal else ()
-    return Fault(
-        kind=name,
-        topic=topic,
-        at_s=section.number("at_s", highest=_LONGEST_S),
-        for_s=section.number("for_s", highest=_LONGEST_S),
-        signals=signals,
-        rotors=_read_rotors(section, *kind.rotors) if has_rotors else (),
-        size=size,
-    )
-
-
-def _read_rotors(section: Section, fewest: int, most: int) -> tuple[int, ...]:
-    rotors = section.get("rotors", [])
-    known = isinstance(rotors, list) and all(type(rotor) is int and 1 <= rotor <= ROTORS for rotor in rotors)
-    if not known or len(set(rotors)) != len(rotors) or not fewest <= len(rotors) <= most:
-        count = f"{fewest} different" if fewest == most else "different"
-        raise SimulationError(
-            f"{section.where}: `rotors` must list {count} numbers from 1 to {ROTORS}, found {rotors!r}"
-        )
-    return tuple(rotors)
-
-
-def apply_faults(
-    faults: Iterable[Fault], sent: Mapping[str, Sent], start_ns: int, end_ns: int
-) -> dict[str, Sent]:
-    """What the sensors send with the faults, one after the other; topics without a fault as they are.
-
-    Args:
-        faults: in the order in which they are applied.
-        sent: by topic.
-        start_ns: of the flight, from which the times of the faults count.
-        end_ns: of the flight.
-
-    Raises:
-        SimulationError: for a fault of a topic that the flight does not have, or after its end.
-    """
-    altered = dict(sent)
-    for fault in faults:
-        what = f"fault {fault.kind} of topic {fault.topic} at {fault.at_s:g} s"
-        if fault.topic not in altered:
-            raise SimulationError(f"{what}: the flight has no such topic, but {', '.join(altered)}")
-        if start_ns + round(1e9 * fault.at_s) > end_ns:
-            raise SimulationError(f"{what}: the flight lasts {1e-9 * (end_ns - start_ns):g} s")
-        before = altered[fault.topic]
-        since_start = before.taken_ns - start_ns
-        window = since_start >= round(1e9 * fault.at_s)
-        window &= since_start < round(1e9 * (fault.at_s + fault.for_s))
-        if window.any():
-            altered[fault.topic] = KINDS[fault.kind].alter(before, window, fault)
-    return altered
 
 
 def _not_finite(sent: Sent, window: Mask, fault: Fault) -> Sent:
@@ -252,7 +122,7 @@ def _with_values(sent: Sent, window: Mask, fault: Fault, alter: Callable[[Array]
     """The signals and rotors that fail, put through `alter` and taken from it in the window."""
     failing = [rotor - 1 for rotor in fault.rotors] or slice(None)
     columns = {}
-    for signal in fault.signals or SIGNALS[fault.topic]:
+    for signal in fault.signals:
         values = getattr(sent.stream, signal).copy()
         values[:, failing] = np.where(window[:, None], alter(values[:, failing]), values[:, failing])
         columns[signal] = values
@@ -276,3 +146,111 @@ KINDS: dict[str, FaultKind] = {
     "stamps_repeated": FaultKind("its clock stands still", _stamps_repeated),
     "stamps_backward": FaultKind("its clock is set back", _stamps_backward, size="stamps"),
 }
+
+
+@dataclass(frozen=True)
+class Fault(Section):
+    """An entry of `faults`: a sensor fails at `at_s` after the start of the flight, for `for_s`.
+
+    Which keys an entry may have beside the first four depends on its kind and topic, see :class:`FaultKind`.
+
+    Attributes:
+        kind: a name of :data:`KINDS`.
+        topic: of the stream that fails; `rotor_speeds` also where a bag holds `erpm`.
+        signal: the one quantity of the stream that fails, by its name in :data:`SIGNALS`; None: all.
+        size_rad_s, size_m_s2, size_m, size_m_s: how much is added to the signal of that unit.
+        size_s: by how much stamps are set back.
+        rotors: the rotors that fail, from 1; none named: all.
+    """
+
+    kind: Annotated[str, OneOf(*KINDS)]
+    topic: str
+    at_s: Time
+    for_s: Time
+    signal: str | None = None
+    size_rad_s: Real | None = None
+    size_m_s2: Real | None = None
+    size_m: Real | None = None
+    size_m_s: Real | None = None
+    size_s: Time | None = None
+    rotors: Annotated[tuple[Any, ...], Expected("must be a list of rotors")] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what this kind of failure has not, on this topic."""
+        kind = KINDS[self.kind]
+        _require_one_of("topic", self.topic, kind.topics)
+        sizes = kind.sizes(self.topic)
+        has_signals = kind.one_signal and len(SIGNALS[self.topic]) > 1
+        has_rotors = self.topic == "rotor_speeds" and kind.rotors[1] > 0
+        optional = ["signal"] * has_signals + ["rotors"] * has_rotors
+        known = ["kind", "topic", "at_s", "for_s", *optional, *sizes]
+        for key in self.as_dict():
+            if key not in known:
+                raise ValueError(unknown_key(key, known))
+        if self.signal is not None:
+            _require_one_of("signal", self.signal, SIGNALS[self.topic])
+        if sizes and len([key for key in sizes if getattr(self, key) is not None]) != 1:
+            raise ValueError(f"{self.kind} of {self.topic} needs `{'` or `'.join(sizes)}`")
+        if has_rotors:
+            _require_rotors(self.rotors, *kind.rotors)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The quantities of the stream that fail."""
+        if self.signal is not None:
+            return (self.signal,)
+        sized = [s for key, s in KINDS[self.kind].sizes(self.topic).items() if getattr(self, key) is not None]
+        return tuple(signal for signal in sized if signal) or tuple(SIGNALS[self.topic])
+
+    @property
+    def size(self) -> float:
+        """How much is added, in the unit of the signal, or s of the stamps; 0 where nothing is."""
+        given = (self.size_rad_s, self.size_m_s2, self.size_m, self.size_m_s, self.size_s)
+        return next((size for size in given if size is not None), 0.0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a scenario file."""
+        entry = {key: list(value) if key == "rotors" else value for key, value in vars(self).items()}
+        return {key: value for key, value in entry.items() if value is not None and value != []}
+
+
+def _require_one_of(key: str, value: str, known: Collection[str]) -> None:
+    if value not in known:
+        raise ValueError(f"`{key}` must be one of {', '.join(known)}, found {value!r}{nearest(value, known)}")
+
+
+def _require_rotors(rotors: tuple[Any, ...], fewest: int, most: int) -> None:
+    known = all(type(rotor) is int and 1 <= rotor <= ROTORS for rotor in rotors)
+    if not known or len(set(rotors)) != len(rotors) or not fewest <= len(rotors) <= most:
+        count = f"{fewest} different" if fewest == most else "different"
+        raise ValueError(f"`rotors` must list {count} numbers from 1 to {ROTORS}, found {list(rotors)!r}")
+
+
+def apply_faults(
+    faults: Iterable[Fault], sent: Mapping[str, Sent], start_ns: int, end_ns: int
+) -> dict[str, Sent]:
+    """What the sensors send with the faults, one after the other; topics without a fault as they are.
+
+    Args:
+        faults: in the order in which they are applied.
+        sent: by topic.
+        start_ns: of the flight, from which the times of the faults count.
+        end_ns: of the flight.
+
+    Raises:
+        SimulationError: for a fault of a topic that the flight does not have, or after its end.
+    """
+    altered = dict(sent)
+    for fault in faults:
+        what = f"fault {fault.kind} of topic {fault.topic} at {fault.at_s:g} s"
+        if fault.topic not in altered:
+            raise SimulationError(f"{what}: the flight has no such topic, but {', '.join(altered)}")
+        if start_ns + round(1e9 * fault.at_s) > end_ns:
+            raise SimulationError(f"{what}: the flight lasts {1e-9 * (end_ns - start_ns):g} s")
+        before = altered[fault.topic]
+        since_start = before.taken_ns - start_ns
+        window = since_start >= round(1e9 * fault.at_s)
+        window &= since_start < round(1e9 * (fault.at_s + fault.for_s))
+        if window.any():
+            altered[fault.topic] = KINDS[fault.kind].alter(before, window, fault)
+    return altered

@@ -7,43 +7,48 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import PlainValidator
 
+from quadpi_core.config_schema import Section, Text, Within, parse_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.config_section import Section
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.failures import Fault, read_faults
+from quadpi_core.simulation.failures import Fault
 from quadpi_core.simulation.reference import Reference
-from quadpi_core.simulation.reference_motion import (
+from quadpi_core.simulation.reference_signals import (
     AXES,
     Motion,
+    Orbit,
     motion_as_dict,
-    orbit_as_dict,
     read_motion,
-    read_orbit,
+    signal_as_dict,
+    within_flight,
 )
-from quadpi_core.simulation.reference_signals import Orbit
 from quadpi_core.simulation.truth import LOG_HZ
 
-_LONGEST_S = 3600.0
-_HIGHEST_M = 1000.0
-_WIND_MAX_M_S = 100.0
 # Instants per second at which a flight is looked at for contact with the ground.
 _LOOK_HZ = 100.0
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
+def _read_effects(data: Any) -> Effects:
+    try:
+        return read_effects(data, "effects")
+    except SimulationError as error:
+        raise ValueError(str(error).removeprefix("effects: ")) from None
+
+
 @dataclass(frozen=True, kw_only=True)
-class FlightPlan:
+class FlightPlan(Section):
     """One flight of a scenario; the fields are its keys in a file.
 
     Attributes:
         name: of the flight and its bag.
-        scenario: that the flight stands in.
+        scenario: to which the flight belongs.
         vehicle: name or path of its file.
         noise: name or path of the file of its sensors.
         seed: of all that is random in this flight.
@@ -56,23 +61,49 @@ class FlightPlan:
         truth_rate_hz: of the truth in the bag.
     """
 
-    name: str
-    scenario: str
-    vehicle: str
-    noise: str = "paper"
-    seed: int
-    duration_s: float
-    height_m: float = 3.0
-    head_wind_m_s: float | None = None
-    motion: Motion = field(default_factory=dict)
+    name: Text
+    scenario: Text
+    vehicle: Text
+    noise: Text = "paper"
+    seed: Annotated[int, Within(0, 2**32)]
+    duration_s: Annotated[float, Within(0.1, 3600.0)]
+    height_m: Annotated[float, Within(0.0, 1000.0)] = 3.0
+    head_wind_m_s: Annotated[float, Within(-100.0, 100.0)] | None = None
+    motion: Annotated[Motion, PlainValidator(read_motion)] = field(default_factory=dict)
     orbit: Orbit | None = None
-    effects: Effects = field(default_factory=dict)
+    effects: Annotated[Effects, PlainValidator(_read_effects)] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
-    truth_rate_hz: int = LOG_HZ
+    truth_rate_hz: Annotated[int, Within(1, LOG_HZ)] = LOG_HZ
+
+    def __post_init__(self) -> None:
+        """Refuse what no flight can be, whatever its vehicle."""
+        motion = {
+            axis: tuple(
+                within_flight(signal, self.duration_s, f"motion.{axis}, entry {number}")
+                for number, signal in enumerate(signals, start=1)
+            )
+            for axis, signals in self.motion.items()
+        }
+        object.__setattr__(self, "motion", motion)
+        if self.orbit is not None:
+            object.__setattr__(self, "orbit", within_flight(self.orbit, self.duration_s, "orbit"))
+        if not _NAME.fullmatch(self.name):
+            raise ValueError("a flight's name has letters, digits, _ and - only")
+        if LOG_HZ % self.truth_rate_hz:
+            raise ValueError(f"`truth_rate_hz` must divide {LOG_HZ}, found {self.truth_rate_hz}")
+        moved = [axis for axis in ("x", "y") if axis in self.motion]
+        if self.orbit is not None and moved:
+            raise ValueError(f"`orbit` and motion along {moved[0]} exclude each other")
+        height = -self.reference(_LOOK_HZ).position[:, 2]
+        lowest = int(np.argmin(height))
+        if height[lowest] <= 0.0:
+            raise ValueError(
+                f"comes down to the ground: at {lowest / _LOOK_HZ:.2f} s its height is {height[lowest]:.2f} m"
+            )
 
     @classmethod
     def from_dict(cls, data: Any, where: str) -> FlightPlan:
-        """Read what stands in a scenario file about a flight, with its name, scenario and seed.
+        """Read what a scenario file says about a flight, with its name, scenario and seed.
 
         Args:
             data: keys and values, as of :meth:`as_dict`.
@@ -81,35 +112,13 @@ class FlightPlan:
         Raises:
             SimulationError: naming the key that is missing, unknown or impossible.
         """
-        section = Section(data, where, [column.name for column in fields(cls)])
-        flight_s = section.number("duration_s", lowest=0.1, highest=_LONGEST_S)
-        wind = section.get("head_wind_m_s", None)
-        orbit = section.get("orbit", None)
-        plan = cls(
-            name=section.text("name"),
-            scenario=section.text("scenario"),
-            vehicle=section.text("vehicle"),
-            noise=section.text("noise", cls.noise),
-            seed=section.whole("seed"),
-            duration_s=flight_s,
-            height_m=section.number("height_m", cls.height_m, highest=_HIGHEST_M),
-            head_wind_m_s=None
-            if wind is None
-            else section.number("head_wind_m_s", lowest=-_WIND_MAX_M_S, highest=_WIND_MAX_M_S),
-            motion=read_motion(section.get("motion", None), where, flight_s),
-            orbit=None if orbit is None else read_orbit(orbit, where, flight_s),
-            effects=read_effects(section.get("effects", None), where),
-            faults=read_faults(section.get("faults", None), where),
-            truth_rate_hz=section.whole("truth_rate_hz", cls.truth_rate_hz, lowest=1, highest=LOG_HZ),
-        )
-        plan._check(where)
-        return plan
+        return parse_config(cls, data, where, SimulationError)
 
     def as_dict(self) -> dict[str, Any]:
         """All of the plan as JSON can hold it; :meth:`from_dict` makes the plan of it again."""
         parts = {
             "motion": motion_as_dict(self.motion),
-            "orbit": None if self.orbit is None else orbit_as_dict(self.orbit),
+            "orbit": None if self.orbit is None else signal_as_dict(self.orbit),
             "effects": {name: dict(parameters) for name, parameters in self.effects.items()},
             "faults": [fault.as_dict() for fault in self.faults],
         }
@@ -154,22 +163,3 @@ class FlightPlan:
         for signal in self.motion.get(axis, ()):
             jets += signal.jets(time)
         return jets * math.radians(1.0) if AXES[axis] == "deg" else jets
-
-    def _check(self, where: str) -> None:
-        """Refuse what no flight can be, whatever its vehicle."""
-        if not _NAME.fullmatch(self.name):
-            raise SimulationError(f"{where}: a flight's name has letters, digits, _ and - only")
-        if LOG_HZ % self.truth_rate_hz:
-            raise SimulationError(
-                f"{where}: `truth_rate_hz` must divide {LOG_HZ}, found {self.truth_rate_hz}"
-            )
-        moved = [axis for axis in ("x", "y") if axis in self.motion]
-        if self.orbit is not None and moved:
-            raise SimulationError(f"{where}: `orbit` and motion along {moved[0]} exclude each other")
-        height = -self.reference(_LOOK_HZ).position[:, 2]
-        lowest = int(np.argmin(height))
-        if height[lowest] <= 0.0:
-            raise SimulationError(
-                f"{where}: comes down to the ground: at {lowest / _LOOK_HZ:.2f} s its height is "
-                f"{height[lowest]:.2f} m"
-            )

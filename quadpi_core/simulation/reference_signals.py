@@ -1,66 +1,95 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reference signals with exact derivatives: zero until they start, at rest from their end on.
+"""Reference signals with exact derivatives: zero until they start, constant after their end.
 
-The fields of a signal are its keys in a scenario file. Jets: see :mod:`quadpi_core.simulation.derivatives`.
+The fields of a signal are its keys in a scenario file, where it is listed under its axis, by its kind; an
+amplitude's key ends with the unit of the axis. Jets: see :mod:`quadpi_core.simulation.derivatives`.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
+from pydantic import AliasChoices, BeforeValidator, Field
 
-from quadpi_core.errors import SimulationError
+from quadpi_core.config_schema import (
+    Expected,
+    Flag,
+    NotNegative,
+    OneOf,
+    Positive,
+    Real,
+    Section,
+    Within,
+    check_config,
+)
 from quadpi_core.frames import Array
 from quadpi_core.simulation.derivatives import Span, edge_jets, orbit_jets, wave_jets
 
-# Instants closer than this are one: they are sums of decimal numbers.
-ROUNDING_S = 1e-9
-# Of edges and fades: nothing shorter can be told from a jump.
-_SHORTEST_S = 1e-3
-NOSES = ("north", "centre", "ahead")
-TURNS = ("clockwise", "counterclockwise")
+# Instants closer than this [s] are the same one: they are sums of decimal numbers.
+_ROUNDING_S = 1e-9
+# Axes that a flight can move, each with the unit of its amplitudes in files; shares are of the weight.
+AXES = {"x": "m", "y": "m", "height": "m", "yaw": "deg", "roll": "deg", "pitch": "deg", "thrust": "share"}
+
+# In the unit of the axis, which :class:`_AxisUnit` checks.
+Amplitude: TypeAlias = Annotated[
+    Real, Field(validation_alias=AliasChoices("amplitude_m", "amplitude_deg", "amplitude_share"))
+]
+# Of edges and fades [s]: anything shorter than the simulation's step is a jump.
+Transition: TypeAlias = Annotated[float, Within(1e-3)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Window:
+class Window(Section):
     """A span of time with a smooth begin and a smooth end.
 
     Attributes:
+        duration_s: None in a file for a span that lasts to the end of the flight, see :func:`within_flight`.
         fade_s: of each of the two, within the duration.
     """
 
-    start_s: float
-    duration_s: float
-    fade_s: float = 1.0
+    start_s: NotNegative
+    duration_s: Positive | None = None
+    fade_s: Transition = 1.0
 
     def __post_init__(self) -> None:
-        _require(self.start_s >= 0.0, "`start_s` must not be negative", self.start_s)
-        _require(self.duration_s > 0.0, "`duration_s` must be positive", self.duration_s)
-        _require(self.fade_s >= _SHORTEST_S, f"`fade_s` must be at least {_SHORTEST_S:g}", self.fade_s)
+        if self.duration_s is None:
+            return
         longest = 0.5 * self.duration_s
-        _require(self.fade_s <= longest + ROUNDING_S, f"`fade_s` must be at most {longest:g}", self.fade_s)
+        _require(self.fade_s <= longest + _ROUNDING_S, f"`fade_s` must be at most {longest:g}", self.fade_s)
+
+    @property
+    def duration(self) -> float:
+        """Duration [s].
+
+        Raises:
+            ValueError: before the duration of the flight is known.
+        """
+        if self.duration_s is None:
+            raise ValueError("the duration of the flight is not known yet")
+        return self.duration_s
 
     @property
     def end(self) -> float:
         """Instant [s] from which on there is rest."""
-        return self.start_s + self.duration_s
+        return self.start_s + self.duration
 
     @property
     def span(self) -> Span:
         """What the compiled loops take."""
-        return self.start_s, self.duration_s, self.fade_s
+        return self.start_s, self.duration, self.fade_s
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wave(Window, ABC):
     """Sines that are faded in and out, in the unit of their axis."""
 
-    amplitude: float
+    amplitude: Amplitude
 
     @abstractmethod
     def tones(self) -> tuple[Array, Array, float]:
@@ -75,12 +104,8 @@ class Wave(Window, ABC):
 class Sine(Wave):
     """One frequency; `phase_deg` is its phase at the start."""
 
-    frequency_hz: float
-    phase_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require(self.frequency_hz > 0.0, "`frequency_hz` must be positive", self.frequency_hz)
+    frequency_hz: Positive
+    phase_deg: Real = 0.0
 
     def tones(self) -> tuple[Array, Array, float]:
         """See :class:`Wave`."""
@@ -91,30 +116,21 @@ class Sine(Wave):
 class Chirp(Wave):
     """A frequency that changes evenly from one value to another."""
 
-    from_hz: float
-    to_hz: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require(self.from_hz > 0.0, "`from_hz` must be positive", self.from_hz)
-        _require(self.to_hz > 0.0, "`to_hz` must be positive", self.to_hz)
+    from_hz: Positive
+    to_hz: Positive
 
     def tones(self) -> tuple[Array, Array, float]:
         """See :class:`Wave`."""
-        return np.array([self.from_hz]), np.zeros(1), (self.to_hz - self.from_hz) / self.duration_s
+        return np.array([self.from_hz]), np.zeros(1), (self.to_hz - self.from_hz) / self.duration
 
 
 @dataclass(frozen=True, kw_only=True)
 class Multisine(Wave):
     """Several frequencies, each of the amplitude, with Schroeder's phases, which keep the sum's peaks low."""
 
-    frequencies_hz: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require(len(self.frequencies_hz) > 0, "`frequencies_hz` must not be empty", self.frequencies_hz)
-        for frequency in self.frequencies_hz:
-            _require(frequency > 0.0, "`frequencies_hz` must be positive", frequency)
+    frequencies_hz: Annotated[
+        tuple[Positive, ...], Field(min_length=1), Expected("must be a list of positive numbers")
+    ]
 
     def tones(self) -> tuple[Array, Array, float]:
         """See :class:`Wave`."""
@@ -124,20 +140,16 @@ class Multisine(Wave):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Edges(ABC):
+class Edges(Section, ABC):
     """Smooth steps up and down, in the unit of their axis.
 
     Attributes:
         rise_s: how long each edge takes.
     """
 
-    amplitude: float
-    rise_s: float
-    start_s: float
-
-    def __post_init__(self) -> None:
-        _require(self.start_s >= 0.0, "`start_s` must not be negative", self.start_s)
-        _require(self.rise_s >= _SHORTEST_S, f"`rise_s` must be at least {_SHORTEST_S:g}", self.rise_s)
+    amplitude: Amplitude
+    rise_s: Transition
+    start_s: NotNegative
 
     @abstractmethod
     def edges(self) -> tuple[Array, Array]:
@@ -172,19 +184,17 @@ class Pulse(Edges):
         alternate: every other pulse is negative.
     """
 
-    width_s: float
-    count: int = 1
-    period_s: float | None = None
-    alternate: bool = False
+    width_s: Real
+    count: Annotated[int, Within(positive=True)] = 1
+    period_s: Real | None = None
+    alternate: Flag = False
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         _require(
             self.width_s >= self.rise_s, f"`width_s` must be at least `rise_s`, {self.rise_s:g}", self.width_s
         )
-        _require(self.count >= 1, "`count` must be at least 1", self.count)
         whole = self.width_s + self.rise_s
-        _require(self._period >= whole - ROUNDING_S, f"`period_s` must be at least {whole:g}", self._period)
+        _require(self._period >= whole - _ROUNDING_S, f"`period_s` must be at least {whole:g}", self._period)
 
     @property
     def _period(self) -> float:
@@ -205,13 +215,108 @@ class Pulse(Edges):
 
 
 Signal: TypeAlias = Wave | Edges
-SIGNALS: dict[str, type[Signal]] = {
-    "sine": Sine,
-    "pulse": Pulse,
-    "step": Step,
-    "chirp": Chirp,
-    "multisine": Multisine,
-}
+# The signals of each axis, which add up.
+Motion: TypeAlias = Mapping[str, tuple[Signal, ...]]
+_Moving = TypeVar("_Moving", bound=Window | Edges)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry(Section):
+    """One signal in a file, under the name of its kind."""
+
+    sine: Sine | None = None
+    pulse: Pulse | None = None
+    step: Step | None = None
+    chirp: Chirp | None = None
+    multisine: Multisine | None = None
+
+    def __post_init__(self) -> None:
+        if sum(signal is not None for signal in vars(self).values()) != 1:
+            raise ValueError(f"expected one of {', '.join(vars(self))}")
+
+    @property
+    def signal(self) -> Signal:
+        """The signal."""
+        signal: Signal = next(signal for signal in vars(self).values() if signal is not None)
+        return signal
+
+
+@dataclass(frozen=True)
+class _AxisUnit:
+    """Checks the keys of amplitudes along an axis, which end with its unit."""
+
+    unit: str
+
+    def __call__(self, entries: Any) -> Any:
+        key = f"amplitude_{self.unit}"
+        for number, entry in enumerate(entries if isinstance(entries, list) else (), start=1):
+            for kind, signal in entry.items() if isinstance(entry, dict) else ():
+                given = [name for name in signal if str(name).startswith("amplitude")] if signal else ()
+                if kind in _KINDS and isinstance(signal, dict) and given != [key]:
+                    wrong = [name for name in given if name != key]
+                    problem = f"unknown key `{wrong[0]}`; the amplitude is" if wrong else "missing key"
+                    raise ValueError(f"entry {number}, {kind}: {problem} `{key}`")
+        return entries
+
+
+Lengths: TypeAlias = Annotated[tuple[_Entry, ...], BeforeValidator(_AxisUnit("m"))]
+Angles: TypeAlias = Annotated[tuple[_Entry, ...], BeforeValidator(_AxisUnit("deg"))]
+Shares: TypeAlias = Annotated[tuple[_Entry, ...], BeforeValidator(_AxisUnit("share"))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MotionFile(Section):
+    """The key `motion` of a flight: the signals of each axis of :data:`AXES`."""
+
+    x: Lengths = ()
+    y: Lengths = ()
+    height: Lengths = ()
+    yaw: Angles = ()
+    roll: Angles = ()
+    pitch: Angles = ()
+    thrust: Shares = ()
+
+
+_KINDS = {"sine": Sine, "pulse": Pulse, "step": Step, "chirp": Chirp, "multisine": Multisine}
+
+
+def read_motion(data: Any) -> Motion:
+    """The key `motion` of a flight, as a validator of pydantic."""
+    entries = vars(check_config(_MotionFile, data))
+    return {axis: tuple(entry.signal for entry in listed) for axis, listed in entries.items() if listed}
+
+
+def motion_as_dict(motion: Motion) -> dict[str, Any]:
+    """What :func:`read_motion` reads."""
+    names = {kind: name for name, kind in _KINDS.items()}
+    return {
+        axis: [{names[type(signal)]: signal_as_dict(signal, AXES[axis])} for signal in signals]
+        for axis, signals in motion.items()
+    }
+
+
+def signal_as_dict(signal: Signal | Orbit, unit: str = "") -> dict[str, Any]:
+    """The keys of a signal or an orbit in a file."""
+    values = {name: value for name, value in asdict(signal).items() if value is not None}
+    keys = {"amplitude": f"amplitude_{unit}"}
+    return {keys.get(name, name): list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+
+
+def within_flight(signal: _Moving, flight_s: float, where: str) -> _Moving:
+    """The signal, lasting to the end of the flight where its duration is not given.
+
+    Raises:
+        ValueError: naming `where` and what is wrong, for one that ends after the flight.
+    """
+    try:
+        if isinstance(signal, Window) and signal.duration_s is None:
+            _require(signal.start_s < flight_s, f"`start_s` must be below {flight_s:g}", signal.start_s)
+            signal = replace(signal, duration_s=flight_s - signal.start_s)
+        if signal.end > flight_s + _ROUNDING_S:
+            raise ValueError(f"ends at {signal.end:g} s, after the flight, which lasts {flight_s:g} s")
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    return signal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,18 +328,11 @@ class Orbit(Window):
         turn: seen from above.
     """
 
-    radius_m: float
-    speed_m_s: float
-    fade_s: float = 4.0
-    nose: str = "north"
-    turn: str = "clockwise"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require(self.radius_m > 0.0, "`radius_m` must be positive", self.radius_m)
-        _require(self.speed_m_s > 0.0, "`speed_m_s` must be positive", self.speed_m_s)
-        _require(self.nose in NOSES, f"`nose` must be {', '.join(NOSES[:-1])} or {NOSES[-1]}", self.nose)
-        _require(self.turn in TURNS, f"`turn` must be {' or '.join(TURNS)}", self.turn)
+    radius_m: Positive
+    speed_m_s: Positive
+    fade_s: Transition = 4.0
+    nose: Annotated[str, OneOf("north", "centre", "ahead")] = "north"
+    turn: Annotated[str, OneOf("clockwise", "counterclockwise")] = "clockwise"
 
     def jets(self, time: Array) -> tuple[Array, Array, Array]:
         """Jets (N, 3) of north [m], east [m] and yaw [rad] at instants (N,) s."""
@@ -246,8 +344,6 @@ class Orbit(Window):
         return north, east, np.zeros_like(angle) if self.nose == "north" else angle
 
 
-def _require(condition: bool, rule: str, found: Any) -> None:
+def _require(condition: bool, rule: str, found: float) -> None:
     if not condition:
-        raise SimulationError(
-            f"{rule}, found {found:g}" if isinstance(found, float) else f"{rule}, found {found}"
-        )
+        raise ValueError(f"{rule}, found {found:g}")

@@ -12,26 +12,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import PlainValidator
 
 from quadpi_core.compiled import njit
-from quadpi_core.config import nearest, read_config
+from quadpi_core.config_schema import Numbers, Real, Section, Text, Within, check_config, parse_config
 from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.simulation.linear_algebra import inverse
 from quadpi_core.simulation.state_records import STATE, VEHICLE
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle, simulation_section
 
 ADVANCE_RATIO_MAX = 0.6
-_SCALED_FROM = "scaled_from"
 
 
 @dataclass(frozen=True)
-class RotorLocalCoefficients:
-    """Numbers of the rotor-local model, for one rotor size, as in its vehicle file.
+class RotorLocalCoefficients(Section):
+    """Coefficients for one rotor size: the key `simulation.rotor_local` of a vehicle file.
 
     Attributes:
         thrust, torque: (16,) of C_T and C_Q in advance ratio and disc angle.
@@ -41,46 +41,18 @@ class RotorLocalCoefficients:
         airframe_mx, airframe_my, airframe_mz: (6,) [m] of its moment.
     """
 
-    thrust: Array
-    torque: Array
-    rotor_force_along: float
-    rotor_force_across: float
-    rotor_moment_along: float
-    rotor_moment_across: float
-    airframe_fx: Array
-    airframe_fy: Array
-    airframe_fz: Array
-    airframe_mx: Array
-    airframe_my: Array
-    airframe_mz: Array
-
-    @classmethod
-    def parse(cls, path: Path, data: Any) -> RotorLocalCoefficients:
-        """Read the mapping `simulation.rotor_local` of a vehicle file.
-
-        Raises:
-            VehicleError: naming file and key.
-        """
-        where = f"{path}: `simulation.rotor_local"
-        known = [column.name for column in fields(cls)]
-        if not isinstance(data, Mapping):
-            raise VehicleError(f"{where}` must be coefficients, or `{_SCALED_FROM}` and a vehicle")
-        for key in data:
-            if key not in known:
-                raise VehicleError(f"{where}.{key}`: unknown key{nearest(str(key), known)}")
-        values: dict[str, Any] = {}
-        for name in known:
-            shape = VEHICLE[name].shape
-            try:
-                value = np.array(data[name], dtype=float)
-            except KeyError:
-                raise VehicleError(f"{where}.{name}` is missing") from None
-            except (TypeError, ValueError):
-                value = np.empty(0)
-            if value.shape != shape or not np.all(np.isfinite(value)):
-                raise VehicleError(f"{where}.{name}` must hold {int(np.prod(shape))} numbers")
-            values[name] = value if shape else float(value)
-        return cls(**values)
+    thrust: Annotated[Array, Numbers(16)]
+    torque: Annotated[Array, Numbers(16)]
+    rotor_force_along: Real
+    rotor_force_across: Real
+    rotor_moment_along: Real
+    rotor_moment_across: Real
+    airframe_fx: Annotated[Array, Numbers(2)]
+    airframe_fy: Annotated[Array, Numbers(2)]
+    airframe_fz: Annotated[Array, Numbers(2)]
+    airframe_mx: Annotated[Array, Numbers(6)]
+    airframe_my: Annotated[Array, Numbers(6)]
+    airframe_mz: Annotated[Array, Numbers(6)]
 
     def scaled(self, source: Vehicle, target: Vehicle) -> RotorLocalCoefficients:
         """The same non-dimensional aerodynamics on another vehicle.
@@ -109,6 +81,50 @@ class RotorLocalCoefficients:
 
 
 @dataclass(frozen=True)
+class ScaledAerodynamics(Section):
+    """Aerodynamics without dimension of another vehicle, by the name of its file."""
+
+    scaled_from: Text
+
+
+def _read_aerodynamics(data: Any) -> RotorLocalCoefficients | ScaledAerodynamics:
+    if not isinstance(data, Mapping):
+        raise ValueError("must be coefficients, or `scaled_from` and a vehicle")
+    if "scaled_from" in data:
+        return check_config(ScaledAerodynamics, data)
+    return check_config(RotorLocalCoefficients, data)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationSection(Section):
+    """The key `simulation` of a vehicle file.
+
+    Attributes:
+        motor_time_constant_s: of the first-order answer of a rotor's speed to its command.
+        rotor_local: None where only flights of the vehicle are simulated, not the vehicle itself.
+        effects: read by :func:`quadpi_core.simulation.simulated_vehicle.own_effects`.
+        tolerances: read where simulations are compared with flights.
+    """
+
+    motor_time_constant_s: Annotated[float, Within(0.001, 1.0)] | None = None
+    rotor_local: Annotated[
+        RotorLocalCoefficients | ScaledAerodynamics | None, PlainValidator(_read_aerodynamics)
+    ] = None
+    effects: Any = None
+    tolerances: Any = None
+
+
+def read_simulation(name_or_path: str | Path) -> tuple[Path, SimulationSection]:
+    """Path and key `simulation` of a vehicle file.
+
+    Raises:
+        VehicleError: naming the file and the key that is unknown or impossible.
+    """
+    path, data = simulation_section(name_or_path)
+    return path, parse_config(SimulationSection, data, str(path), VehicleError, ("simulation",))
+
+
+@dataclass(frozen=True)
 class RotorLocalModel:
     """Aerodynamic wrench of a vehicle from its motion through the air and its rotor speeds."""
 
@@ -122,27 +138,21 @@ class RotorLocalModel:
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
         """
-        path, data = read_config("vehicle", name_or_path, VehicleError)
+        path, aerodynamics = read_simulation(name_or_path)
         vehicle = Vehicle.load(path)
-        simulation = data.get("simulation")
-        if not isinstance(simulation, Mapping) or "rotor_local" not in simulation:
+        if aerodynamics.rotor_local is None:
             raise VehicleError(
                 f"{path}: cannot be simulated: `simulation.rotor_local` is missing; give its coefficients, "
-                f"or `{_SCALED_FROM}: bebop2`"
+                "or `scaled_from: bebop2`"
             )
-        section = simulation["rotor_local"]
-        if not isinstance(section, Mapping) or _SCALED_FROM not in section:
-            return cls(vehicle, RotorLocalCoefficients.parse(path, section))
-        if set(section) != {_SCALED_FROM}:
-            raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` stands alone")
-        if not isinstance(section[_SCALED_FROM], str):
-            raise VehicleError(f"{path}: `simulation.rotor_local.{_SCALED_FROM}` must name a vehicle")
-        with named_in(f"{path}: `simulation.rotor_local.{_SCALED_FROM}`"):
-            source_path, source_data = read_config("vehicle", section[_SCALED_FROM], VehicleError)
+        if isinstance(aerodynamics.rotor_local, RotorLocalCoefficients):
+            return cls(vehicle, aerodynamics.rotor_local)
+        with named_in(f"{path}: `simulation.rotor_local.scaled_from`"):
+            source_path, source = read_simulation(aerodynamics.rotor_local.scaled_from)
             # One step only: the vehicle that others are scaled from has coefficients of its own.
-            source = (source_data.get("simulation") or {}).get("rotor_local")
-            coefficients = RotorLocalCoefficients.parse(source_path, source)
-            return cls(vehicle, coefficients.scaled(Vehicle.load(source_path), vehicle))
+            if not isinstance(source.rotor_local, RotorLocalCoefficients):
+                raise VehicleError(f"{source_path}: `simulation.rotor_local` has no coefficients of its own")
+            return cls(vehicle, source.rotor_local.scaled(Vehicle.load(source_path), vehicle))
 
     @cached_property
     def hover_rotor_speed(self) -> float:

@@ -10,35 +10,29 @@ from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 from quadpi_core.compiled import njit
-from quadpi_core.config import read_config
+from quadpi_core.config_schema import NotNegative, Section, Share, Vector, Within, load_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.signals.rotations import from_rotation_vector, product
-from quadpi_core.simulation.config_section import Section, Vector
 from quadpi_core.vehicle import Vehicle
 
+Rate: TypeAlias = Annotated[float, Within(0.1)]
+Delay: TypeAlias = Annotated[float, Within(0.0, 10.0)]
 
-def _unit(unit: str = "", *, lowest: float = 0.0, highest: float = math.inf) -> dict[str, Any]:
-    """About a setting: its unit, which ends its name in a file, and its bounds.
-
-    `{unit}` is the unit of the sensor that the setting belongs to.
-    """
-    return {"unit": unit, "lowest": lowest, "highest": highest}
-
-
-# Every default is that of a perfect sensor.
+# Every default is that of a perfect sensor. Keys of a file end with their unit.
 
 
 @dataclass(frozen=True)
-class InertialSensor:
+class InertialSensor(Section):
     """A gyro [rad/s] or an accelerometer [m/s²] of three axes.
 
     Attributes:
@@ -51,16 +45,44 @@ class InertialSensor:
         resolution: step between the values that it can report; 0 for none.
     """
 
-    noise: float = field(default=0.0, metadata=_unit("{unit}"))
-    noise_density: float = field(default=0.0, metadata=_unit("{unit}_sqrt_hz"))
-    bias: float = field(default=0.0, metadata=_unit("{unit}"))
-    bias_walk: float = field(default=0.0, metadata=_unit("{unit}_sqrt_s"))
-    range: float = field(default=math.inf, metadata=_unit("{unit}"))
-    resolution: float = field(default=0.0, metadata=_unit("{unit}"))
+    noise: NotNegative = 0.0
+    noise_density: NotNegative = 0.0
+    bias: NotNegative = 0.0
+    bias_walk: NotNegative = 0.0
+    range: NotNegative = math.inf
+    resolution: NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        if self.noise > 0.0 and self.noise_density > 0.0:
+            raise ValueError("give the noise of a sample or its density, not both")
 
 
 @dataclass(frozen=True)
-class Imu:
+class Gyro(InertialSensor):
+    """The keys of a gyro."""
+
+    noise: Annotated[NotNegative, Field(alias="noise_rad_s")] = 0.0
+    noise_density: Annotated[NotNegative, Field(alias="noise_density_rad_s_sqrt_hz")] = 0.0
+    bias: Annotated[NotNegative, Field(alias="bias_rad_s")] = 0.0
+    bias_walk: Annotated[NotNegative, Field(alias="bias_walk_rad_s_sqrt_s")] = 0.0
+    range: Annotated[NotNegative, Field(alias="range_rad_s")] = math.inf
+    resolution: Annotated[NotNegative, Field(alias="resolution_rad_s")] = 0.0
+
+
+@dataclass(frozen=True)
+class Accelerometer(InertialSensor):
+    """The keys of an accelerometer."""
+
+    noise: Annotated[NotNegative, Field(alias="noise_m_s2")] = 0.0
+    noise_density: Annotated[NotNegative, Field(alias="noise_density_m_s2_sqrt_hz")] = 0.0
+    bias: Annotated[NotNegative, Field(alias="bias_m_s2")] = 0.0
+    bias_walk: Annotated[NotNegative, Field(alias="bias_walk_m_s2_sqrt_s")] = 0.0
+    range: Annotated[NotNegative, Field(alias="range_m_s2")] = math.inf
+    resolution: Annotated[NotNegative, Field(alias="resolution_m_s2")] = 0.0
+
+
+@dataclass(frozen=True)
+class Imu(Section):
     """Gyro and accelerometer in one place.
 
     Attributes:
@@ -69,70 +91,82 @@ class Imu:
         misalignment: [deg] rotation vector from the sensor's axes to the body's.
     """
 
-    rate: float = field(default=500.0, metadata=_unit("hz", lowest=0.1))
-    position: Vector = field(default=(0.0, 0.0, 0.0), metadata=_unit("m"))
-    misalignment: Vector = field(default=(0.0, 0.0, 0.0), metadata=_unit("deg"))
-    gyro: InertialSensor = field(default=InertialSensor(), metadata=_unit("rad_s"))
-    accelerometer: InertialSensor = field(default=InertialSensor(), metadata=_unit("m_s2"))
+    rate: Annotated[Rate, Field(alias="rate_hz")] = 500.0
+    position: Annotated[Vector, Field(alias="position_m")] = (0.0, 0.0, 0.0)
+    misalignment: Annotated[Vector, Field(alias="misalignment_deg")] = (0.0, 0.0, 0.0)
+    gyro: Gyro = Gyro()
+    accelerometer: Accelerometer = Accelerometer()
 
 
 @dataclass(frozen=True)
-class RotorSpeedSensor:
+class RotorSpeedSensor(Section):
     """Electronic speed controllers; noise in electrical rev/min, mechanical where pole pairs are unknown."""
 
-    rate: float = field(default=500.0, metadata=_unit("hz", lowest=0.1))
-    noise: float = field(default=0.0, metadata=_unit("erpm"))
+    rate: Annotated[Rate, Field(alias="rate_hz")] = 500.0
+    noise: Annotated[NotNegative, Field(alias="noise_erpm")] = 0.0
 
 
 @dataclass(frozen=True)
-class MotionCapture:
+class MotionCapture(Section):
     """Cameras that see markers on the vehicle.
 
     Attributes:
         rate: [Hz] of the frames.
         position_noise: [m] per axis.
         attitude_noise: [rad] per axis.
-        capture_jitter: [s] standard deviation by which a frame is off the even grid; its stamp tells.
+        capture_jitter: [s] standard deviation of a frame's time from the even grid; its stamp shows it.
         latency: [s] from capture to arrival.
-        arrival_jitter: [s] by which a frame is later than that, on average; exponentially distributed.
+        arrival_jitter: [s] mean of the exponentially distributed delay beyond the latency.
         dropout_probability: of any frame.
         obscured_angle: [deg] of roll or pitch, beyond which markers may be hidden.
         obscured_share: of the time beyond it in which they are.
         obscured_burst: [s] for which they stay hidden, on average, while the vehicle stays tilted.
     """
 
-    rate: float = field(default=120.0, metadata=_unit("hz", lowest=0.1, highest=1000.0))
-    position_noise: float = field(default=0.0, metadata=_unit("m"))
-    attitude_noise: float = field(default=0.0, metadata=_unit("rad"))
-    capture_jitter: float = field(default=0.0, metadata=_unit("s"))
-    latency: float = field(default=0.0, metadata=_unit("s", highest=10.0))
-    arrival_jitter: float = field(default=0.0, metadata=_unit("s", highest=10.0))
-    dropout_probability: float = field(default=0.0, metadata=_unit(highest=1.0))
-    obscured_angle: float = field(default=180.0, metadata=_unit("deg", highest=180.0))
-    obscured_share: float = field(default=1.0, metadata=_unit(highest=1.0))
-    obscured_burst: float = field(default=0.1, metadata=_unit("s", lowest=1e-3))
+    rate: Annotated[float, Within(0.1, 1000.0), Field(alias="rate_hz")] = 120.0
+    position_noise: Annotated[NotNegative, Field(alias="position_noise_m")] = 0.0
+    attitude_noise: Annotated[NotNegative, Field(alias="attitude_noise_rad")] = 0.0
+    capture_jitter: Annotated[NotNegative, Field(alias="capture_jitter_s")] = 0.0
+    latency: Annotated[Delay, Field(alias="latency_s")] = 0.0
+    arrival_jitter: Annotated[Delay, Field(alias="arrival_jitter_s")] = 0.0
+    dropout_probability: Share = 0.0
+    obscured_angle: Annotated[float, Within(0.0, 180.0), Field(alias="obscured_angle_deg")] = 180.0
+    obscured_share: Share = 1.0
+    obscured_burst: Annotated[float, Within(1e-3), Field(alias="obscured_burst_s")] = 0.1
 
 
 @dataclass(frozen=True)
-class Anemometer:
+class Anemometer(Section):
     """Wind over ground, noise in m/s per axis."""
 
-    rate: float = field(default=500.0, metadata=_unit("hz", lowest=0.1))
-    noise: float = field(default=0.0, metadata=_unit("m_s"))
+    rate: Annotated[Rate, Field(alias="rate_hz")] = 500.0
+    noise: Annotated[NotNegative, Field(alias="noise_m_s")] = 0.0
 
 
 @dataclass(frozen=True)
-class StateNoise:
+class StateNoise(Section):
     """Standard deviations of white noise put straight on the states of a flight (see :func:`contaminate`).
 
     A simulation has no electrical speeds: that of the rotors is of their mechanical speed.
     """
 
-    velocity: float = field(default=0.0, metadata=_unit("m_s"))
-    attitude: float = field(default=0.0, metadata=_unit("rad"))
-    rates: float = field(default=0.0, metadata=_unit("rad_s"))
-    specific_force: float = field(default=0.0, metadata=_unit("m_s2"))
-    rotor_speeds: float = field(default=0.0, metadata=_unit("rad_s"))
+    velocity: Annotated[NotNegative, Field(alias="velocity_m_s")] = 0.0
+    attitude: Annotated[NotNegative, Field(alias="attitude_rad")] = 0.0
+    rates: Annotated[NotNegative, Field(alias="rates_rad_s")] = 0.0
+    specific_force: Annotated[NotNegative, Field(alias="specific_force_m_s2")] = 0.0
+    rotor_speeds: Annotated[NotNegative, Field(alias="rotor_speeds_rad_s")] = 0.0
+
+
+@dataclass(frozen=True)
+class _SuiteFile(Section):
+    """The content of a file in config/noise; what it leaves out is perfect."""
+
+    source: Any = None
+    imu: Imu = Imu()
+    rotor_speeds: RotorSpeedSensor = RotorSpeedSensor()
+    mocap: MotionCapture = MotionCapture()
+    wind: Anemometer = Anemometer()
+    states: StateNoise = StateNoise()
 
 
 @dataclass(frozen=True)
@@ -140,52 +174,21 @@ class SensorSuite:
     """All sensors of a vehicle and of the room that it flies in; `name` is the stem of its file."""
 
     name: str
-    imu: Imu = field(default=Imu())
-    rotor_speeds: RotorSpeedSensor = field(default=RotorSpeedSensor())
-    mocap: MotionCapture = field(default=MotionCapture())
-    wind: Anemometer = field(default=Anemometer())
-    states: StateNoise = field(default=StateNoise())
+    imu: Imu = Imu()
+    rotor_speeds: RotorSpeedSensor = RotorSpeedSensor()
+    mocap: MotionCapture = MotionCapture()
+    wind: Anemometer = Anemometer()
+    states: StateNoise = StateNoise()
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> SensorSuite:
-        """Read a suite by the name of a file in config/noise, or by path; what it leaves out is perfect.
+        """Read a suite by the name of a file in config/noise, or by path.
 
         Raises:
             SimulationError: naming the file and the key that is unknown or impossible.
         """
-        path, data = read_config("noise", name_or_path, SimulationError)
-        parts = {part.name: part.default for part in fields(cls) if part.name != "name"}
-        section = Section(data, str(path), ("source", *parts))
-        read = {name: _read(part, section.get(name, {}), f"{path}: {name}") for name, part in parts.items()}
-        return cls(path.stem, **read)
-
-
-def _read(perfect: Any, data: Any, where: str, unit: str = "") -> Any:
-    """Settings like `perfect`, with what a file gives instead."""
-    keys = {setting.name: _key(setting, unit) for setting in fields(perfect)}
-    section = Section(data, where, tuple(keys.values()))
-    given: dict[str, Any] = {}
-    for setting in fields(perfect):
-        key, metadata = keys[setting.name], setting.metadata
-        if key not in section:
-            continue
-        if is_dataclass(setting.default):
-            part = section.get(key, None)
-            given[setting.name] = _read(setting.default, part, f"{where}.{key}", metadata["unit"])
-        elif isinstance(setting.default, tuple):
-            given[setting.name] = section.vector(key, setting.default)
-        else:
-            given[setting.name] = section.number(key, lowest=metadata["lowest"], highest=metadata["highest"])
-    if given.keys() >= {"noise", "noise_density"}:
-        raise SimulationError(f"{where}: give `{keys['noise']}` or `{keys['noise_density']}`, not both")
-    return replace(perfect, **given)
-
-
-def _key(setting: Field[Any], unit: str) -> str:
-    """Name of a setting in a file: with its unit, unless it is a part with settings of its own."""
-    if is_dataclass(setting.default) or not setting.metadata["unit"]:
-        return setting.name
-    return f"{setting.name}_{setting.metadata['unit'].format(unit=unit)}"
+        path, file = load_config("noise", name_or_path, _SuiteFile, SimulationError)
+        return cls(path.stem, file.imu, file.rotor_speeds, file.mocap, file.wind, file.states)
 
 
 def generator(seed: int, name: str) -> np.random.Generator:

@@ -10,15 +10,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.config import nearest, read_config
 from quadpi_core.errors import VehicleError
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.rotor_local import RotorLocalModel
+from quadpi_core.simulation.rotor_local import RotorLocalModel, read_simulation
 from quadpi_core.vehicle import Vehicle
-
-# `tolerances` are read where simulations are compared with flights.
-_KNOWN = ("motor_time_constant_s", "rotor_local", "effects", "tolerances")
 
 
 @dataclass(frozen=True)
@@ -43,20 +39,11 @@ class SimulatedVehicle:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
             SimulationError: likewise, of effects.
         """
-        path, data = read_config("vehicle", name_or_path, VehicleError)
+        path, section = read_simulation(name_or_path)
         aerodynamics = RotorLocalModel.load(path)
-        section = data["simulation"]
-        for key in section:
-            if key not in _KNOWN:
-                raise VehicleError(f"{path}: unknown key `simulation.{key}`{nearest(str(key), _KNOWN)}")
-        time_constant = section.get("motor_time_constant_s")
-        is_number = isinstance(time_constant, (int, float)) and not isinstance(time_constant, bool)
-        if not is_number or not 0.001 <= time_constant <= 1.0:
-            raise VehicleError(
-                f"{path}: `simulation.motor_time_constant_s` must be a time from 0.001 to 1 s, "
-                f"found {time_constant!r}"
-            )
-        return cls(aerodynamics, float(time_constant), own_effects(path))
+        if section.motor_time_constant_s is None:
+            raise VehicleError(f"{path}: simulation: missing key `motor_time_constant_s`")
+        return cls(aerodynamics, section.motor_time_constant_s, own_effects(path))
 
     @property
     def vehicle(self) -> Vehicle:
@@ -87,9 +74,8 @@ def own_effects(name_or_path: str | Path) -> Effects:
     """The effects that a vehicle file says the vehicle always has: its mapping `simulation.effects`.
 
     Raises:
-        VehicleError: if there is no such file.
+        VehicleError: naming the file and the key that is unknown or impossible.
         SimulationError: naming the effect or parameter that is unknown or out of bounds.
     """
-    path, data = read_config("vehicle", name_or_path, VehicleError)
-    section = data.get("simulation") or {}
-    return read_effects(section.get("effects"), f"{path}: simulation.effects")
+    path, section = read_simulation(name_or_path)
+    return read_effects(section.effects, f"{path}: simulation.effects")

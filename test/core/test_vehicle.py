@@ -105,9 +105,14 @@ def test_every_key_is_required(tmp_path: Path, key: str):
         ({"inertia_kg_m2": [1e-3, 1e-3]}, "`inertia_kg_m2` must be 3 numbers or a 3x3 matrix"),
         ({"inertia_kg_m2": [1e-3, 1e-3, 3e-3]}, "not the inertia of a rigid body"),
         ({"inertia_kg_m2": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]}, "not the inertia of a rigid body"),
-        ({"pole_pairs": 3.5}, "`pole_pairs` must be a positive integer or null"),
+        ({"pole_pairs": 3.5}, "`pole_pairs` must be a positive whole number or null, found 3.5"),
         ({"rotors": []}, "`rotors` must list 4 rotors"),
-        ({"noise": {"gyro": 1.0}}, "unknown key `noise.gyro`"),
+        ({"noise": {"gyro": 1.0}}, "noise: unknown key `gyro`; known: accelerometer_noise_m_s2, "),
+        ({"noise": {"gyro_noise": 1.0}}, "did you mean `gyro_noise_rad_s`?"),
+        (
+            {"noise": {"mocap_delay_s": 1.0}},
+            "noise: `mocap_delay_s` must be a number from -0.3 to 0.3",
+        ),
     ],
 )
 def test_impossible_values_are_named(tmp_path: Path, change: dict[str, Any], message: str):
@@ -120,10 +125,13 @@ def test_impossible_values_are_named(tmp_path: Path, change: dict[str, Any], mes
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"position_m": [0.1, 0.1]}, "rotor 2 needs `position_m` with 3 numbers"),
-        ({"position_m": [0.1, 0.0, 0.0]}, "rotor 2 lies on a body axis"),
-        ({"spin": "left"}, "rotor 2 needs `spin`: clockwise or counterclockwise"),
-        ({"spin": ["left"]}, "rotor 2 needs `spin`: clockwise or counterclockwise"),
+        ({"position_m": [0.1, 0.1]}, "rotors, entry 2: `position_m` must be three numbers, found"),
+        ({"position_m": [0.1, 0.0, 0.0]}, "rotors, entry 2: the rotor lies on a body axis"),
+        (
+            {"spin": "left"},
+            "rotors, entry 2: `spin` must be one of clockwise, counterclockwise, f",
+        ),
+        ({"spin": ["left"]}, "rotors, entry 2: `spin` must be one of clockwise, counterclockwise"),
     ],
 )
 def test_impossible_rotors_are_named(tmp_path: Path, change: dict[str, Any], message: str):

@@ -62,7 +62,7 @@ def test_frozen(failing, calm, for_s):
 
 @pytest.mark.parametrize("metres", [0.3, 2.0, -1000.0])
 def test_jump_for_a_moment(failing, calm, metres):
-    flown = failing("jump", "mocap/pose", AT_S, 0.2, signals=("position",), size=metres)
+    flown = failing("jump", "mocap/pose", AT_S, 0.2, size_m=metres)
     assert flown.poses[Outcome.REJECTED] == 24
     assert flown.states(AT_S + 0.05, AT_S + 0.2) == {DEGRADED}
     assert flown.states(AT_S + 0.25, 8.0) == {OK}
@@ -73,7 +73,7 @@ def test_jump_for_a_moment(failing, calm, metres):
 @pytest.mark.parametrize(("metres", "at_s"), [(0.3, AT_S), (2.0, AT_S), (0.3, 4.3), (2.0, 5.6)])
 def test_jump_for_good(failing, calm, metres, at_s):
     """The world of motion capture was set anew: poses that persist and agree are believed."""
-    flown = failing("jump", "mocap/pose", at_s, 9.0, signals=("position",), size=metres)
+    flown = failing("jump", "mocap/pose", at_s, 9.0, size_m=metres)
     assert flown.poses[Outcome.REJECTED] == pytest.approx(49, abs=3)
     assert not flown.alarms.level.any()
     # For a moment, when they are believed, it is open which of position, velocity and attitude was wrong. The

@@ -66,9 +66,12 @@ def test_parameters_of_effects(refused_flight, value):
 @pytest.mark.parametrize(
     ("flight", "message"),
     [
-        (STEP % (1, 1e-6), "step: `rise_s` must be at least 0.001, found 1e-06"),
+        (STEP % (1, 1e-6), "step: `rise_s` must be a number not below 0.001, found 1e-06"),
         pytest.param(STEP % (1e30, 1), "unreachable reference", marks=pytest.mark.filterwarnings("error")),
-        ("{orbit: {radius_m: 1, speed_m_s: 1, start_s: 0, fade_s: 1e-6}}", "`fade_s` must be at least"),
+        (
+            "{orbit: {radius_m: 1, speed_m_s: 1, start_s: 0, fade_s: 1e-6}}",
+            "`fade_s` must be a number not below 0.001",
+        ),
     ],
 )
 def test_motion(refused_flight, flight, message):

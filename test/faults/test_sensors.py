@@ -76,7 +76,7 @@ def test_one_sample_that_is_not_finite_is_a_warning(altered, calm):
 
 
 def test_gyro_beyond_what_it_can_measure(failing, calm):
-    flown = failing("spike", "imu", AT_S, 0.5, signals=("angular_velocity",), size=100.0)
+    flown = failing("spike", "imu", AT_S, 0.5, size_rad_s=100.0)
     assert flown.words(BAD_DATA) == {"sample not plausible"}
     assert flown.health["imu"].refused == {"UNUSABLE": 25}
     assert len(np.setdiff1d(calm.predictions.time_ns, flown.predictions.time_ns)) == 25
@@ -118,7 +118,7 @@ def test_wind_that_is_not_finite(sensors, fly_onboard, calm):
     ("signal", "words"), [("angular_velocity", "gyro frozen"), ("specific_force", "accelerometer frozen")]
 )
 def test_frozen_inertial_sensor(failing, calm, signal, words):
-    flown = failing("frozen", "imu", AT_S, 0.5, signals=(signal,))
+    flown = failing("frozen", "imu", AT_S, 0.5, signal=signal)
     assert flown.words(BAD_DATA) == {words}
     assert flown.raised(BAD_DATA) == [pytest.approx(AT_S + 0.1, abs=0.02)]
     assert flown.not_ok(BAD_DATA)[1] < AT_S + 0.5 + CLEARED_S

@@ -162,7 +162,7 @@ def test_the_flights_of_test_faults_are_what_the_nodes_do(tmp_path: Path) -> Non
     recording = read_bag(bags_directory() / "interpolation.mcap", Vehicle.load("bebop2"))
     sent = spoilt(
         sent_by(replace(recording, arrivals={}), 5.5),
-        Fault("not_finite", "imu", 1.6, 0.03, signals=("angular_velocity",)),
+        Fault("not_finite", "imu", 1.6, 0.03, signal="angular_velocity"),
         Fault("dropout", "imu", 2.2, 0.3),
         Fault("dropout", "rotor_speeds", 4.2, 0.3),
     )

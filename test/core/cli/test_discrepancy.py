@@ -15,9 +15,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import bags_directory
-from quadpi_core.simulation.flight_choice import choose_flights, parse_effects
 from quadpi_core.simulation.run import simulate
-from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
 from quadpi_core.vehicle import Vehicle
 
 FLIGHTS = """

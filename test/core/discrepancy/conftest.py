@@ -12,9 +12,8 @@ import pytest
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.flight_choice import parse_effects
 from quadpi_core.simulation.run import fly_and_sense
-from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.scenario import load_scenario, parse_effects
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 

@@ -20,7 +20,7 @@ from quadpi_core.discrepancy import (
     load_simulation,
 )
 from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
-from quadpi_core.errors import DiscrepancyError, QuadpiError, SimulationError, VehicleError
+from quadpi_core.errors import DiscrepancyError, QuadpiError, VehicleError
 from quadpi_core.estimator.fusion import fuse, fuse_airborne
 from quadpi_core.flight import WrenchStream
 from quadpi_core.identification.identify import identify
@@ -80,7 +80,7 @@ def test_tolerances_of_the_vehicle_file(vehicle_file):
     ],
 )
 def test_tolerances_that_are_none(vehicle_file, tolerances, message):
-    with pytest.raises(SimulationError, match=message):
+    with pytest.raises(VehicleError, match=message):
         load_simulation(vehicle_file(tolerances=tolerances))
 
 

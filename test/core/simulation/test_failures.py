@@ -6,9 +6,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import ImuStream, PoseStream, RotorSpeedStream, WindStream
-from quadpi_core.simulation.failures import KINDS, SIGNALS, Fault, Sent, apply_faults, read_faults
+from quadpi_core.simulation.failures import KINDS, SIGNALS, Fault, Sent, apply_faults
 
 START_NS, STEP_NS, N = 5_000_000_000, 2_000_000, 1000
 END_NS = START_NS + STEP_NS * (N - 1)
@@ -29,6 +30,10 @@ def sent():
         "mocap/pose": taken(PoseStream(time_ns, rng.normal(size=(N, 3)), rng.normal(size=(N, 4))), 8_000_000),
         "wind": taken(WindStream(time_ns, rng.normal(size=(N, 3)))),
     }
+
+
+def read_faults(data, where):
+    return parse_config(tuple[Fault, ...], data, where, SimulationError)
 
 
 def read(**entry):
@@ -228,23 +233,19 @@ def test_fault_of_an_absent_topic_or_after_the_end(sent):
 )
 def test_impossible_entries_are_named(entry, message):
     data = {"at_s": 1.0, "for_s": 0.2, **entry}
-    with pytest.raises(SimulationError, match=rf"^s\.yaml: faults: fault 2: .*{message}"):
+    with pytest.raises(SimulationError, match=rf"^s\.yaml: faults: entry 2: .*{message}"):
         read_faults([{"kind": "dropout", "topic": "imu", "at_s": 0, "for_s": 1}, data], "s.yaml: faults")
 
 
 @pytest.mark.parametrize("data", [{"kind": "dropout"}, "dropout"])
 def test_faults_are_a_list(data):
-    with pytest.raises(SimulationError, match=r"^x: expected a list of faults"):
+    with pytest.raises(SimulationError, match=r"^x: must be a list, found"):
         read_faults(data, "x")
 
 
 def test_entry_is_a_mapping():
-    with pytest.raises(SimulationError, match=r"^x: fault 1: expected keys and values, found 'dropout'"):
+    with pytest.raises(SimulationError, match=r"^x: entry 1: expected keys and values, found 'dropout'"):
         read_faults(["dropout"], "x")
-
-
-def test_no_faults():
-    assert read_faults(None, "x") == ()
 
 
 def test_signals_are_fields_of_the_streams(sent):

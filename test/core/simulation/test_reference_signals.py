@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.reference_signals import (
-    NOSES,
-    TURNS,
     Chirp,
     Multisine,
     Orbit,
@@ -150,8 +149,8 @@ def test_the_steepest_part_of_a_step():
     np.testing.assert_allclose(step.jets(np.array([2.0]))[0], [2.0, 15.0 / 8.0 * 4.0 / 2.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("nose", NOSES)
-@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("nose", ["north", "centre", "ahead"])
+@pytest.mark.parametrize("turn", ["clockwise", "counterclockwise"])
 class TestOrbit:
     @staticmethod
     def jets(nose: str, turn: str) -> tuple[Array, Array, Array, Array]:
@@ -193,36 +192,36 @@ class TestOrbit:
 @pytest.mark.parametrize(
     ("kind", "change", "message"),
     [
-        (Sine, {"frequency_hz": 0.0}, "`frequency_hz` must be positive, found 0"),
-        (Sine, {"duration_s": -1.0}, "`duration_s` must be positive, found -1"),
-        (Sine, {"start_s": -0.5}, "`start_s` must not be negative, found -0.5"),
-        (Sine, {"fade_s": 0.0}, "`fade_s` must be at least 0.001, found 0"),
+        (Sine, {"frequency_hz": 0.0}, "`frequency_hz` must be a positive number, found 0"),
+        (Sine, {"duration_s": -1.0}, "`duration_s` must be a positive number, found -1"),
+        (Sine, {"start_s": -0.5}, "`start_s` must be a number not below 0, found -0.5"),
+        (Sine, {"fade_s": 0.0}, "`fade_s` must be a number not below 0.001, found 0"),
         (Sine, {"fade_s": 2.5}, "`fade_s` must be at most 2, found 2.5"),
-        (Chirp, {"from_hz": -1.0}, "`from_hz` must be positive, found -1"),
-        (Chirp, {"to_hz": 0.0}, "`to_hz` must be positive, found 0"),
-        (Multisine, {"frequencies_hz": ()}, "`frequencies_hz` must not be empty"),
-        (Multisine, {"frequencies_hz": (1.0, 0.0)}, "`frequencies_hz` must be positive, found 0"),
-        (Step, {"rise_s": 0.0}, "`rise_s` must be at least 0.001, found 0"),
+        (Chirp, {"from_hz": -1.0}, "`from_hz` must be a positive number, found -1"),
+        (Chirp, {"to_hz": 0.0}, "`to_hz` must be a positive number, found 0"),
+        (Multisine, {"frequencies_hz": []}, "`frequencies_hz` must be a list of positive numbers, found []"),
+        (Multisine, {"frequencies_hz": [1.0, 0.0]}, "`frequencies_hz` must be a list of positive numbers"),
+        (Step, {"rise_s": 0.0}, "`rise_s` must be a number not below 0.001, found 0"),
         (Pulse, {"width_s": 0.5}, "`width_s` must be at least `rise_s`, 1, found 0.5"),
-        (Pulse, {"count": 0}, "`count` must be at least 1, found 0"),
+        (Pulse, {"count": 0}, "`count` must be a positive whole number, found 0"),
         (Pulse, {"count": 2, "period_s": 2.5}, "`period_s` must be at least 3, found 2.5"),
-        (Orbit, {"radius_m": 0.0}, "`radius_m` must be positive, found 0"),
-        (Orbit, {"speed_m_s": -2.0}, "`speed_m_s` must be positive, found -2"),
-        (Orbit, {"nose": "south"}, "`nose` must be north, centre or ahead, found south"),
-        (Orbit, {"turn": "left"}, "`turn` must be clockwise or counterclockwise, found left"),
+        (Orbit, {"radius_m": 0.0}, "`radius_m` must be a positive number, found 0"),
+        (Orbit, {"speed_m_s": -2.0}, "`speed_m_s` must be a positive number, found -2"),
+        (Orbit, {"nose": "south"}, "`nose` must be one of north, centre, ahead, found 'south'"),
+        (Orbit, {"turn": "left"}, "`turn` must be one of clockwise, counterclockwise, found 'left'"),
     ],
 )
 def test_impossible_signals_are_refused(kind: Any, change: dict[str, Any], message: str):
     window = {"start_s": 1.0, "duration_s": 4.0}
     valid: dict[Any, dict[str, Any]] = {
-        Sine: {"amplitude": 1.0, "frequency_hz": 1.0} | window,
-        Chirp: {"amplitude": 1.0, "from_hz": 1.0, "to_hz": 2.0} | window,
-        Multisine: {"amplitude": 1.0, "frequencies_hz": (1.0, 2.0)} | window,
-        Step: {"amplitude": 1.0, "rise_s": 1.0, "start_s": 1.0},
-        Pulse: {"amplitude": 1.0, "width_s": 2.0, "rise_s": 1.0, "start_s": 1.0},
+        Sine: {"amplitude_m": 1.0, "frequency_hz": 1.0} | window,
+        Chirp: {"amplitude_m": 1.0, "from_hz": 1.0, "to_hz": 2.0} | window,
+        Multisine: {"amplitude_m": 1.0, "frequencies_hz": [1.0, 2.0]} | window,
+        Step: {"amplitude_m": 1.0, "rise_s": 1.0, "start_s": 1.0},
+        Pulse: {"amplitude_m": 1.0, "width_s": 2.0, "rise_s": 1.0, "start_s": 1.0},
         Orbit: {"radius_m": 3.0, "speed_m_s": 2.0, "fade_s": 1.0} | window,
     }
-    kind(**valid[kind])
+    parse_config(kind, valid[kind], "file", SimulationError)
     with pytest.raises(SimulationError) as caught:
-        kind(**(valid[kind] | change))
-    assert str(caught.value).startswith(message)
+        parse_config(kind, valid[kind] | change, "file", SimulationError)
+    assert str(caught.value).startswith(f"file: {message}")

@@ -19,13 +19,13 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.reachable import require_reachable
-from quadpi_core.simulation.reference_motion import Motion
-from quadpi_core.simulation.reference_signals import Signal
+from quadpi_core.simulation.reference_signals import Motion, Signal
 from quadpi_core.simulation.scenario import Scenario, load_scenario
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 SHIPPED = sorted(file.stem for file in (config_directory() / "scenarios").glob("*.yaml"))
 SINE = {"amplitude_m": 2.0, "frequency_hz": 0.3, "start_s": 1.0, "duration_s": 8.0}
+STEP = {"amplitude_m": 1.0, "rise_s": 1.0, "start_s": 1.0}
 Load = Callable[..., Scenario]
 
 
@@ -283,29 +283,32 @@ def sine(**changes: Any) -> dict[str, Any]:
         ({"effects": {"paylod": None}}, "unknown effect `paylod`; did you mean `payload`?"),
         ({"faults": [{"kind": "droput"}]}, "did you mean `dropout`?"),
         ({"motion": {"z": []}}, "motion: unknown key `z`"),
-        ({"motion": {"x": {"sine": SINE}}}, "motion: `x` must be a list of signals"),
-        ({"motion": {"x": [{"sin": SINE}]}}, "x, signal 1: unknown key `sin`; known: "),
-        ({"motion": {"x": [{"sine": SINE, "step": {}}]}}, "x, signal 1: expected one of sine, pulse"),
-        ({"motion": {"x": [{}]}}, "x, signal 1: expected one of sine, pulse"),
-        ({"motion": {"x": [{"sine": SINE}, {"sine": None}]}}, "x, signal 2: sine: expected keys and values"),
-        (sine(amplitude_deg=1), "x, signal 1: sine: unknown key `amplitude_deg`"),
+        ({"motion": {"x": {"sine": SINE}}}, "motion: `x` must be a list, found {'sine'"),
+        ({"motion": {"x": [{"sin": SINE}]}}, "motion.x, entry 1: unknown key `sin`; known: "),
+        ({"motion": {"x": [{"sine": SINE, "step": STEP}]}}, "motion.x, entry 1: expected one of sine, pulse"),
+        ({"motion": {"x": [{}]}}, "motion.x, entry 1: expected one of sine, pulse"),
+        ({"motion": {"x": [{"sine": SINE}, {"sine": None}]}}, "motion.x, entry 2: expected one of sine"),
+        (
+            sine(amplitude_deg=1),
+            "motion.x: entry 1, sine: unknown key `amplitude_deg`; the amplitude is `amplitude_m`",
+        ),
         (sine(frequency=1), "did you mean `frequency_hz`?"),
-        (sine(duration_s=-2), "sine: `duration_s` must be positive, found -2"),
-        (sine(frequency_hz=0), "sine: `frequency_hz` must be positive, found 0"),
+        (sine(duration_s=-2), "sine: `duration_s` must be a positive number, found -2"),
+        (sine(frequency_hz=0), "sine: `frequency_hz` must be a positive number, found 0"),
         (sine(amplitude_m="2"), "sine: `amplitude_m` must be a number, found '2'"),
-        (sine(duration_s=9.5), "sine: ends at 10.5 s, after the flight, which lasts 10 s"),
-        (pulse(count=4, period_s=3), "pulse: ends at 13 s, after the flight"),
-        (pulse(count=2.0), "pulse: `count` must be a whole number"),
+        (sine(duration_s=9.5), "motion.x, entry 1: ends at 10.5 s, after the flight, which lasts 10 s"),
+        (pulse(count=4, period_s=3), "motion.x, entry 1: ends at 13 s, after the flight"),
+        (pulse(count=2.0), "pulse: `count` must be a positive whole number"),
         (pulse(alternate=1), "pulse: `alternate` must be true or false, found 1"),
         (
             {"motion": {"x": [{"multisine": {"amplitude_m": 1, "frequencies_hz": 2, "start_s": 1}}]}},
-            "multisine: `frequencies_hz` must be a list of numbers, found 2",
+            "multisine: `frequencies_hz` must be a list of positive numbers, found 2",
         ),
         ({"motion": {"x": [{"step": {"amplitude_m": 1, "rise_s": 1}}]}}, "step: missing key `start_s`"),
         ({"motion": {"x": [{"sine": {"amplitude_m": 1, "frequency_hz": 1}}]}}, "sine: missing key `start_s`"),
         (
             {"orbit": {"radius_m": 2, "speed_m_s": 2, "start_s": 1, "nose": "up"}},
-            "orbit: `nose` must be north",
+            "orbit: `nose` must be one of north, centre, ahead, found 'up'",
         ),
         ({"orbit": {"radius_m": 2, "start_s": 1}}, "orbit: missing key `speed_m_s`"),
         (

@@ -9,6 +9,8 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.signals.rotations import inverse, product, to_rotation_vector
 from quadpi_core.simulation.sensor_noise import (
+    Accelerometer,
+    Gyro,
     InertialSensor,
     SensorSuite,
     StateNoise,
@@ -59,8 +61,8 @@ def test_mpu6000_is_that_of_its_data_sheet():
 def test_what_a_file_leaves_out_is_perfect(suite):
     assert suite("{}") == SensorSuite("own")
     partly = suite("imu: {gyro: {noise_rad_s: 0.1}}\nmocap: {latency_s: 0.1}")
-    assert partly.imu.gyro == InertialSensor(noise=0.1)
-    assert partly.imu.accelerometer == InertialSensor()
+    assert partly.imu.gyro == Gyro(noise=0.1)
+    assert partly.imu.accelerometer == Accelerometer()
     assert (partly.mocap.rate, partly.mocap.latency, partly.mocap.attitude_noise) == (120.0, 0.1, 0.0)
 
 
@@ -83,7 +85,7 @@ def test_what_a_file_leaves_out_is_perfect(suite):
         ),
         (
             "imu: {accelerometer: {noise_m_s2: 1, noise_density_m_s2_sqrt_hz: 1}}",
-            r"imu\.accelerometer: give `noise_m_s2` or `noise_density_m_s2_sqrt_hz`, not both",
+            r"imu\.accelerometer: give the noise of a sample or its density, not both",
         ),
         ("imu: {position_m: [1, 2]}", r"imu: `position_m` must be three numbers, found \[1, 2\]"),
         ("imu: 3", r"own\.yaml: imu: expected keys and values, found 3"),

@@ -5,11 +5,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.signals.rotations import from_rotation_vector, inverse, matrix, product, to_rotation_vector
 from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.failures import read_faults
+from quadpi_core.simulation.failures import Fault
 from quadpi_core.simulation.sensor_noise import (
     Anemometer,
     Imu,
@@ -37,7 +38,8 @@ def long_truth(swing):
 
 
 def sensed(truth, suite=PERFECT, *, vehicle=BEBOP, effects=None, faults=None, seed=1):
-    return sense(truth, vehicle, suite, read_effects(effects or {}, "x"), read_faults(faults, "x"), seed)
+    failures = parse_config(tuple[Fault, ...], faults or [], "x", SimulationError)
+    return sense(truth, vehicle, suite, read_effects(effects or {}, "x"), failures, seed)
 
 
 def assert_streams_equal(one, other, *, but=()):

@@ -13,17 +13,24 @@ from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 
-@pytest.mark.parametrize("value", [None, 0.0, -0.03, 2.0, "fast", True])
+@pytest.mark.parametrize("value", [0.0, -0.03, 2.0, "fast", True])
 def test_impossible_motors(tmp_path, value):
-    with pytest.raises(VehicleError, match=r"own\.yaml: `simulation\.motor_time_constant_s` must be a time"):
+    with pytest.raises(
+        VehicleError,
+        match=r"own\.yaml: simulation: `motor_time_constant_s` must be a number from 0.001 to 1, found",
+    ):
         SimulatedVehicle.load(vehicle_file(tmp_path, motor_time_constant_s=value))
 
 
 def test_unknown_key(tmp_path):
-    with pytest.raises(
-        VehicleError, match=r"unknown key `simulation\.motor_time_s`; did you mean `motor_time_constant_s`\?"
-    ):
+    message = r"own\.yaml: simulation: unknown key `motor_time_s`; .*did you mean `motor_time_constant_s`\?"
+    with pytest.raises(VehicleError, match=message):
         SimulatedVehicle.load(vehicle_file(tmp_path, motor_time_s=0.03))
+
+
+def test_missing_motors(tmp_path):
+    with pytest.raises(VehicleError, match=r"own\.yaml: simulation: missing key `motor_time_constant_s`"):
+        SimulatedVehicle.load(vehicle_file(tmp_path, motor_time_constant_s=None))
 
 
 def vehicle_file(folder, **changes):
