@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -78,14 +79,14 @@ def hovering(vehicle: Vehicle) -> Recording:
     )
 
 
-def rosbags_messages(bag: Path):
+def rosbags_messages(bag: Path) -> Iterator[tuple[str, str, int, object]]:
     """Topic, type, log time and deserialised message of each message of a bag."""
     with AnyReader([bag]) as reader:
         for connection, time_ns, data in reader.messages():
             yield connection.topic, connection.msgtype, time_ns, reader.deserialize(data, connection.msgtype)
 
 
-def rosbags_write(folder: Path, messages: list) -> None:
+def rosbags_write(folder: Path, messages: Iterable[tuple[str, str, int, object]]) -> None:
     """Serialise and write messages one by one."""
     shutil.rmtree(folder, ignore_errors=True)
     store = typestore()

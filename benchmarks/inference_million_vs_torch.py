@@ -40,7 +40,7 @@ def run() -> list[Result]:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        eager = EagerBatches(fitted, X, factors)
+        eager = EagerBatches(fitted, X, factors)  # type: ignore[arg-type]  # all are bootstraps
         check_equal(eager, compiled.evaluate(X[:1000], factors))
         few = [lambda size=size: eager.evaluate(SAMPLES_PER_BLOCK_SIZE, size) for size in BLOCKS]
         block = BLOCKS[int(np.argmin(interleaved_seconds(few, repetitions=3).min(axis=0)))]

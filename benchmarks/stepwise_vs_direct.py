@@ -44,6 +44,7 @@ def run() -> list[Result]:
 
         active = list(before.active)
         candidates = [k for k in range(len(regressors)) if k not in active]
+        assert after.added is not None
         tried = sorted({*candidates[::ONE_IN], after.added})
         start = time.perf_counter()
         errors = candidate_errors(columns, target, active, tried)

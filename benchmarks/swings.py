@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +21,7 @@ from quadpi_core.logs.mcap import cut_topic
 from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.methods import FittedAxis
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "neurobem"
@@ -49,7 +51,9 @@ def three_models(folder: Path, vehicle: Vehicle) -> dict[str, AerodynamicModel]:
     ).save(folder / METHODS[0])
     models = {METHODS[0]: polynomial}
     for method in METHODS[1:]:
-        ensembles = random_ensembles(method, flights[0].inputs, simulation_inputs())
+        ensembles: dict[str, FittedAxis] = {
+            **random_ensembles(method, flights[0].inputs, simulation_inputs())
+        }
         model = replace(polynomial, name="", fitted=ensembles, identity="")
         # Names of models are parts of topics, which know no hyphen.
         models[method] = model.save(folder / method.replace("-", "_"))
@@ -96,7 +100,7 @@ def write_long_bag(path: Path, vehicle: Vehicle, seconds: float) -> None:
 
 
 def _later(recording: Recording, by_ns: int) -> Recording:
-    streams = {
+    streams: dict[str, Any] = {
         column.name: replace(stream, time_ns=stream.time_ns + by_ns)
         for column in fields(recording)
         if isinstance(stream := getattr(recording, column.name), Stream)

@@ -182,7 +182,7 @@ def told(case: Case, number: int, found: Discovery) -> str:
         f"Round {number}: verdict `{found.verdict}`; {found.gap.reduction:.0%} of the removable gap closed, "
     ]
     lines[0] += f"{found.unexplained:.0%} of what can be predicted has no name."
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (effect.name if not place else "", p.name, f"{p.value:.3g}", f"{p.lower:.3g} … {p.upper:.3g}", p.unit)
         for effect in found.effects
         for place, p in enumerate(effect.parameters)

@@ -38,7 +38,7 @@ class Batch(NamedTuple):
     name: str
     seed: int
     first: int
-    count: int
+    cases: int
 
 
 @dataclass
@@ -58,7 +58,7 @@ def _work(pipe: Connection, place: multiprocessing.sharedctypes.Synchronized[int
     while (batch := pipe.recv()) is not None:
         form, found, kinds = FORMATS[batch.name], [], Counter[str]()
         started = time.process_time()
-        for number in range(batch.first, batch.first + batch.count):
+        for number in range(batch.first, batch.first + batch.cases):
             place.value = number
             data = make(form, batch.seed, number)
             signal.setitimer(signal.ITIMER_PROF, SECONDS_MAX)
@@ -173,8 +173,8 @@ class Run:
         tally.findings += found
         tally.seconds += seconds
         self.peak = max(self.peak, peak)
-        if done < batch.count:
-            self._work.append(batch._replace(first=batch.first + done, count=batch.count - done))
+        if done < batch.cases:
+            self._work.append(batch._replace(first=batch.first + done, cases=batch.cases - done))
         if not worker.process.is_alive() or kinds["memory"]:
             worker.close()
             workers[workers.index(worker)] = worker = Worker()
@@ -185,19 +185,17 @@ def summary(run: Run) -> str:
     """A line per format, then the findings."""
     lines = [f"{'format':14} {'cases':>9} {'read':>9} {'refused':>9} {'found':>6} {'per s':>7}"]
     for name, tally in sorted(run.tallies.items()):
-        cases, found = (
-            tally.kinds.total(),
-            sum(tally.kinds.values()) - tally.kinds["read"] - tally.kinds["refused"],
-        )
+        cases = tally.kinds.total()
+        found = cases - tally.kinds["read"] - tally.kinds["refused"]
         rate = cases / tally.seconds if tally.seconds else 0.0
         lines.append(
             f"{name:14} {cases:9} {tally.kinds['read']:9} {tally.kinds['refused']:9} {found:6} {rate:7.0f}"
         )
     every = sum((tally.kinds for tally in run.tallies.values()), Counter[str]())
-    found = {kind: count for kind, count in every.items() if kind not in {"read", "refused"}}
+    wrong = sorted((kind, count) for kind, count in every.items() if kind not in {"read", "refused"})
     lines.append(
         f"{every.total()} cases, {every['read']} read, {every['refused']} refused in one line; "
-        f"found: {', '.join(f'{count} {kind}' for kind, count in sorted(found.items())) or 'nothing'}; "
+        f"found: {', '.join(f'{count} {kind}' for kind, count in wrong) or 'nothing'}; "
         f"peak memory {run.peak / 2**20:.0f} MiB"
     )
     for _, tally in sorted(run.tallies.items()):

@@ -35,7 +35,7 @@ class Sender:
         """A packet of a message with any payload."""
         head = bytes((0xFD, len(payload), 0, 0, 0, 1, 1)) + kind.id.to_bytes(3, "little")
         checksum = self.dialect.x25crc(head[1:] + payload + bytes((kind.crc_extra,))).crc
-        return head + payload + checksum.to_bytes(2, "little")
+        return bytes(head + payload + checksum.to_bytes(2, "little"))
 
 
 class Flown(NamedTuple):

@@ -228,17 +228,14 @@ def _folder_seeds() -> list[bytes]:
     recording = _recording(6)
     with TemporaryDirectory() as folder:
         with Writer(Path(folder) / "bag", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
-            for name, type_name, stream, pack in (
-                ("/imu", sensor_messages.IMU, recording.imu, sensor_messages.pack_imu),
-                (
-                    "/rotor_speeds",
-                    sensor_messages.ROTOR_SPEEDS,
-                    recording.rotor_speeds,
-                    sensor_messages.pack_rotor_speeds,
-                ),
+            assert recording.rotor_speeds is not None
+            speeds = sensor_messages.pack_rotor_speeds(recording.rotor_speeds)
+            for name, type_name, payloads in (
+                ("/imu", sensor_messages.IMU, sensor_messages.pack_imu(recording.imu)),
+                ("/rotor_speeds", sensor_messages.ROTOR_SPEEDS, speeds),
             ):
                 connection = writer.add_connection(name, type_name, typestore=typestore())
-                for time_ns, payload in zip(stream.time_ns.tolist(), pack(stream), strict=True):
+                for time_ns, payload in zip(recording.imu.time_ns.tolist(), payloads, strict=True):
                     writer.write(connection, time_ns, payload)
         made = Path(folder) / "bag"
         metadata = (made / "metadata.yaml").read_bytes().replace(b"bag.db3", b"flight.db3")
@@ -569,7 +566,7 @@ def _damaged_configuration(rng: random.Random) -> bytes:
 
 
 def _read_configuration(path: Path, _: int) -> None:
-    name, _, text = path.read_bytes().partition(b"\n")
+    name, _separator, text = path.read_bytes().partition(b"\n")
     kind = name.decode()
     own = path.with_name(f"{path.name}.{kind}.yaml")
     own.write_bytes(text)
