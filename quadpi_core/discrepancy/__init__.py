@@ -2,10 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where simulation and measurement disagree: find it, name the missing effect, add it, show the gap shrink.
 
-A flight beside a simulation (`contributions`, `simulations`) leaves a residual. Candidates (`candidates`)
-are effects of the simulation's registry. Their columns stand with what the simulation is uncertain in
-(`design`), white among frequencies (`whitening`); evidence chooses (`evidence`, `search`), functions that
-know no physics tell what is left (`generic`), and flights left out in turn show the gap (`gap`).
+1. A flight compared with a simulation leaves a residual (`simulations`, `effect_response`).
+2. Candidates are the effects of the simulation's registry (`candidates`). With what the simulation is
+   uncertain in, they become columns in frequency, where noise is white within bands (`linearisation`,
+   `whitening`).
+3. The evidence of sets of effects (`effect_regression`, `evidence`) and a list of named tests (`acceptance`)
+   choose (`search`).
+4. Functions that know no physics show what is left without a name (`unexplained`).
+5. Flights left out in turn show how far the gap closes (`closure`), where it was (`by_condition`), and how
+   the simulation with the effects flies (`effect_sets`, `reflight`).
 """
 
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation

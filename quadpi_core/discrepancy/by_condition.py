@@ -174,7 +174,7 @@ def locate(found: Found, seed: int = 0) -> Where:
         order = sorted(VARIABLES, key=lambda name: -_told(result.excess[cells.bins[name], axis], cells, name))
         profiles.append(_profile(axis, order[0], flights, cells, result))
         groups.append(_of_axis(axis, order, cells, result))
-    energy = result.excess[cells.bins["time"]].sum(axis=0) / found.design.noise.sum(axis=1)
+    energy = result.excess[cells.bins["time"]].sum(axis=0) / found.regression.noise.sum(axis=1)
     loudest = [groups[axis] for axis in np.argsort(-energy)]
     ranges = tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group)
     loud = {part.axis for part in ranges}

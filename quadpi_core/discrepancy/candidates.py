@@ -30,8 +30,6 @@ _PRIOR = 1.5
 # Of the prior: half the step of a difference quotient. Wind turns the airspeed of a hover around: a small
 # step would see no more of that than the cusp at rest.
 _STEP, _WIDE_STEP = 1e-3, 0.2
-# Of one rotor they differ in how its thrust goes with the airflow alone, which is known within a tolerance.
-_ONE_OF_A_ROTOR = frozenset({"weak_rotor", "rotor_speed_scale"})
 
 
 @dataclass(frozen=True)
@@ -58,15 +56,26 @@ class Candidate:
         return self.effect.name
 
     @property
+    def label(self) -> str:
+        """The name with the whole numbers that tell this candidate from others of the effect."""
+        whole = [
+            f"{p.name} {value:.0f}"
+            for p, value in zip(self.effect.parameters, self.start, strict=True)
+            if p.whole
+        ]
+        return f"{self.name} ({', '.join(whole)})" if whole else self.name
+
+    @property
     def form(self) -> float:
         """Share by which the contribution of the effect may differ from what is computed of it."""
         # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
         return AERODYNAMIC if self.effect.kind == "wind" else self.effect.form
 
     def excludes(self, other: Candidate) -> bool:
-        """Whether the two are not looked for together: one effect twice, or the same of one rotor."""
-        of_one_rotor = {self.name, other.name} <= _ONE_OF_A_ROTOR and self.start[0] == other.start[0]
-        return self.name == other.name or bool(of_one_rotor)
+        """Whether the two are not looked for together: one effect twice, or two of a group on one rotor."""
+        group = self.effect.indistinguishable_group
+        alike = bool(group) and group == other.effect.indistinguishable_group
+        return self.name == other.name or (alike and bool(self.start[0] == other.start[0]))
 
     def values(self, found: Array) -> Array:
         """All parameters (P,) from those found (k,)."""
@@ -99,9 +108,7 @@ def typical_sizes(effect: Effect, vehicle: Vehicle) -> Array:
             sizes[index] *= mass * arm
         elif unit.startswith(("N", "kg")):
             sizes[index] *= mass
-    if effect.name == "cg_offset":
-        sizes *= arm
-    return sizes
+    return sizes * arm if effect.size_grows_with_arm else sizes
 
 
 def candidates(vehicle: Vehicle, names: Sequence[str] | None = None) -> list[Candidate]:
@@ -135,7 +142,7 @@ def _variants(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
             start=np.array(start, dtype=float),
             free=free,
             scale=_PRIOR * sizes[list(free)],
-            linear=effect.kind in ("wrench", "vehicle") and effect.name != "tether",
+            linear=effect.kind in ("wrench", "vehicle") and effect.composable,
         )
         for start in itertools.product(*choices)
     ]

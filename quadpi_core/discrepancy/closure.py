@@ -1,21 +1,32 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far simulation and flights lie apart, before and after, on flights that were not used to find it."""
+"""How far a set of effects closes the gap between simulation and flights, on flights left out of the fit.
+
+To the search, what a law leaves is noise, and most of that is slow: a fit in units of it hardly sees what is
+left of a law in steady flight. So the shape of a law is found by least squares, all frequencies alike, with
+the parameters of the effects as the search found them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.evidence import residual_weights
-from quadpi_core.discrepancy.shape_fit import Closing
+from quadpi_core.discrepancy.effect_regression import Regression
+from quadpi_core.discrepancy.evidence import Fit, fit_forms, residual_weights
+from quadpi_core.discrepancy.linearisation import AXES_OVER_FORM
+from quadpi_core.discrepancy.whitening import cross_gram
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.simulation.effect_definition import SHAPE
 
 
 class Gap(NamedTuple):
-    """Root-mean-square differences up to the band of the comparison, order as `AXES`, N and Nm.
+    """Root-mean-square differences up to the highest compared frequency, order as `AXES`, N and Nm.
 
     Attributes:
         before, after: (6,) of measured and simulated wrench, each flight with what the others found.
@@ -29,25 +40,140 @@ class Gap(NamedTuple):
     reduction: float
 
 
-def gap(closing: Closing) -> Gap:
-    """The gap of each flight with what all others tell; as it is where no effect was chosen.
+@dataclass(frozen=True)
+class Closing:
+    """What closes the gap: the effects, their laws shaped, and the tolerances; see :meth:`fits`.
 
-    Coefficients alone are not moved: without an effect that is missing they would go beyond their tolerances.
+    Attributes:
+        regression: of the search.
+        chosen: indices of the candidates that were named.
+        shaped: those of them whose laws the flights shape, because that brings flights left out closer.
+        grams: (F, K, K) Gram matrices that weigh what is left: all frequencies alike with shapes, in units of
+            the noise without.
     """
-    design, chosen = closing.design, closing.chosen
-    before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
-    samples = 0
-    unchanged = residual_weights(1, ())
-    for place, found in enumerate(closing.left_out):
-        before += np.square(design.combined(place, unchanged)).sum(axis=1)
-        after += np.square(design.combined(place, found.left if chosen else unchanged)).sum(axis=1)
-        floor += design.noise[:, design.bands[place]].sum(axis=1)
-        samples += len(design.flights[place].thinned)
-    removable = np.sum(np.maximum(before - floor, 0.0) / floor)
-    kept = np.sum(np.maximum(after - floor, 0.0) / floor)
-    return Gap(
-        before=np.sqrt(before / samples),
-        after=np.sqrt(after / samples),
-        floor=np.sqrt(floor / samples),
-        reduction=float(1.0 - kept / removable) if removable > 0.0 else 0.0,
-    )
+
+    regression: Regression
+    chosen: tuple[int, ...]
+    shaped: tuple[int, ...]
+    grams: Array
+
+    @classmethod
+    def by_laws(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
+        """By the laws alone."""
+        return cls(regression, tuple(chosen), (), regression.weighting.per_flight)
+
+    @classmethod
+    def of(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
+        """With laws shaped where that helps."""
+        bare = cls.by_laws(regression, chosen)
+        laws = [regression.candidates[index] for index in chosen]
+        # A law that is not linear in its parameters is shaped by them.
+        shaped = tuple(i for i, law in zip(chosen, laws, strict=True) if law.effect.shape and law.linear)
+        if not shaped:
+            return bare
+        whole = cls(regression, tuple(chosen), shaped, _even_grams(regression, chosen))
+        return whole if whole._leaves(whole.grams) < bare._leaves(whole.grams) else bare
+
+    def fits(self, without: int | None = None) -> tuple[Fit, Fit]:
+        """Fit of the parameters, by the laws alone, and of all that is added: tolerances and shapes too.
+
+        Args:
+            without: index of a flight to leave out of both, so that they can be judged on it.
+        """
+        regression = self.regression
+        gram = regression.gram if without is None else regression.gram - self._per_flight[without]
+        law = regression.fit(self.chosen, gram, form=False)
+        if law is None or not self.shaped:
+            law = law or regression.fit((), gram)
+            assert law is not None  # without effects there is always a fit
+            return law, law
+        even = self.grams.sum(axis=0)
+        if without is not None:
+            even -= self.grams[without]
+        blocks = {index: regression.block(index) for index in self.chosen}
+        formed = [blocks[index] for index in self.shaped]
+        return law, fit_forms(even, regression.columns.tolerances, list(blocks.values()), law, formed)
+
+    @cached_property
+    def left_out(self) -> list[Fit]:
+        """Per flight all that the others would add."""
+        return [self.fits(place)[1] for place in range(len(self.regression.flights))]
+
+    def left_out_squares(self) -> Array:
+        """Squares (6,) left of the flights, each by a fit of all others, in variances of the noise."""
+        regression, squares = self.regression, np.zeros(len(AXES))
+        for place, (found, band) in enumerate(zip(self.left_out, regression.columns.bands, strict=True)):
+            left = np.square(regression.columns.combined(place, found.left))
+            squares += np.sum(left / regression.noise[:, band], axis=1)
+        return squares
+
+    def gap(self) -> Gap:
+        """The gap of each flight with what all others add; unchanged where no effect was chosen.
+
+        Coefficients alone are not moved: without the missing effect they would go beyond their tolerances.
+        """
+        columns, noise = self.regression.columns, self.regression.noise
+        before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
+        samples = 0
+        unchanged = residual_weights(1, ())
+        for place, found in enumerate(self.left_out):
+            before += np.square(columns.combined(place, unchanged)).sum(axis=1)
+            after += np.square(columns.combined(place, found.left if self.chosen else unchanged)).sum(axis=1)
+            floor += noise[:, columns.bands[place]].sum(axis=1)
+            samples += len(columns.flights[place].thinned)
+        removable = np.sum(np.maximum(before - floor, 0.0) / floor)
+        kept = np.sum(np.maximum(after - floor, 0.0) / floor)
+        return Gap(
+            before=np.sqrt(before / samples),
+            after=np.sqrt(after / samples),
+            floor=np.sqrt(floor / samples),
+            reduction=float(1.0 - kept / removable) if removable > 0.0 else 0.0,
+        )
+
+    def shape(self, index: int, law: Fit, found: Fit) -> dict[str, float]:
+        """Parameters of `effect_definition.SHAPE` by which the flights shape the law of a candidate.
+
+        Args:
+            index: of the candidate.
+            law: fit of its parameters, see :meth:`fits`.
+            found: fit of the shapes.
+        """
+        candidate, block = self.regression.candidates[index], self.regression.block(index)
+        modulators = self.regression.columns.modulators
+        size = float(np.linalg.norm(law.of(block.parameters)))
+        weights = candidate.form * found.of(block.form)
+        if not weights.any() or size == 0.0:
+            return {}
+        # The columns were made for an effect of another size.
+        weights *= block.formed_at / size
+        axes = [AXES.index(name) for name in candidate.effect.axes]
+        slopes = weights[len(axes) :] / modulators.deviation
+        shares = np.zeros(len(AXES))
+        shares[axes] = AXES_OVER_FORM * weights[: len(axes)] - slopes @ modulators.mean
+        shape = zip(SHAPE, np.concatenate((shares, slopes)), strict=True)
+        return {p.name: float(np.clip(value, p.lowest, p.highest)) for p, value in shape if value}
+
+    @property
+    def _per_flight(self) -> Array:
+        return self.regression.weighting.per_flight
+
+    def _leaves(self, grams: Array) -> float:
+        """Squares that flights are left with when they are left out, by Gram matrices (F, K, K)."""
+        return sum(float(fit.left @ own @ fit.left) for own, fit in zip(grams, self.left_out, strict=True))
+
+
+def _even_grams(regression: Regression, chosen: Sequence[int]) -> Array:
+    """Gram matrices (F, K, K) in which all frequencies count alike, in units of the fastest noise.
+
+    Only of the residual, the tolerances and the candidates chosen; 0 for all other columns.
+    """
+    parts = [np.zeros(1, dtype=np.intp), regression.columns.tolerances]
+    for block in (regression.block(index) for index in chosen):
+        offset = [] if block.offset is None else [block.offset]
+        parts += [block.parameters, block.form, np.array(offset, dtype=np.intp)]
+    columns = np.concatenate(parts)
+    grams = np.zeros_like(regression.weighting.per_flight)
+    for place in range(len(regression.flights)):
+        rows = regression.columns.rows(place, columns) / np.sqrt(regression.noise[:, -1])[:, None, None]
+        grams[place][np.ix_(columns, columns)] = cross_gram(rows, rows)
+    return grams

@@ -2,17 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The formulas of effects, to read and to use elsewhere: text, LaTeX, and Python that needs numpy alone.
 
-The Python is the effect's own source with all that it calls, so that it gives what the effect gives.
+The Python is the effect's own source with all that it calls, so it computes what the effect computes.
 """
 
 from __future__ import annotations
 
-import ast
 import inspect
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from textwrap import dedent
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Any
 
 from quadpi_core.simulation.effect_definition import SHAPE, Effect
@@ -42,6 +41,8 @@ _SHAPE_SYMBOLS = (
     *("V", "u", "v", "w", "l", r"\Omega", "g", "{ww}"),
 )
 
+# At the end of a line of source: for linters and type checkers alone.
+_REMARK = re.compile(r"  # (?:noqa|type:).*$", re.M)
 _HEAD = '''"""Effects that quadpi found in flights, as functions of numpy alone.
 
 {names}
@@ -49,6 +50,8 @@ _HEAD = '''"""Effects that quadpi found in flights, as functions of numpy alone.
 Each takes what its first line says; `NAME_PARAMETERS` are the values that were found. Units are SI, body axes
 forward-right-down, world north-east-down, quaternions (w, x, y, z) from body to world.
 """
+
+from __future__ import annotations
 
 '''
 
@@ -126,22 +129,22 @@ def _shape_text(shape: Mapping[str, float]) -> str:
     )
 
 
-def python_source(effects: dict[str, dict[str, float]]) -> str:
+def python_source(effects: Mapping[str, Mapping[str, float]]) -> str:
     """A Python file with a function for each effect that needs numpy and the standard library alone.
 
     Args:
         effects: names and the values of their parameters, and of what shapes their laws.
     """
-    sources = _Sources()
-    for name in effects:
-        sources.add(name, EFFECTS[name].function)
-    names = "\n".join(f"{name}: {EFFECTS[name].summary}." for name in effects)
-    values = "\n".join(line for name, found in effects.items() for line in _constants(name, found))
+    functions = [EFFECTS[name].function for name in effects]
     driver = ""
     if any(EFFECTS[name].kind == "wrench" for name in effects):
-        sources.add("shaped", shaped)
+        functions.append(shaped)
         driver = _WRENCH.replace("{shapes}", str(len(SHAPE)))
-    return _HEAD.format(names=names) + sources.text() + f"\n\n{values}\n" + driver
+    imports, definitions = _sources(functions)
+    names = "\n".join(f"{name}: {EFFECTS[name].summary}." for name in effects)
+    values = "\n".join(line for name, found in effects.items() for line in _constants(name, found))
+    head = _HEAD.format(names=names) + "\n".join(sorted(imports))
+    return "\n\n\n".join([head, *definitions, values]) + "\n" + driver
 
 
 def _constants(name: str, found: Mapping[str, float]) -> list[str]:
@@ -158,67 +161,52 @@ def _described(effect: Effect) -> str:
     return ", ".join(f"{p.name} [{p.unit or '-'}]" for p in effect.parameters)
 
 
-class _Sources:
-    """Definitions that functions rest on, each after those that it needs."""
+def _sources(functions: Sequence[Any]) -> tuple[set[str], list[str]]:
+    """Imports, and the source of functions with all of quadpi that they use, each after what it needs.
 
-    def __init__(self) -> None:
-        self._imports = {"import numpy as np"}
-        self._named: dict[str, Any] = {}
-        self._definitions: list[str] = []
+    Raises:
+        ValueError: for a name that files of effects give to different things.
+    """
+    imports = {"import numpy as np"}
+    definitions: dict[str, tuple[Any, str]] = {}
 
-    def text(self) -> str:
-        return "\n".join(sorted(self._imports)) + "\n\n\n" + "\n\n\n".join(self._definitions)
-
-    def add(self, name: str, value: Any) -> str:
-        """Add what a name stands for, and what that rests on; gives the name that it has here."""
+    def add(name: str, value: Any) -> None:
         if isinstance(value, ModuleType):
-            self._imports.add(f"import {value.__name__} as {name}")
-            return name
+            imports.add(f"import {value.__name__} as {name}")
+            return
         function = getattr(value, "py_func", value)
         if inspect.isfunction(function) and not function.__module__.startswith("quadpi_core"):
-            self._imports.add(f"from {function.__module__} import {function.__name__} as {name}")
-            return name
-        # Two files may give one name to different things.
-        while name in self._named and self._named[name] is not value:
-            name += "_"
-        if name not in self._named:
-            self._named[name] = value
-            self._definitions.append(self._definition(name, function))
-        return name
+            imports.add(f"from {function.__module__} import {function.__name__} as {name}")
+            return
+        known = definitions.get(name)
+        if known is not None:
+            if known[0] is not value:
+                raise ValueError(f"two files of effects define `{name}`: an exported file holds one of them")
+            return
+        if inspect.isfunction(function):
+            for used in sorted(_names(function.__code__) & function.__globals__.keys()):
+                if used != name:
+                    add(used, function.__globals__[used])
+            definitions[name] = value, _bare(inspect.getsource(function))
+        elif isinstance(value, type) and issubclass(value, Exception):
+            definitions[name] = (
+                value,
+                f'class {name}(Exception):\n    """{(value.__doc__ or name).strip()}"""',
+            )
+        else:
+            definitions[name] = value, f"{name} = {value!r}"
 
-    def _definition(self, name: str, value: Any) -> str:
-        if inspect.isfunction(value):
-            return self._function(name, value)
-        if isinstance(value, type) and issubclass(value, Exception):
-            return f'class {name}(Exception):\n    """{(value.__doc__ or name).strip()}"""'
-        return f"{name} = {value!r}"
-
-    def _function(self, name: str, function: Any) -> str:
-        (tree,) = ast.parse(dedent(inspect.getsource(function))).body
-        assert isinstance(tree, ast.FunctionDef)  # no effect is a method or a lambda
-        bare = _Bare().visit(tree)
-        bare.name = name
-        used = [node for node in ast.walk(bare) if isinstance(node, ast.Name)]
-        for node in used:
-            if node.id in function.__globals__ and node.id not in _locals(function):
-                node.id = self.add(node.id, function.__globals__[node.id])
-        return ast.unparse(ast.fix_missing_locations(bare))
+    for function in functions:
+        add(function.__name__, function)
+    return imports, [source for _, source in definitions.values()]
 
 
-def _locals(function: Any) -> tuple[str, ...]:
-    names: tuple[str, ...] = function.__code__.co_varnames
-    return names
+def _names(code: CodeType) -> set[str]:
+    """Names that code looks up outside of itself, and those of the functions within it."""
+    inner = (value for value in code.co_consts if isinstance(value, CodeType))
+    return set(code.co_names).union(*map(_names, inner))
 
 
-class _Bare(ast.NodeTransformer):
-    """A function without decorators and types."""
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
-        node.decorator_list, node.returns = [], None
-        for argument in (*node.args.args, *node.args.kwonlyargs):
-            argument.annotation = None
-        self.generic_visit(node)
-        return node
-
-    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.stmt | None:
-        return ast.Assign([node.target], node.value) if node.value else None
+def _bare(source: str) -> str:
+    """Source of a function without decorators and remarks for tools."""
+    return _REMARK.sub("", source[re.search(r"^def ", source, re.M).start() :]).rstrip()  # type: ignore[union-attr]

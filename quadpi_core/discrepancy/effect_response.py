@@ -14,7 +14,7 @@ carry the noise of the residual itself: a vehicle of no mass in no air would fit
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -30,7 +30,7 @@ from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 # Content of a flight above a quarter of this is not looked at: see `whitening.BAND_HZ`.
 RATE_HZ = 125.0
@@ -118,15 +118,10 @@ class Compared:
         columns = [
             Column(name, wrench[:: self.step]) for name, wrench in self.simulation.uncertain(self.flight)
         ]
-        for rotor, values in enumerate(tolerances.thrust * np.eye(ROTORS)):
-            wrench = self.added(EFFECTS["rotor_thrusts"], values)
-            columns.append(Column(f"thrust of rotor {rotor + 1}", wrench))
-        for name, share in body_tolerances(tolerances):
-            effect = EFFECTS[name]
-            for index, parameter in enumerate(effect.parameters):
-                values = np.zeros(len(effect.parameters))
-                values[index] = share
-                columns.append(Column(f"{name}.{parameter.name}", self.added(effect, values)))
+        for effect, deviation in body_tolerances(tolerances):
+            deviations = deviation * np.eye(len(effect.parameters))
+            for parameter, values in zip(effect.parameters, deviations, strict=True):
+                columns.append(Column(f"{effect.name}.{parameter.name}", self.added(effect, values)))
         return columns
 
     def added(self, effect: Effect, values: Array) -> Array:
@@ -139,13 +134,16 @@ class Compared:
         return _KINDS[effect.kind](self, effect, values)
 
 
-def body_tolerances(tolerances: Tolerances) -> tuple[tuple[str, float], ...]:
-    """Effects that stand for what is uncertain in the body, with a standard deviation of their parameters."""
-    # A centre of gravity that is elsewhere is elsewhere from the accelerometer, too.
-    return (
-        ("inertia", tolerances.inertia),
-        ("cg_offset", tolerances.cg_m),
-        ("imu_lever_arm", tolerances.cg_m),
+def body_tolerances(tolerances: Tolerances) -> tuple[tuple[Effect, float], ...]:
+    """Effects that stand for what is uncertain in the body, with the standard deviation of their parameters.
+
+    In the order of the tolerances, then of the effects that declare them (`Effect.tolerance`).
+    """
+    return tuple(
+        (effect, getattr(tolerances, field.name))
+        for field in fields(Tolerances)
+        for effect in EFFECTS.values()
+        if effect.tolerance == field.name
     )
 
 

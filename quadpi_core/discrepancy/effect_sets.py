@@ -24,13 +24,7 @@ from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
-from quadpi_core.vehicle import ROTORS, Vehicle, is_rigid_body
-
-_ROTORS = "rotor_thrusts"
-# Not linear in its parameters: one on top of another is not their sum.
-_ALONE = "tether"
-# Of a moment of inertia: by how much it is lowered at a time, and how often.
-_STEP, _STEPS = 0.005, 500
+from quadpi_core.vehicle import Vehicle
 
 
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
@@ -47,60 +41,50 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         DiscrepancyError: where an effect cannot stand beside what the simulation already has.
     """
     found = discovery.found
-    design = found.design
-    simulation = design.flights[0].simulation
+    regression, columns = found.regression, found.regression.columns
+    simulation = regression.flights[0].simulation
     law, fitted = found.closing.fits(without)
     effects: Effects = {}
     for index in found.chosen:
-        candidate = design.candidates[index]
-        values = candidate.values(design.parameters(index, law))
-        shape = design.shape(index, law, fitted)
+        candidate = regression.candidates[index]
+        values = candidate.values(regression.parameters(index, law))
+        shape = found.closing.shape(index, law, fitted)
         effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
     adjusted: dict[str, float] = {}
     if _adjusting_helps(found):
-        multiples = dict(zip(design.tolerance_names, fitted.of(design.tolerances).tolist(), strict=True))
+        multiples = dict(zip(columns.tolerance_names, fitted.of(columns.tolerances).tolist(), strict=True))
         adjusted, small = _divided(multiples, simulation.tolerances)
         effects = merged(small, effects)
     return _added(simulation, effects, adjusted)
 
 
 def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
-    """The effects, the largest moment of inertia lowered until a rigid body has the three.
-
-    Of a flat vehicle, one moment is nearly the sum of the others: noise alone can take it beyond.
-    """
-    if "inertia" not in effects:
-        return effects
-    changes = np.array(list(effects["inertia"].values()))
-    for _ in range(_STEPS):
-        inertia = EFFECTS["inertia"].function(vehicle, changes).inertia
-        if is_rigid_body(inertia):
-            break
-        largest = int(np.argmax(np.diag(inertia)))
-        changes[largest] = (1.0 - _STEP) * (1.0 + changes[largest]) - 1.0
-    return {**effects, "inertia": _named("inertia", changes)}
+    """The effects, with parameters that are possible on the vehicle: noise can take a fit beyond."""
+    possible = dict(effects)
+    for name, parameters in effects.items():
+        feasible = EFFECTS[name].feasible
+        if feasible is not None:
+            possible[name] = _named(name, feasible(vehicle, np.array(list(parameters.values()))))
+    return possible
 
 
 def _adjusting_helps(found: Found) -> bool:
     """Whether coefficients moved within their tolerances bring flights that are left out closer."""
-    design = found.design
     gained = 0.0
     for own, fit in zip(found.closing.grams, found.closing.left_out, strict=True):
         weights = fit.left
         unmoved = weights.copy()
-        unmoved[design.tolerances] = 0.0
+        unmoved[found.regression.columns.tolerances] = 0.0
         gained += float(unmoved @ own @ unmoved - weights @ own @ weights)
     return gained > 0.0
 
 
 def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[dict[str, float], Effects]:
     """Multiples of tolerances: those of the simulation's own coefficients; the others as small effects."""
-    own = dict(multiples)
-    changes = [tolerances.thrust * own.pop(f"thrust of rotor {rotor + 1}") for rotor in range(ROTORS)]
-    small = {_ROTORS: _named(_ROTORS, changes)}
-    for name, deviation in body_tolerances(tolerances):
-        values = [deviation * own.pop(f"{name}.{p.name}") for p in EFFECTS[name].parameters]
-        small[name] = _named(name, values)
+    own, small = dict(multiples), {}
+    for effect, deviation in body_tolerances(tolerances):
+        values = [deviation * own.pop(f"{effect.name}.{p.name}") for p in effect.parameters]
+        small[effect.name] = _named(effect.name, values)
     return own, {name: values for name, values in small.items() if any(values.values())}
 
 
@@ -120,7 +104,7 @@ def merged(one: Effects, other: Effects) -> Effects:
     """
     for name in set(one) & set(other):
         whole = [parameter.name for parameter in EFFECTS[name].parameters if parameter.whole]
-        if name == _ALONE or any(one[name][key] != other[name][key] for key in whole):
+        if not EFFECTS[name].composable or any(one[name][key] != other[name][key] for key in whole):
             raise DiscrepancyError(
                 f"effect `{name}`: the simulation has one already, and a second one cannot be added to it"
             )

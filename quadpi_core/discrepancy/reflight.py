@@ -83,7 +83,7 @@ class Track:
 
 def reflights(discovery: Discovery) -> Reflights:
     """Roll-outs, closed loops and, for a model with intervals, their coverage."""
-    compared = discovery.found.design.flights
+    compared = discovery.found.regression.flights
     before = compared[0].simulation
     flights = [one.flight for one in compared]
     after = [augmented(discovery, without=place) for place in range(len(flights))]

@@ -73,21 +73,21 @@ class Residual(NamedTuple):
 
 def residuals(found: Found) -> list[Residual]:
     """Residuals of the flights of a search, in their order."""
-    design = found.design
-    tolerances = design.tolerances
+    regression, columns = found.regression, found.regression.columns
+    tolerances = columns.tolerances
     # Beside the effects that were found: alone, coefficients would bend to take their place.
     without = found.fit.left.copy()
     without[tolerances] = 0.0
-    projected = design.gram[tolerances, : len(without)] @ without
-    fitted = within_tolerance(design.gram[np.ix_(tolerances, tolerances)], projected[:, None])[:, 0]
+    projected = regression.gram[tolerances, : len(without)] @ without
+    fitted = within_tolerance(regression.gram[np.ix_(tolerances, tolerances)], projected[:, None])[:, 0]
     before = residual_weights(len(without), ())
     beyond = before.copy()
     beyond[tolerances] -= fitted
     result = []
-    for place, (flight, held_out) in enumerate(zip(design.flights, found.closing.left_out, strict=True)):
+    for place, (flight, held_out) in enumerate(zip(regression.flights, found.closing.left_out, strict=True)):
         samples = len(flight.thinned)
-        at = places(len(design.bands[place]), samples)
-        rows = [design.combined(place, weights) for weights in (before, beyond, held_out.left)]
+        at = places(len(columns.bands[place]), samples)
+        rows = [columns.combined(place, weights) for weights in (before, beyond, held_out.left)]
         series = over_time(np.stack(rows, axis=2), samples)
         result.append(
             Residual(
@@ -271,18 +271,18 @@ def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed:
 
 def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     """Energy (C, 6, DRAWS) of residuals without any effect, coefficients put where they fit best."""
-    design = found.design
-    tolerances = design.tolerances
-    gram = design.gram[np.ix_(tolerances, tolerances)]
+    regression, columns = found.regression, found.regression.columns
+    tolerances = columns.tolerances
+    gram = regression.gram[np.ix_(tolerances, tolerances)]
     most = most_off(len(tolerances))
     rng = np.random.default_rng(seed)
     off = np.clip(rng.standard_normal((len(tolerances), DRAWS)), -most, most)
 
     # What generic functions predict is no noise either, where it has no name.
-    spectrum = np.minimum(design.noise, found.left.noise)
+    spectrum = np.minimum(regression.noise, found.left.noise)
 
     def noise(place: int) -> Array:
-        rng, band = np.random.default_rng((seed, place)), design.bands[place]
+        rng, band = np.random.default_rng((seed, place)), columns.bands[place]
         # Noise differs from flight to flight: no better known than its own squares in a band could tell.
         count = np.maximum(np.bincount(band, minlength=BANDS), 1)[:, None]
         share = rng.chisquare(count, (len(AXES), BANDS, DRAWS)) / count
@@ -291,14 +291,14 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
 
     # Made twice rather than kept: it is by far the largest of all arrays.
     projected = gram @ off
-    columns = [design.rows(place, tolerances) for place in range(len(design.flights))]
-    for place, rows in enumerate(columns):
-        weighted = rows / design.noise[:, design.bands[place]][:, :, None]
+    allowed = [columns.rows(place, tolerances) for place in range(len(regression.flights))]
+    for place, rows in enumerate(allowed):
+        weighted = rows / regression.noise[:, columns.bands[place]][:, :, None]
         projected += np.einsum("abk,abd->kd", weighted, noise(place), optimize=True)
     left = off - within_tolerance(gram, projected)
     energy = np.zeros((len(cells.samples), len(AXES), DRAWS))
-    for place, rows in enumerate(columns):
-        series = over_time(rows @ left + noise(place), len(design.flights[place].thinned))
+    for place, rows in enumerate(allowed):
+        series = over_time(rows @ left + noise(place), len(regression.flights[place].thinned))
         energy += (cells.members[place] @ np.square(series).reshape(len(series), -1)).reshape(energy.shape)
     return energy
 

@@ -168,13 +168,14 @@ def altered_vehicle(effects: Effects, vehicle: Vehicle) -> Vehicle:
         SimulationError: for moments of inertia of which one is more than the sum of the other two.
     """
     for effect, values in _of_kind(effects, "vehicle"):
-        vehicle = effect.function(vehicle, values)
-    if "inertia" in effects and not is_rigid_body(vehicle.inertia):
-        x, y, z = effects["inertia"].values()
-        raise SimulationError(
-            f"vehicle {vehicle.name}: effect `inertia`: changes of {x:g}, {y:g} and {z:g} leave moments "
-            "that no rigid body has (each is at most the sum of the other two)"
-        )
+        altered = effect.function(vehicle, values)
+        if altered.inertia is not vehicle.inertia and not is_rigid_body(altered.inertia):
+            first, last = ", ".join(f"{value:g}" for value in values[:-1]), values[-1]
+            raise SimulationError(
+                f"vehicle {vehicle.name}: effect `{effect.name}`: changes of {first} and {last:g} leave "
+                "moments that no rigid body has (each is at most the sum of the other two)"
+            )
+        vehicle = altered
     return vehicle
 
 

@@ -20,11 +20,15 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from quadpi_core.frames import Array
+from quadpi_core.vehicle import Vehicle
 
 # Effects that are switched on: name -> every parameter with its value, in the order of the registry.
 Effects: TypeAlias = Mapping[str, Mapping[str, float]]
 # `Effect.form` of a law of the air: two laws of the literature for one effect differ by about as much.
 AERODYNAMIC = 0.15
+# `Effect.indistinguishable_group` of a weak rotor and a misread rotor speed: they differ only in how the
+# thrust depends on the airflow, which is known within a tolerance.
+STRENGTH_OF_ONE_ROTOR = "strength of one rotor"
 Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 
 
@@ -49,9 +53,9 @@ class Parameter:
     whole: bool = False
 
 
-# How flights may shape a law that is off where the air is not as it assumes: it adds this share more in each
-# axis, and of all axes as much more as what `kernels.modulators` gives times these. An effect of a file may
-# have any of them beside its parameters.
+# Parameters by which flights may shape a law that is off where the air is not as it assumes: its wrench is
+# multiplied by one plus a share for the axis plus these slopes times `effect_kernels.modulators`. In a file
+# an effect may have any of them beside its own parameters.
 SHAPE = tuple(
     Parameter(f"shape_{name}", "", 0.0, -100.0, 100.0)
     for name in (
@@ -76,6 +80,16 @@ class Effect:
         formula: in LaTeX, the parameters by their symbols.
         symbols: of the parameters, in LaTeX.
         last: whether it acts after every other effect of its kind.
+        composable: whether two of them act as one that has the sums of their parameters; not so where the
+            effect is not linear in them.
+        scales_existing: whether it only scales what acts already. It then gains nothing where another law is
+            off, and needs less evidence beside one.
+        indistinguishable_group: name of a group whose effects look alike on one rotor, their first parameter;
+            a search looks for one of them on each rotor. Empty for none.
+        size_grows_with_arm: whether its typical size is in proportion to the arm of the vehicle.
+        tolerance: field of `discrepancy.simulations.Tolerances` with the standard deviation of the parameters
+            in a simulation that does not have the effect; empty for none.
+        feasible: (vehicle, p) -> p, brings parameters to what that vehicle can have; None where bounds do.
     """
 
     name: str
@@ -90,6 +104,12 @@ class Effect:
     formula: str = ""
     symbols: tuple[str, ...] = ()
     last: bool = False
+    composable: bool = True
+    scales_existing: bool = False
+    indistinguishable_group: str = ""
+    size_grows_with_arm: bool = False
+    tolerance: str = ""
+    feasible: Callable[[Vehicle, Array], Array] | None = None
 
     @property
     def shape(self) -> tuple[Parameter, ...]:
@@ -102,15 +122,7 @@ class Effect:
 
 
 def effect(
-    kind: str,
-    axes: str,
-    *parameters: Parameter,
-    shown_by: str = "",
-    inverse: Callable[[Array], Array] | None = None,
-    form: float = 0.0,
-    formula: str = "",
-    symbols: str = "",
-    last: bool = False,
+    kind: str, axes: str, *parameters: Parameter, symbols: str = "", **declared: Any
 ) -> Callable[[Any], Effect]:
     """Make an effect of a function: its name and the first line of its docstring are those of the effect.
 
@@ -118,20 +130,20 @@ def effect(
         kind: see the module.
         axes: names of axes with spaces between them.
         parameters: in the order in which the function takes them.
-        shown_by: see :class:`Effect`.
-        inverse: see :class:`Effect`.
-        form: see :class:`Effect`.
-        formula: see :class:`Effect`.
-        symbols: with spaces between them, see :class:`Effect`.
-        last: see :class:`Effect`.
+        symbols: of the parameters, with spaces between them.
+        declared: other attributes of :class:`Effect` that differ from their defaults.
     """
 
     def declare(function: Any) -> Effect:
-        summary = function.__doc__.partition("\n")[0].rstrip(".")
-        name = function.__name__
         return Effect(
-            *(name, kind, summary, tuple(axes.split()), parameters, function, shown_by, inverse, form),
-            *(formula, tuple(symbols.split()), last),
+            name=function.__name__,
+            kind=kind,
+            summary=function.__doc__.partition("\n")[0].rstrip("."),
+            axes=tuple(axes.split()),
+            parameters=parameters,
+            function=function,
+            symbols=tuple(symbols.split()),
+            **declared,
         )
 
     return declare

@@ -82,6 +82,7 @@ def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     Parameter("height_m", "m", 0.0, 0.0, 1000.0),
     Parameter("hook_m", "m", 0.01, -1.0, 1.0),
     shown_by="flights outward in every direction",
+    composable=False,
     form=AERODYNAMIC,
     formula=(
         r"F = -k\,\max(L - L_0,\ 0)\,R_{BE}\,n,\quad M = h\,(-F_y,\ F_x,\ 0),\quad "
@@ -150,6 +151,8 @@ def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     shown_by="throttle steps and vertical accelerations",
     # After every other force, whose moment it changes.
     last=True,
+    size_grows_with_arm=True,
+    tolerance="cg_m",
     formula=r"M = -(d_x,\ d_y,\ d_z) \times F",
     symbols="d_x d_y d_z",
 )

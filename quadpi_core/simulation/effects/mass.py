@@ -10,7 +10,11 @@ import numpy as np
 
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import Parameter, effect
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Vehicle, is_rigid_body
+
+# Share by which a moment of inertia is lowered at a time, far below its tolerance of 2 %, and how often at
+# most: until it is a twelfth.
+_STEP, _STEPS_MOST = 0.005, 500
 
 
 @effect(
@@ -18,6 +22,7 @@ from quadpi_core.vehicle import Vehicle
     "Fx Fy Fz",
     Parameter("mass_kg", "kg", 0.05, 0.0, 5.0),
     shown_by="vertical accelerations with roll and pitch pulses; weighing",
+    scales_existing=True,
     formula="m = m_0 + m_L",
     symbols="m_L",
 )
@@ -29,11 +34,29 @@ def payload(vehicle: Vehicle, p: Array) -> Vehicle:
     return replace(vehicle, mass_kg=vehicle.mass_kg + float(p[0]))
 
 
+def _of_a_rigid_body(vehicle: Vehicle, p: Array) -> Array:
+    """Changes of the moments of inertia, the largest moment lowered until a rigid body can have the three.
+
+    Of a flat vehicle, one moment is nearly the sum of the others: noise alone can take it beyond.
+    """
+    p = p.copy()
+    for _ in range(_STEPS_MOST):
+        moments = inertia.function(vehicle, p).inertia
+        if is_rigid_body(moments):
+            break
+        largest = int(np.argmax(np.diag(moments)))
+        p[largest] = (1.0 - _STEP) * (1.0 + p[largest]) - 1.0
+    return p
+
+
 @effect(
     "vehicle",
     "Mx My Mz",
     *(Parameter(f"{axis}_change", "", 0.2, -0.5, 1.0) for axis in "xyz"),
     shown_by="attitude doublets and angular chirps about every axis",
+    scales_existing=True,
+    tolerance="inertia",
+    feasible=_of_a_rigid_body,
     formula=r"I_{ij} = I_{0,ij}\sqrt{(1 + k_i)(1 + k_j)},\quad k = (k_x, k_y, k_z)",
     symbols="k_x k_y k_z",
 )

@@ -10,7 +10,13 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
+from quadpi_core.simulation.effect_definition import (
+    AERODYNAMIC,
+    STRENGTH_OF_ONE_ROTOR,
+    Parameter,
+    Wrench,
+    effect,
+)
 from quadpi_core.simulation.effect_kernels import NO_WRENCH, with_hub_force
 from quadpi_core.vehicle import ROTORS
 
@@ -64,6 +70,7 @@ def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
     "Fz Mx My Mz",
     Parameter("change", "", 0.1, -0.9, 1.0),
     shown_by="roll and pitch pulses, throttle steps",
+    scales_existing=True,
     formula=r"\Delta T_i = k\,T_i,\quad \Delta Q_i = k\,Q_i",
     symbols="k",
 )
@@ -83,6 +90,7 @@ def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
     "wrench",
     "Fz Mx My Mz",
     *(Parameter(f"{name}_change", "", 0.01, -0.9, 1.0) for name in ("first", "second", "third", "fourth")),
+    tolerance="thrust",
     formula=r"\Delta T_i = k_i\,T_i,\quad \Delta Q_i = k_i\,Q_i,\quad k = (k_1, k_2, k_3, k_4)",
     symbols="k_1 k_2 k_3 k_4",
 )
@@ -105,6 +113,7 @@ def rotor_thrusts(state: Any, vehicle: Any, p: Array) -> Wrench:
     Parameter("loss", "", 0.1, 0.0, 1.0),
     Parameter("torque_change", "", -0.1, -1.0, 1.0),
     shown_by="throttle steps with yaw steps",
+    indistinguishable_group=STRENGTH_OF_ONE_ROTOR,
     form=AERODYNAMIC,
     formula=r"\Delta T_j = -k\,T_j,\quad (\Delta Q_j,\ \Delta H_j) = k_Q\,(Q_j,\ H_j)",
     symbols="j k k_Q",

@@ -16,7 +16,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import Recording, Stamps, Stream
 from quadpi_core.frames import Array
 from quadpi_core.signals.rotations import from_rotation_vector, matrix
-from quadpi_core.simulation.effect_definition import Parameter, effect, three
+from quadpi_core.simulation.effect_definition import STRENGTH_OF_ONE_ROTOR, Parameter, effect, three
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _Late = TypeVar("_Late", bound=Stream)
@@ -31,6 +31,8 @@ def _inverse_scale(p: Array) -> Array:
     "sensor",
     "Fx Fy Fz",
     *three("m", "m", 0.01, 0.2),
+    # A centre of gravity that is elsewhere is elsewhere from the accelerometer, too.
+    tolerance="cg_m",
     formula=r"f' = f + \dot\Omega \times r + \Omega \times (\Omega \times r),\quad r = (r_x, r_y, r_z)",
     symbols="r_x r_y r_z",
 )
@@ -126,6 +128,7 @@ def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  #
     Parameter("change", "", 0.02, -0.9, 1.0),
     shown_by="weighing the thrust of each rotor; throttle steps with yaw",
     inverse=_inverse_scale,
+    indistinguishable_group=STRENGTH_OF_ONE_ROTOR,
     formula=r"\omega'_j = (1 + k)\,\omega_j,\quad j = 0:\ \text{every rotor}",
     symbols="j k",
 )

@@ -78,8 +78,17 @@ def test_exported_function_gives_the_wrench_of_the_effect(effect, model, states)
 def test_exported_file_runs_by_itself(effect):
     source = python_source({effect.name: defaults(effect)})
     imported = {line.split()[1] for line in source.splitlines() if line.startswith(("import ", "from "))}
-    assert imported <= {"numpy", "dataclasses", "math"}
+    assert imported <= {"__future__", "numpy", "dataclasses", "math"}
     assert callable(module_of(effect)[effect.name])
+
+
+def test_exported_source_is_that_of_the_library():
+    """People read the same lines here and there."""
+    exported = python_source({"ground_effect": defaults(EFFECTS["ground_effect"])})
+    source = inspect.getsource(EFFECTS["ground_effect"].function.py_func)
+    assert source[source.index("def ") :].strip() in exported
+    assert "njit" not in exported
+    assert "noqa" not in python_source({"tether": defaults(EFFECTS["tether"])})
 
 
 def test_exported_effects_stand_together_in_one_file():

@@ -13,7 +13,7 @@ import pytest
 from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.search import _without_idle
+from quadpi_core.discrepancy.search import Accepted, without_idle
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
@@ -137,48 +137,49 @@ def test_a_driving_law_that_few_flights_tell_is_kept(simulation, flights, pushed
     assert [effect.name for effect in found.effects] == ["body_drag"]
 
 
-class _Told:
-    """A design of which the evidence of each set is told."""
+class ListedEvidence:
+    """A regression in which the evidence of each set is listed, and every effect is linear and exact."""
 
-    def __init__(self, evidence):
+    def __init__(self, evidence, reweighted=()):
         self.evidence = {tuple(sorted(chosen)): value for chosen, value in evidence.items()}
-        self.candidates = [SimpleNamespace(name=f"effect {k}", form=0.0, linear=True) for k in range(3)]
-        self.blocks = [SimpleNamespace(parameters=np.array([k])) for k in range(3)]
-        self.points = [np.zeros(1) for _ in range(3)]
-        self.weighed = 0
+        effect = SimpleNamespace(scales_existing=False)
+        names = [f"effect {k}" for k in range(3)]
+        self.candidates = [
+            SimpleNamespace(name=name, label=name, form=0.0, linear=True, effect=effect) for name in names
+        ]
+        self.columns = SimpleNamespace(points=[np.zeros(1)] * 3)
+        self.reweighted = reweighted
 
     def fit(self, chosen, *_, **__):
         columns = np.array(chosen, dtype=np.intp)
         value = self.evidence[tuple(chosen)]
         return Fit(value, columns, np.ones(len(columns)), np.eye(len(columns)), np.zeros(3))
 
-    def parameters(self, index, found):
-        return found.of(self.blocks[index].parameters)
-
-    def state(self):
-        return None
-
-    def move(self, *_):
-        pass
-
-    def refresh(self):
-        pass
-
-    def energy(self, chosen, *_):
-        return self.evidence[tuple(chosen)]
-
-    def noise_beside(self, *_):
+    def parameters(self, *_):
         return np.ones(1)
 
-    def weigh(self, *_):
-        self.weighed += 1
+    def size(self, *_):
+        return 1.0
+
+    def moved(self, _):
+        return self
+
+    def energy(self, chosen, _):
+        return self.evidence[tuple(chosen)]
+
+    def beside(self, chosen, _):
+        return ListedEvidence(self.evidence, chosen)
 
 
 @pytest.mark.parametrize(("alone", "kept"), [(1190.0, (1,)), (900.0, (0, 1))])
 def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
     """The first did well until the second came; that one does nearly as well, or does not, without it."""
-    design = _Told({(0,): 1000.0, (1,): alone, (0, 1): 1200.0})
-    chosen, found = _without_idle(design, (0, 1), design.fit((0, 1)), threshold=5.0)
-    assert chosen == kept
-    assert found.log_evidence == design.evidence[kept]
-    assert design.weighed == (kept != (0, 1))
+    regression = ListedEvidence({(0,): 1000.0, (1,): alone, (0, 1): 1200.0})
+    both = Accepted(regression, (0, 1), regression.fit((0, 1)))
+    after, judgements = without_idle(both, threshold=5.0)
+    assert after.chosen == kept
+    assert after.fit.log_evidence == regression.evidence[kept]
+    dropped = kept != (0, 1)
+    assert after.regression.reweighted == (kept if dropped else ())
+    assert [own.effect for own in judgements] == ["effect 0"] * dropped
+    assert not any(own.accepted for own in judgements)

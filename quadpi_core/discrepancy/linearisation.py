@@ -1,0 +1,259 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The columns of the regression, in frequency: residual, tolerances and candidates of all flights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from quadpi_core.discrepancy.candidates import Candidate, linearise
+from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
+from quadpi_core.discrepancy.evidence import Block, Indices
+from quadpi_core.discrepancy.whitening import spectrum
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.simulation.applied_effects import state_modulators
+
+# Prior deviation of the share of a single axis, over the share by which the whole law may be off: two laws of
+# the literature for one effect differ more from axis to axis than in their mean.
+AXES_OVER_FORM = 1.5
+# Step of the difference quotient in a vehicle parameter, in prior standard deviations.
+_VEHICLE_STEP = 1e-3
+# Smallest standard deviation of a modulator that is divided by: one that is constant has none.
+_LEAST_DEVIATION = 1e-9
+NO_COLUMNS: Indices = np.empty(0, dtype=np.intp)
+
+
+@dataclass(frozen=True)
+class Modulators:
+    """What an effect may depend on beyond what its law says, standardised over all flights.
+
+    Attributes:
+        mean, deviation: (C,) over all flights.
+        values: per flight (M, C), less the mean and over the deviation.
+    """
+
+    mean: Array
+    deviation: Array
+    values: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, flights: Sequence[Compared]) -> Modulators:
+        """Modulators of the states of the flights."""
+        raw = [state_modulators(flight.states, flight.record) for flight in flights]
+        everything = np.concatenate(raw)
+        mean, deviation = everything.mean(axis=0), np.maximum(everything.std(axis=0), _LEAST_DEVIATION)
+        return cls(mean, deviation, tuple((own - mean) / deviation for own in raw))
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Columns of all flights about one point per candidate; immutable, a move gives another value.
+
+    Column 0 is the residual; the tolerances follow, then the blocks of the candidates. The columns are held
+    as tables that are only ever appended: the block of a candidate that has moved is at the end, its former
+    columns stay where they are, and no other index changes.
+
+    Attributes:
+        flights: F flights.
+        candidates: that the blocks belong to.
+        points: per candidate, the free parameters that it is linearised at.
+        blocks: per candidate, its columns.
+        tolerance_names, tolerances: names and indices of the columns of the tolerances.
+        bands: per flight (B,) the frequency band of each row.
+        tables: per flight, tables (6, B, ·) of columns.
+    """
+
+    flights: tuple[Compared, ...]
+    candidates: tuple[Candidate, ...]
+    points: tuple[Array, ...]
+    blocks: tuple[Block, ...]
+    tolerance_names: tuple[str, ...]
+    tolerances: Indices
+    bands: tuple[Indices, ...]
+    tables: tuple[tuple[Array, ...], ...]
+    modulators: Modulators
+    # Columns in time per flight, by the index of a linear candidate whose law may be off.
+    _in_time: Mapping[int, list[Array]] = field(repr=False)
+
+    @classmethod
+    def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Linearisation:
+        """Every candidate linearised at no effect."""
+        uncertain = [flight.uncertain() for flight in flights]
+        names = tuple(column.name for column in uncertain[0])
+        first = [
+            spectrum(
+                np.stack((flight.residual, *(column.wrench for column in columns)), axis=2),
+                flight.thinned.rate_hz,
+            )
+            for flight, columns in zip(flights, uncertain, strict=True)
+        ]
+        value = cls(
+            flights=tuple(flights),
+            candidates=tuple(candidates),
+            points=tuple(np.zeros(len(candidate.free)) for candidate in candidates),
+            blocks=(),
+            tolerance_names=names,
+            tolerances=np.arange(1, 1 + len(names)),
+            bands=tuple(found.band for found in first),
+            tables=tuple((found.rows,) for found in first),
+            modulators=Modulators.of(flights),
+            _in_time={},
+        )
+        for index in range(len(candidates)):
+            value = value._with_block(index)
+        return value
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return sum(table.shape[2] for table in self.tables[0])
+
+    @property
+    def linear_columns(self) -> Indices:
+        """Indices of the columns of the tolerances and of the parameters of every linear candidate."""
+        linear = [block.parameters for block in self.blocks if block.offset is None]
+        return np.concatenate([self.tolerances, *linear])
+
+    def rows(self, place: int, columns: Indices) -> Array:
+        """Some columns (6, B, k) of a flight."""
+        tables = self.tables[place]
+        return np.stack([tables[t][:, :, at] for t, at in _located(tables, columns)], axis=2)
+
+    def combined(self, place: int, weights: Array) -> Array:
+        """Sum (6, B) of the columns of a flight, each times its weight (K,); further columns have none."""
+        total = np.zeros((len(AXES), len(self.bands[place])))
+        for start, table in zip(table_starts(self.tables[place]), self.tables[place], strict=True):
+            own = weights[start : start + table.shape[2]]
+            if own.any():
+                total += table[:, :, : len(own)] @ own
+        return total
+
+    def moved(self, points: Mapping[int, Array]) -> Linearisation:
+        """Candidates, by index, linearised about other points, with form columns for their sizes there."""
+        value = self
+        for index, at in points.items():
+            moved = replace(value, points=_with(value.points, index, at))
+            if not self.candidates[index].linear:
+                moved = moved._with_block(index)
+            value = moved._with_form(index)
+        return value
+
+    def accelerated(self, changes: Sequence[Array]) -> Linearisation:
+        """With the columns of another mass or inertia made of other accelerations.
+
+        Args:
+            changes: per flight, rows (6, B) by which the wrench of the vehicle's accelerations changed.
+        """
+        shares = self._vehicle_shares()
+        columns = np.array(list(shares), dtype=np.intp)
+        tables = []
+        for own, change in zip(self.tables, changes, strict=True):
+            copies = list(own)
+            located = _located(own, columns)
+            for table in {table for table, _ in located}:
+                copies[table] = own[table].copy()
+            for (table, at), share in zip(located, shares.values(), strict=True):
+                copies[table][:, :, at] += share @ change
+            tables.append(tuple(copies))
+        return replace(self, tables=tuple(tables))
+
+    def _vehicle_shares(self) -> dict[int, Array]:
+        """Share (6, 6) of the wrench in each column of another mass or inertia, by the column's index."""
+        simulation = self.flights[0].simulation
+        shares = {}
+        for effect, deviation in body_tolerances(simulation.tolerances):
+            for values, p in zip(deviation * np.eye(len(effect.parameters)), effect.parameters, strict=True):
+                if effect.kind == "vehicle":
+                    column = 1 + self.tolerance_names.index(f"{effect.name}.{p.name}")
+                    shares[column] = share_of_wrench(effect, simulation.vehicle, values)
+        for candidate, block in zip(self.candidates, self.blocks, strict=True):
+            if candidate.effect.kind == "vehicle":
+                for column, values in zip(block.parameters, np.diag(candidate.scale), strict=True):
+                    small = share_of_wrench(candidate.effect, simulation.vehicle, _VEHICLE_STEP * values)
+                    shares[int(column)] = small / _VEHICLE_STEP
+        return shares
+
+    def _with_block(self, index: int) -> Linearisation:
+        """The columns of a candidate about its point appended; its block is those."""
+        candidate, at, first = self.candidates[index], self.points[index], self.width
+        found = linearise(candidate, self.flights, at)
+        in_time = self._in_time
+        if candidate.linear and candidate.form > 0.0:
+            in_time = {**in_time, index: [columns for _, columns in found]}
+        added = []
+        for here, columns in found:
+            offset = columns @ (at / candidate.scale) - here
+            added.append(
+                columns if candidate.linear else np.concatenate((columns, offset[:, :, None]), axis=2)
+            )
+        bounds = [candidate.effect.parameters[free] for free in candidate.free]
+        block = Block(
+            parameters=np.arange(first, first + len(at)),
+            form=NO_COLUMNS,
+            formed_at=1.0,
+            offset=None if candidate.linear else first + len(at),
+            lowest=np.array([p.lowest for p in bounds]) / candidate.scale,
+            highest=np.array([p.highest for p in bounds]) / candidate.scale,
+        )
+        appended = self._appended(added)
+        return replace(appended, blocks=_with(self.blocks, index, block), _in_time=in_time)
+
+    def _with_form(self, index: int) -> Linearisation:
+        """Columns appended by which the law of a candidate may be off, in proportion to its size."""
+        candidate, at = self.candidates[index], self.points[index]
+        size = float(np.linalg.norm(at / candidate.scale))
+        if size == 0.0 or candidate.form == 0.0:
+            return self
+        added = []
+        for place, flight in enumerate(self.flights):
+            here = (
+                self._in_time[index][place] @ (at / candidate.scale)
+                if candidate.linear
+                else flight.added(candidate.effect, candidate.values(at))
+            )
+            added.append(self._form(candidate, here, place))
+        appended = self._appended(added)
+        form = np.arange(self.width, appended.width)
+        block = replace(self.blocks[index], form=form, formed_at=size)
+        return replace(appended, blocks=_with(self.blocks, index, block))
+
+    def _form(self, candidate: Candidate, here: Array, place: int) -> Array:
+        """Columns (M, 6, C): shares of the contribution, axis by axis, then times each modulator."""
+        share = candidate.form
+        columns = []
+        for axis, name in enumerate(AXES):
+            if name in candidate.effect.axes:
+                single = np.zeros_like(here)
+                single[:, axis] = AXES_OVER_FORM * share * here[:, axis]
+                columns.append(single)
+        columns += [share * here * modulator[:, None] for modulator in self.modulators.values[place].T]
+        return np.stack(columns, axis=2)
+
+    def _appended(self, columns: Iterable[Array]) -> Linearisation:
+        """With columns (M, 6, K) in time of each flight appended."""
+        tables = tuple(
+            (*own, spectrum(added, flight.thinned.rate_hz).rows)
+            for own, added, flight in zip(self.tables, columns, self.flights, strict=True)
+        )
+        return replace(self, tables=tables)
+
+
+def table_starts(tables: Sequence[Array]) -> list[int]:
+    """Index of the first column of each of the tables (6, B, ·)."""
+    return [0, *np.cumsum([table.shape[2] for table in tables])[:-1].tolist()] if tables else []
+
+
+def _located(tables: Sequence[Array], columns: Indices) -> list[tuple[int, int]]:
+    """Which of the tables (6, B, ·) each column is in, and its place there."""
+    starts = table_starts(tables)
+    within = np.searchsorted(starts, columns, side="right") - 1
+    return [(int(table), int(column - starts[table])) for table, column in zip(within, columns, strict=True)]
+
+
+def _with(values: tuple, index: int, value: object) -> tuple:  # type: ignore[type-arg]
+    """The values with one of them replaced, or appended at the end."""
+    return (*values[:index], value, *values[index + 1 :])
