@@ -20,6 +20,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.fitted_ensemble import FittedBootstrap, Networks
+from quadpi_core.models.methods import interval_factors
 
 NAMES = ("inference_million_vs_torch",)
 
@@ -36,7 +37,7 @@ def run() -> list[Result]:
     X = smooth_inputs(SAMPLES, seed=1)
     fitted = random_ensembles("bootstrap", X[:10_000], simulation_inputs())
     compiled = CompiledEnsembles.pack(fitted)
-    factors = compiled.factors(0.95)
+    factors = interval_factors(fitted, 0.95)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

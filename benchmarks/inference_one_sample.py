@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks import Result
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from benchmarks.synthetic_inputs import smooth_inputs
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 
@@ -37,7 +38,7 @@ def run() -> list[Result]:
 
 def microseconds(compiled: CompiledEnsembles, X: Array) -> Array:
     """How long (N,) each row of X (N, 19) takes alone."""
-    factors = compiled.factors(0.95)
+    factors = np.full(len(AXES), 1.96)
     compiled.evaluate(X[:1], factors)
     nanoseconds = np.empty(len(X))
     for i in range(len(X)):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps, Stream
 from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.identification.identify import identify
+from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import recording_topics, write_bag
 from quadpi_core.logs.mcap import cut_topic
@@ -47,7 +47,7 @@ def three_models(folder: Path, vehicle: Vehicle) -> dict[str, AerodynamicModel]:
     write_bag(bag, swings(vehicle))
     flights = prepare_flights([bag], vehicle, _CUTOFF_HZ)
     polynomial = identify(
-        flights, vehicle, load_pools("quadrotor"), cutoff_hz=_CUTOFF_HZ, settings="paper"
+        flights, vehicle, load_pools("quadrotor"), IdentifyOptions(cutoff_hz=_CUTOFF_HZ, settings="paper")
     ).save(folder / METHODS[0])
     models = {METHODS[0]: polynomial}
     for method in METHODS[1:]:

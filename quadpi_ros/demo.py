@@ -13,7 +13,7 @@ from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.evaluation.evaluate import judge
-from quadpi_core.identification.identify import CUTOFF_HZ, identify
+from quadpi_core.identification.identify import CUTOFF_HZ, IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
@@ -118,9 +118,8 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
             prepared,
             vehicle,
             load_pools("quadrotor"),
-            cutoff_hz=CUTOFF_HZ["default"],
-            confidence=CONFIDENCE,
-            progress=status.update,
+            IdentifyOptions(cutoff_hz=CUTOFF_HZ["default"], confidence=CONFIDENCE),
+            progress=lambda step: status.update(str(step)),
         ).save(output / "model")
     for axis in model.axes:
         chosen = [row for row in model.selection[axis] if row["coefficient"] is not None]

@@ -26,6 +26,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import (
     CUTOFF_HZ,
+    IdentifyOptions,
     MethodName,
     identify,
 )
@@ -143,9 +144,7 @@ def model_of(
         flights,
         Vehicle.load(vehicle),
         pools,
-        cutoff_hz=CUTOFF_HZ["default"],
-        method=method,
-        confidence=CONFIDENCE,
+        IdentifyOptions(cutoff_hz=CUTOFF_HZ["default"], method=method, confidence=CONFIDENCE),
     )
 
 

@@ -63,7 +63,7 @@ def identify(
     html_file: HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
-    from quadpi_core.identification.identify import CUTOFF_HZ, require_options
+    from quadpi_core.identification.identify import CUTOFF_HZ, IdentifyOptions
     from quadpi_core.identification.identify import identify as identify_model
     from quadpi_core.identification.prepared_flights import prepare_flights
     from quadpi_core.models.candidate_pool import load_pools, select_axes
@@ -78,7 +78,17 @@ def identify(
     cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)
     pools = select_axes(load_pools(candidates), axes)
-    require_options(pools, method=method, settings=settings, stop=stop, confidence=confidence, device=device)
+    options = IdentifyOptions(
+        cutoff_hz=cutoff,
+        method=method,
+        settings=settings,
+        stop=stop,
+        confidence=confidence,
+        seed=seed,
+        device=device,
+        false_alarms_per_hour=false_alarms_per_hour,
+    )
+    options.check(pools)
     with counting(console, "Reading flights", len(bags)) as read:
         flights = prepare_flights(
             bags, the_vehicle, cutoff, workers=workers, scheduler=scheduler, progress=read
@@ -89,14 +99,7 @@ def identify(
             flights,
             the_vehicle,
             pools,
-            cutoff_hz=cutoff,
-            method=method,
-            settings=settings,
-            stop=stop,
-            confidence=confidence,
-            seed=seed,
-            device=device,
-            false_alarms_per_hour=false_alarms_per_hour,
+            options,
             progress=progress,
         ).save(output)
     for axis in model.axes:
@@ -164,7 +167,7 @@ def evaluate(
             folders, members, vehicle=vehicle, confidence=confidence, workers=workers, scheduler=scheduler
         )
     else:
-        from quadpi_core.paper.windtunnel import wind_tunnel
+        from quadpi_core.paper.published import wind_tunnel
 
         if vehicle is not None:
             raise QuadpiError(

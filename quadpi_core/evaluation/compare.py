@@ -62,7 +62,7 @@ class ComparisonCase:
         flights: the same flights after each low-pass (Hz) that the models take.
         groups: names of the flights in each group.
         confidence: nominal coverage of the intervals.
-        published: numbers to set beside, as of :func:`quadpi_core.paper.windtunnel.published_table`.
+        published: numbers to set beside, as of :func:`quadpi_core.paper.published.published_table`.
     """
 
     models: Mapping[str, AerodynamicModel]

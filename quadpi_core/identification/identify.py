@@ -1,18 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From flights to a model: the offline main path, between `prepared` and `judging`."""
+"""Identify an aerodynamic model from prepared flights: fit, calibrate the intervals, calibrate the alarm."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
 from quadpi_core.identification.alarm_calibration import (
     calibrate_alarm,
     hover_rotor_speed,
@@ -25,7 +27,7 @@ from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
-from quadpi_core.models.methods import FittedAxis
+from quadpi_core.models.methods import FittedAxis, interval_factors
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.selection import StopRule
 from quadpi_core.training.bootstrap_ensemble import BootstrapEnsemble
@@ -39,20 +41,76 @@ if TYPE_CHECKING:
 Settings: TypeAlias = Literal["default", "paper"]
 MethodName: TypeAlias = Literal["polynomial", "bootstrap", "quality-driven"]
 
-# Low-pass over all signals: the paper's, and one that keeps what rotors and measured moments still share
-# (their coherence is gone above about 25 Hz on two data sets).
+# Cut-off of the low-pass over all signals: the paper's, and one that keeps the band in which rotor speeds and
+# measured moments are coherent (above about 25 Hz they are not, on two data sets).
 CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
-# Each is left out in turn to calibrate the intervals.
+# Each flight is left out in turn to calibrate the intervals, and a model of the others must remain.
 _FEWEST_FLIGHTS = 2
 
 
-class Step(str):
-    """Words on how far an identification has come, with the numbers to draw it by.
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions:
+    """How a model is identified.
+
+    Attributes:
+        cutoff_hz: of the low-pass that the flights passed; kept with the model.
+        method: kind of model.
+        settings: "paper" for the paper's rules.
+        stop: stop rule of a polynomial other than that of the settings.
+        confidence: nominal coverage that the monitor will use; quality-driven bounds are trained for it.
+        seed: of an ensemble.
+        device: that trains an ensemble, "cpu" or "cuda".
+        false_alarms_per_hour: rate that the limits of the alarm are calibrated to, on held-out flights.
+    """
+
+    cutoff_hz: float
+    method: MethodName = "polynomial"
+    settings: Settings = "default"
+    stop: StopRule | None = None
+    confidence: float = 0.95
+    seed: int = 0
+    device: str = "cpu"
+    false_alarms_per_hour: float = RATE_PER_HOUR
+
+    def check(self, pools: Mapping[str, CandidatePool]) -> None:
+        """Refuse options that no flights can satisfy; cheap, so that it can come before flights are read.
+
+        Raises:
+            ModelError: for a confidence that the settings cannot give; for an ensemble with a stop rule,
+                without PyTorch or the device; naming the axis, for candidates without inputs for networks.
+        """
+        require_confidence(self.confidence, calibrated=self.settings == "default")
+        if self.method == "polynomial":
+            return
+        if self.stop is not None:
+            raise ModelError(f"a stop rule is for polynomials: the {self.method} method has none")
+        for axis in AXES:
+            if axis in pools and not pools[axis].inputs:
+                raise ModelError(f"{axis}: the candidate file lists no `inputs` for networks")
+        require_training(self.device)
+
+    def polynomial(self, pool: CandidatePool) -> StepwisePolynomial:
+        """The estimator of one axis of a polynomial model, not yet fitted."""
+        paper = self.settings == "paper"
+        regressor = StepwisePolynomial.paper(pool) if paper else StepwisePolynomial(pool)
+        return regressor if self.stop is None else regressor.set_params(stop=self.stop)
+
+    def ensemble(self, pool: CandidatePool) -> Ensemble:
+        """The estimator of one axis of an ensemble, not yet fitted."""
+        kind = BootstrapEnsemble if self.method == "bootstrap" else QualityDrivenEnsemble
+        ensemble = kind.paper(pool.inputs) if self.settings == "paper" else kind(pool.inputs)
+        trained_for = {} if self.method == "bootstrap" else {"confidence": self.confidence}
+        return ensemble.set_params(seed=self.seed, device=self.device, **trained_for)
+
+
+@dataclass(frozen=True)
+class Step:
+    """State of an identification in progress.
 
     Attributes:
         task: what is being done.
         done: axes or epochs that are finished.
-        total: of them.
+        total: number of axes or epochs.
         loss: of networks, see :class:`quadpi_core.training.train.Progress`.
         coverage: see there.
     """
@@ -60,40 +118,52 @@ class Step(str):
     task: str
     done: int
     total: int
-    loss: float | None
-    coverage: float | None
-
-    @classmethod
-    def fitting(cls, axis: str, done: int, total: int) -> Step:
-        """Before a polynomial is fitted."""
-        step = cls(f"Identifying {axis}")
-        step.task, step.done, step.total, step.loss, step.coverage = str(step), done, total, None, None
-        return step
+    loss: float | None = None
+    coverage: float | None = None
 
     @classmethod
     def training(cls, state: Progress) -> Step:
         """After an epoch."""
-        covered = "" if state.coverage is None else f", coverage {state.coverage:.1%} of what it has not seen"
-        task = f"Training {state.stage}"
-        step = cls(f"{task}: epoch {state.epoch} of {state.epochs}, loss {state.loss:.3g}{covered}")
-        step.task, step.done, step.total = task, state.epoch, state.epochs
-        step.loss, step.coverage = state.loss, state.coverage
-        return step
+        return cls(f"Training {state.stage}", state.epoch, state.epochs, state.loss, state.coverage)
+
+    def __str__(self) -> str:
+        if self.loss is None:
+            return self.task
+        covered = "" if self.coverage is None else f", coverage {self.coverage:.1%} of what it has not seen"
+        return f"{self.task}: epoch {self.done} of {self.total}, loss {self.loss:.3g}{covered}"
+
+
+class _Samples(NamedTuple):
+    """Samples of all flights.
+
+    Attributes:
+        inputs: (N, 19) input vectors.
+        wrench: (N, 6) measured.
+        flight: (N,) number of the flight.
+    """
+
+    inputs: Array
+    wrench: Array
+    flight: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, flights: Sequence[PreparedFlight]) -> _Samples:
+        return cls(
+            np.concatenate([flight.inputs for flight in flights]),
+            np.concatenate([flight.wrench for flight in flights]),
+            np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights]),
+        )
+
+    def target(self, axis: str) -> Array:
+        """Measured force or moment (N,) of one axis."""
+        return self.wrench[:, AXES.index(axis)]
 
 
 def identify(
     flights: Sequence[PreparedFlight],
     vehicle: Vehicle,
-    pools: dict[str, CandidatePool],
-    *,
-    cutoff_hz: float,
-    method: MethodName = "polynomial",
-    settings: Settings = "default",
-    stop: StopRule | None = None,
-    confidence: float = 0.95,
-    seed: int = 0,
-    device: str = "cpu",
-    false_alarms_per_hour: float = RATE_PER_HOUR,
+    pools: Mapping[str, CandidatePool],
+    options: IdentifyOptions,
     progress: Callable[[Step], None] = lambda _: None,
 ) -> AerodynamicModel:
     """Identify a model of every axis of `pools`, with its envelope and the limits of its alarm.
@@ -102,45 +172,23 @@ def identify(
         flights: to identify on; errors of flights left out in turn calibrate the intervals.
         vehicle: the vehicle that flew.
         pools: by axis: candidates of a polynomial, inputs of an ensemble.
-        cutoff_hz: of the low-pass that the flights passed; kept with the model.
-        method: kind of model.
-        settings: "paper" for the paper's rules.
-        stop: stop rule of a polynomial other than that of the settings.
-        confidence: nominal coverage that the monitor will use, and quality-driven bounds are trained for.
-        seed: of an ensemble.
-        device: that trains an ensemble, "cpu" or "cuda".
-        false_alarms_per_hour: that the limits of the alarm are calibrated to, on the flights left out.
+        options: method, settings and what they take.
         progress: called before each polynomial, or after each epoch of an ensemble.
 
     Raises:
-        ModelError: see :func:`require_options`; for too few flights for the settings; naming the flight, for
-            samples that are not finite; naming the axis, for what cannot be identified.
+        ModelError: see :meth:`IdentifyOptions.check`; for too few flights for the settings; naming the
+            flight, for samples that are not finite; naming the axis, for what cannot be identified.
     """
-    require_options(pools, method=method, settings=settings, stop=stop, confidence=confidence, device=device)
-    _require_flights(flights, settings)
-    inputs = np.concatenate([flight.inputs for flight in flights])
-    wrench = np.concatenate([flight.wrench for flight in flights])
-    labels = np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights])
+    options.check(pools)
+    _require_flights(flights, options.settings)
+    samples = _Samples.of(flights)
     axes = [axis for axis in AXES if axis in pools]
-    targets = wrench[:, [AXES.index(axis) for axis in axes]]
-    estimators: Mapping[str, StepwisePolynomial | Ensemble]
-    if method == "polynomial":
-        polynomials = {axis: _polynomial(pools[axis], settings, stop) for axis in axes}
-        for column, axis in enumerate(axes):
-            progress(Step.fitting(axis, column, len(axes)))
-            with _naming(axis):
-                polynomials[axis].fit(inputs, targets[:, column], labels)
-        estimators = polynomials
-    else:
-        ensembles = {
-            axis: _ensemble(pools[axis], method, settings, confidence, seed, device) for axis in axes
-        }
-        fit_axes(ensembles, inputs, targets, labels, lambda state: progress(Step.training(state)))
-        estimators = ensembles
+    estimators = _fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
     fitted: dict[str, FittedAxis] = {axis: estimators[axis].fitted_ for axis in axes}
-    compiled = METHODS[method].compile(fitted)
-    factors = compiled.factors(confidence)
-    evidence = compiled.evaluate(inputs, factors)
+    compiled = METHODS[options.method].compile(fitted)
+    factors = interval_factors(fitted, options.confidence)
+
+    # Intervals: the held-out errors must be covered for the causal states of the live path too.
     held_out = {axis: errors for axis in axes if (errors := estimators[axis].held_out_) is not None}
     live = live_errors(flights, held_out, lambda rows: compiled.evaluate(rows, factors)) if held_out else []
     rules = {
@@ -149,59 +197,59 @@ def identify(
         if isinstance(rule := fitted[axis].rule, HeldOutRule)
     }
     fitted |= {axis: replace(estimators[axis].fitted_, rule=rule) for axis, rule in rules.items()}
+
+    # Alarm: the envelope of all flights, with limits from the flights left out.
+    evidence = compiled.evaluate(samples.inputs, factors)
     envelope, limits = calibrate_alarm(
-        Envelope.fit(inputs, labels, evidence.leverage, evidence.relative_width),
-        left_out(flights, rules, live, confidence) if rules else [],
-        confidence=confidence,
-        rate_per_hour=false_alarms_per_hour,
-        hover_rotor_speed=hover_rotor_speed(inputs, wrench, vehicle.mass_kg * vehicle.gravity_m_s2),
+        Envelope.fit(samples.inputs, samples.flight, evidence.leverage, evidence.relative_width),
+        left_out(flights, rules, live, options.confidence) if rules else [],
+        confidence=options.confidence,
+        rate_per_hour=options.false_alarms_per_hour,
+        hover_rotor_speed=hover_rotor_speed(
+            samples.inputs, samples.wrench, vehicle.mass_kg * vehicle.gravity_m_s2
+        ),
     )
     return AerodynamicModel(
         name="",
         vehicle=vehicle.name,
         vehicle_fingerprint=vehicle.fingerprint,
-        settings=settings,
-        cutoff_hz=cutoff_hz,
-        confidence=confidence,
+        settings=options.settings,
+        cutoff_hz=options.cutoff_hz,
+        confidence=options.confidence,
         fitted=fitted,
         envelope=envelope,
-        training_range={axis: float(np.ptp(targets[:, column])) for column, axis in enumerate(axes)},
+        training_range={axis: float(np.ptp(samples.target(axis))) for axis in axes},
         flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
         selection={axis: _selection_log(estimators[axis]) for axis in axes},
         held_out_coverage={
-            axis: rules[axis].held_out_coverage(held_out[axis], confidence).tolist() if axis in rules else []
+            axis: rules[axis].held_out_coverage(held_out[axis], options.confidence).tolist()
+            if axis in rules
+            else []
             for axis in axes
         },
         alarm_limits=limits,
+        compiled=compiled,
     )
 
 
-def require_options(
+def _fit(
+    samples: _Samples,
     pools: Mapping[str, CandidatePool],
-    *,
-    method: MethodName,
-    settings: Settings,
-    stop: StopRule | None,
-    confidence: float,
-    device: str,
-) -> None:
-    """Refuse what no flights can be identified with; to be asked before they are read, which takes longer.
-
-    Args are those of :func:`identify`.
-
-    Raises:
-        ModelError: for a confidence that the settings cannot give; for an ensemble with a stop rule, without
-            PyTorch or the device; naming the axis, for candidates without inputs for networks.
-    """
-    require_confidence(confidence, calibrated=settings == "default")
-    if method == "polynomial":
-        return
-    if stop is not None:
-        raise ModelError(f"a stop rule is for polynomials: the {method} method has none")
-    for axis in AXES:
-        if axis in pools and not pools[axis].inputs:
-            raise ModelError(f"{axis}: the candidate file lists no `inputs` for networks")
-    require_training(device)
+    options: IdentifyOptions,
+    progress: Callable[[Step], None],
+) -> Mapping[str, StepwisePolynomial | Ensemble]:
+    """Fitted estimators by axis."""
+    if options.method == "polynomial":
+        polynomials = {axis: options.polynomial(pool) for axis, pool in pools.items()}
+        for done, (axis, polynomial) in enumerate(polynomials.items()):
+            progress(Step(f"Identifying {axis}", done, len(polynomials)))
+            with _naming(axis):
+                polynomial.fit(samples.inputs, samples.target(axis), samples.flight)
+        return polynomials
+    ensembles = {axis: options.ensemble(pool) for axis, pool in pools.items()}
+    targets = np.column_stack([samples.target(axis) for axis in pools])
+    fit_axes(ensembles, samples.inputs, targets, samples.flight, lambda state: progress(Step.training(state)))
+    return ensembles
 
 
 def _require_flights(flights: Sequence[PreparedFlight], settings: Settings) -> None:
@@ -224,28 +272,9 @@ def _require_flights(flights: Sequence[PreparedFlight], settings: Settings) -> N
             )
 
 
-def _polynomial(pool: CandidatePool, settings: Settings, stop: StopRule | None) -> StepwisePolynomial:
-    regressor = StepwisePolynomial.paper(pool) if settings == "paper" else StepwisePolynomial(pool)
-    return regressor if stop is None else regressor.set_params(stop=stop)
-
-
-def _ensemble(
-    pool: CandidatePool,
-    method: MethodName,
-    settings: Settings,
-    confidence: float,
-    seed: int,
-    device: str,
-) -> Ensemble:
-    kind = BootstrapEnsemble if method == "bootstrap" else QualityDrivenEnsemble
-    ensemble = kind.paper(pool.inputs) if settings == "paper" else kind(pool.inputs)
-    trained_for = {} if method == "bootstrap" else {"confidence": confidence}
-    return ensemble.set_params(seed=seed, device=device, **trained_for)
-
-
 @contextmanager
 def _naming(axis: str) -> Iterator[None]:
-    """Say in an error which axis it is of."""
+    """Begin the message of an error with the axis that it concerns."""
     try:
         yield
     except ModelError as error:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -19,7 +20,7 @@ from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_ensemble import FittedBootstrap, FittedQualityDriven
 from quadpi_core.models.interval_rules import HeldOutRule
-from quadpi_core.models.methods import CompiledAxes, Evaluation, FittedAxis, Method
+from quadpi_core.models.methods import CompiledAxes, Evaluation, FittedAxis, Method, interval_factors
 from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.polynomial_kernel import CompiledPolynomials
 from quadpi_core.vehicle import Vehicle
@@ -60,6 +61,7 @@ class AerodynamicModel:
             empty under the paper's settings.
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
         alarm_limits: of the alarm, beside those of `envelope`; uncalibrated unless given.
+        compiled: `fitted` packed for evaluation; packed at first use unless given.
     """
 
     name: str
@@ -76,6 +78,7 @@ class AerodynamicModel:
     held_out_coverage: dict[str, list[float]]
     identity: str = ""
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
+    compiled: CompiledAxes | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
@@ -135,11 +138,11 @@ class AerodynamicModel:
 
     @cached_property
     def _compiled(self) -> CompiledAxes:
-        return METHODS[self.method].compile(self.fitted)
+        return self.compiled or METHODS[self.method].compile(self.fitted)
 
     @cached_property
-    def _factors(self) -> Any:
-        return lru_cache(maxsize=16)(self._compiled.factors)
+    def _factors(self) -> Callable[[float], Array]:
+        return lru_cache(maxsize=16)(lambda confidence: interval_factors(self.fitted, confidence))
 
     def evaluate(self, inputs: Array, confidence: float | None = None) -> Evaluation:
         """Predictions, bounds and evidence for input vectors (N, 19), all axes at once.
@@ -163,7 +166,7 @@ class AerodynamicModel:
 
     def __getstate__(self) -> dict[str, Any]:
         """What travels to another process, which compiles for itself."""
-        return {column.name: getattr(self, column.name) for column in fields(self)}
+        return {column.name: getattr(self, column.name) for column in fields(self)} | {"compiled": None}
 
     def save(self, folder: Path) -> AerodynamicModel:
         """Write the model as a folder of JSON and safetensors; returns it with its identity."""

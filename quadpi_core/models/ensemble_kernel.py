@@ -129,15 +129,8 @@ class CompiledEnsembles:
             tables.interval[k] = scale, scale * ensemble.floor, share, ensemble.rms_spread
         return cls(program, tables, ensembles)
 
-    def factors(self, confidence: float) -> Array:
-        """Factor (6,) of each axis' interval on its spread."""
-        factors = np.zeros(len(AXES))
-        for axis, ensemble in self.ensembles.items():
-            factors[AXES.index(axis)] = ensemble.rule.factor(confidence)
-        return factors
-
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
-        """Evaluate input vectors (N, 19) with factors from :meth:`factors`; the leverage is 0."""
+        """Evaluate input vectors (N, 19) with :func:`.methods.interval_factors`; the leverage is 0."""
         check_inputs(inputs)
         out = np.zeros((5, len(inputs), len(AXES)))
         program = self.program

@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
+import numpy as np
+
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import AnyRule
 
@@ -54,11 +57,20 @@ class FittedAxis(Protocol):
 class CompiledAxes(Protocol):
     """The fitted axes of a model packed for compiled evaluation."""
 
-    def factors(self, confidence: float) -> Array:
-        """Factor (6,) of each axis' interval on its spread."""
-
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
-        """Evaluate input vectors (N, 19) with what :meth:`factors` gave."""
+        """Evaluate input vectors (N, 19) with what :func:`interval_factors` gave."""
+
+
+def interval_factors(fitted: Mapping[str, FittedAxis], confidence: float) -> Array:
+    """Half width (6,) of each axis' interval per unit of spread; 0 for axes not held.
+
+    Raises:
+        ModelError: for a confidence that the calibration cannot support.
+    """
+    factors = np.zeros(len(AXES))
+    for axis, own in fitted.items():
+        factors[AXES.index(axis)] = own.rule.factor(confidence)
+    return factors
 
 
 @dataclass(frozen=True)

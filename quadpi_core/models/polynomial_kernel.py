@@ -56,15 +56,8 @@ class CompiledPolynomials:
             rms_spread[k] = polynomial.rms_spread
         return cls(program, terms, count, coefficients, whitening, inflation, growth, rms_spread, polynomials)
 
-    def factors(self, confidence: float) -> Array:
-        """Half width (6,) of each axis' interval where the spread is one."""
-        factors = np.zeros(len(AXES))
-        for axis, polynomial in self.polynomials.items():
-            factors[AXES.index(axis)] = polynomial.rule.factor(confidence)
-        return factors
-
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
-        """Evaluate input vectors (N, 19) with half widths from :meth:`factors`."""
+        """Evaluate input vectors (N, 19) with half widths from :func:`.methods.interval_factors`."""
         check_inputs(inputs)
         out = np.empty((5, len(inputs), len(AXES)))
         program = self.program

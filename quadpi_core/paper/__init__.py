@@ -7,7 +7,6 @@ Noise-free flights of the simulation get independent realisations of noise (van 
     validation_case      what is validated: models, noise-free flights (simulated or from bags), noise, seed
     realisations         noise on flights, what the models then say, counted in chunks on many workers
     validation_result    coverage and width of all realisations
-    published            the paper's own setting, and its two tables
-    windtunnel           its wind tunnel simulated, and its table of the HDBeetle
-    model_cache          models that a long computation keeps and takes up again
+    published            the paper's two experiments repeated in simulation, and its tables
+    model_cache          models that a long computation stores and a later run loads
 """

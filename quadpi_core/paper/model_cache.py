@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Models that a long computation keeps, so that a later run goes on where one ended."""
+"""Models that a long computation stores, so that an interrupted run can be continued."""
 
 from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from quadpi_core import __version__
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.errors import ModelError
-from quadpi_core.identification.identify import MethodName, Settings, identify
+from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import CandidatePool
@@ -24,62 +25,47 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 _PRESENTATION = ("report", "cli")
 
 
-def identify_or_take(
-    flights: Sequence[PreparedFlight],
-    vehicle: Vehicle,
-    pools: dict[str, CandidatePool],
-    folder: Path | None,
-    *,
-    method: MethodName,
-    settings: Settings,
-    cutoff_hz: float,
-    confidence: float,
-    seed: int = 0,
-    device: str = "cpu",
-    progress: Callable[[str], None] = lambda _: None,
-) -> AerodynamicModel:
-    """The model in a folder if it was identified from the same, by the same code; else a new one, kept there.
+@dataclass(frozen=True)
+class ModelCache:
+    """Models of one vehicle, identified once and loaded by later runs.
 
-    The folder has a file beside it that says what its model was identified from; None keeps nothing. All
-    other arguments are those of :func:`quadpi_core.identification.identify.identify`.
-
-    Raises:
-        ModelError: if the model cannot be identified, naming the axis.
-        OutputError: if it cannot be kept.
+    Attributes:
+        vehicle, pools: see :func:`quadpi_core.identification.identify.identify`.
+        folder: of the model folders; None stores nothing.
+        progress: called with what is being done.
     """
-    origin: dict[str, object] = {
-        "quadpi": __version__,
-        "code": code_fingerprint(),
-        "method": method,
-        "settings": settings,
-        "cutoff_hz": cutoff_hz,
-        "confidence": confidence,
-        "seed": seed,
-        "device": device,
-        "vehicle": vehicle.fingerprint,
-        "candidates": hashlib.sha256(repr(pools).encode()).hexdigest(),
-        "flights": {flight.name: flight.sha256 for flight in flights},
-    }
-    if folder is not None and (kept := _kept(folder, origin)) is not None:
-        return kept
-    model = identify(
-        flights,
-        vehicle,
-        pools,
-        method=method,
-        cutoff_hz=cutoff_hz,
-        settings=settings,
-        confidence=confidence,
-        seed=seed,
-        device=device,
-        progress=progress,
-    )
-    return model if folder is None else _keep(model, folder, origin)
 
+    vehicle: Vehicle
+    pools: Mapping[str, CandidatePool]
+    folder: Path | None
+    progress: Callable[[str], None]
 
-def named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
-    """Progress that says of which model it is."""
-    return lambda text: progress(f"{name}: {text}")
+    def model(
+        self, name: str, flights: Sequence[PreparedFlight], options: IdentifyOptions
+    ) -> AerodynamicModel:
+        """The stored model if flights, options and code are those that it comes from; else a new one, stored.
+
+        A file beside the model's folder records its origin.
+
+        Raises:
+            ModelError: if the model cannot be identified, naming the axis.
+            OutputError: if it cannot be stored.
+        """
+        origin: dict[str, object] = {
+            "quadpi": __version__,
+            "code": code_fingerprint(),
+            **asdict(options),
+            "vehicle": self.vehicle.fingerprint,
+            "candidates": hashlib.sha256(repr(self.pools).encode()).hexdigest(),
+            "flights": {flight.name: flight.sha256 for flight in flights},
+        }
+        folder = None if self.folder is None else self.folder / name
+        if folder is not None and (stored := _load(folder, origin)) is not None:
+            return stored
+        model = identify(
+            flights, self.vehicle, self.pools, options, lambda step: self.progress(f"{name}: {step}")
+        )
+        return model if folder is None else _store(model, folder, origin)
 
 
 @functools.cache
@@ -93,13 +79,13 @@ def code_fingerprint(package: Path = _PACKAGE) -> str:
     return digest.hexdigest()[:16]
 
 
-def _keep(model: AerodynamicModel, folder: Path, origin: dict[str, object]) -> AerodynamicModel:
+def _store(model: AerodynamicModel, folder: Path, origin: dict[str, object]) -> AerodynamicModel:
     model = model.save(folder)
     write_json(_origin_file(folder), origin | {"model": model.identity})
     return model
 
 
-def _kept(folder: Path, origin: dict[str, object]) -> AerodynamicModel | None:
+def _load(folder: Path, origin: dict[str, object]) -> AerodynamicModel | None:
     try:
         model = AerodynamicModel.load(folder)
         kept = parse_json(read_bounded(_origin_file(folder), JSON_BYTES_MAX))

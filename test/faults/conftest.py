@@ -14,7 +14,7 @@ import pytest
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.estimator.propagate import EstimatorStatus
 from quadpi_core.flight import OdometryStream, WindStream
-from quadpi_core.identification.identify import identify
+from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.models import AerodynamicModel, load_pools
@@ -65,7 +65,7 @@ def model(bags, pool, tmp_path_factory):
     folder = tmp_path_factory.mktemp("models") / "model"
     vehicle = Vehicle.load("neurobem")
     flights = prepare_flights(bags[1:], vehicle, CUTOFF_HZ)
-    identify(flights, vehicle, load_pools(pool), cutoff_hz=CUTOFF_HZ).save(folder)
+    identify(flights, vehicle, load_pools(pool), IdentifyOptions(cutoff_hz=CUTOFF_HZ)).save(folder)
     return folder
 
 

@@ -16,7 +16,7 @@ import pytest
 import quadpi_core
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import OdometryStream
-from quadpi_core.identification.identify import identify
+from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
@@ -68,9 +68,7 @@ def test_no_flight_at_all(method, settings):
             [],
             Vehicle.load("neurobem"),
             load_pools("quadrotor"),
-            cutoff_hz=30.0,
-            method=method,
-            settings=settings,
+            IdentifyOptions(cutoff_hz=30.0, method=method, settings=settings),
         )
 
 
@@ -100,7 +98,7 @@ def test_samples_that_are_not_finite_are_counted(bags, method):
     flights[1].inputs[9, 0] = np.inf
     message = rf"^flight1: 2 of {len(flights[1].time)} samples are not finite, the first is sample 7$"
     with pytest.raises(ModelError, match=message):
-        identify(flights, vehicle, load_pools("quadrotor"), cutoff_hz=30.0, method=method)
+        identify(flights, vehicle, load_pools("quadrotor"), IdentifyOptions(cutoff_hz=30.0, method=method))
 
 
 @pytest.mark.parametrize("method", ENSEMBLES)

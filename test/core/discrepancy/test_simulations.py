@@ -23,7 +23,7 @@ from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError, VehicleError
 from quadpi_core.estimator.fusion import fuse, fuse_airborne
 from quadpi_core.flight import WrenchStream
-from quadpi_core.identification.identify import identify
+from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
@@ -202,7 +202,7 @@ def model(bags, tmp_path_factory):
     pools = load_pools("quadrotor")
     flights = prepare_flights(bags, vehicle, 30.0, workers=1)
     folder = tmp_path_factory.mktemp("models") / "model"
-    identify(flights, vehicle, pools, cutoff_hz=30.0).save(folder)
+    identify(flights, vehicle, pools, IdentifyOptions(cutoff_hz=30.0)).save(folder)
     return folder
 
 

@@ -14,7 +14,7 @@ from quadpi_core.errors import LogError, ModelError
 from quadpi_core.estimator.fusion import airborne, fuse
 from quadpi_core.evaluation.evaluate import judge, predict_flight
 from quadpi_core.flight import AXES
-from quadpi_core.identification.identify import identify
+from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
@@ -50,7 +50,7 @@ def flights(paths, vehicle):
 
 @pytest.fixture(scope="module")
 def model(flights, vehicle):
-    return identify(flights[:3], vehicle, POOLS, cutoff_hz=CUTOFF_HZ)
+    return identify(flights[:3], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ))
 
 
 def coefficient(model, axis, term):
@@ -82,8 +82,10 @@ def test_intervals_cover_what_the_live_path_would_have_measured(flights, vehicle
         return replace(flight, live=flight.judged._replace(wrench=wrench))
 
     flights = [replace(flight, live=None) for flight in flights]
-    plain = identify(flights[:3], vehicle, pools, cutoff_hz=CUTOFF_HZ)
-    wider = identify([noisier(flight) for flight in flights[:3]], vehicle, pools, cutoff_hz=CUTOFF_HZ)
+    plain = identify(flights[:3], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ))
+    wider = identify(
+        [noisier(flight) for flight in flights[:3]], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ)
+    )
     np.testing.assert_array_equal(
         wider.fitted["Fx"].arrays()["coefficients"], plain.fitted["Fx"].arrays()["coefficients"]
     )
@@ -127,7 +129,7 @@ def test_model_remembers_what_it_came_from(model, flights):
 
 
 def test_settings_of_the_paper(flights, vehicle):
-    model = identify(flights[:1], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, settings="paper")
+    model = identify(flights[:1], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, settings="paper"))
     assert model.settings == "paper"
     assert model.fitted["Fx"].rule.to_json()["kind"] == "residual"
 
@@ -135,32 +137,37 @@ def test_settings_of_the_paper(flights, vehicle):
 def test_stop_rule_can_be_chosen(flights, vehicle):
     log = {}
     for stop in ("r2", "bic"):
-        model = identify(flights[:3], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, stop=stop)
+        model = identify(flights[:3], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, stop=stop))
         log[stop] = [row["criterion"] for row in model.selection["Fx"] if row["r2"] is not None]
     assert log["r2"][0] != log["bic"][0]
 
 
 def test_progress_names_each_axis(flights, vehicle):
     words = []
-    identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, progress=words.append)
-    assert words == ["Identifying Fx", "Identifying Fz"]
+    identify(flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ), progress=words.append)
+    assert list(map(str, words)) == ["Identifying Fx", "Identifying Fz"]
 
 
 def test_an_ensemble_needs_inputs_and_has_no_stop_rule(flights, vehicle):
     for method in ("bootstrap", "quality-driven"):
         with pytest.raises(ModelError, match="Fx: the candidate file lists no `inputs` for networks"):
-            identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, method=method)
+            identify(flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, method=method))
         with pytest.raises(ModelError, match=f"the {method} method has none"):
-            identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, method=method, stop="pse")
+            identify(
+                flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, method=method, stop="pse")
+            )
 
 
 def test_errors_name_the_axis(flights, vehicle):
     with pytest.raises(ModelError, match=r"^Fx: .*needs two flights or more; pse, r2 and bic take one$"):
         identify(
-            flights[:1], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, settings="paper", stop="leave-one-flight-out"
+            flights[:1],
+            vehicle,
+            POOLS,
+            IdentifyOptions(cutoff_hz=CUTOFF_HZ, settings="paper", stop="leave-one-flight-out"),
         )
     with pytest.raises(ModelError, match=r"^confidence 1\.5"):
-        identify(flights[:2], vehicle, POOLS, cutoff_hz=CUTOFF_HZ, confidence=1.5)
+        identify(flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, confidence=1.5))
 
 
 def test_a_copy_of_a_flight_is_refused(paths, vehicle, tmp_path):
@@ -239,7 +246,7 @@ def test_adaptive_intervals_cover_every_neurobem_flight(shared_data, vehicle):
     flights = prepare_flights(logs, vehicle, 30.0)
     slower = [flight for flight in flights if flight.name != "bemnn20210218172600seg1"]
     assert (len(slower), len(flights)) == (3, 4)
-    model = identify(slower, vehicle, load_pools("quadrotor"), cutoff_hz=30.0)
+    model = identify(slower, vehicle, load_pools("quadrotor"), IdentifyOptions(cutoff_hz=30.0))
     for name, flight in judge(model, flights, {}, 0.95, adaptive=True)[1].flights.items():
         for axis in AXES:
             assert 0.93 <= flight.axes[axis].picp <= 0.97, (name, axis)

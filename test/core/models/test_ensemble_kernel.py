@@ -15,7 +15,7 @@ from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, Networks
 from quadpi_core.models.interval_rules import NormalRule, TrainedRule
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.methods import Evaluation, interval_factors
 from quadpi_core.models.regressors import Regressor
 
 REGRESSORS = tuple(map(Regressor.parse, ("u", "|v|", "mu_z^2", "omega_avg*q", "U_r - U_q", "cos_theta")))
@@ -23,7 +23,7 @@ REGRESSORS = tuple(map(Regressor.parse, ("u", "|v|", "mu_z^2", "omega_avg*q", "U
 
 def evaluate(fitted: dict[str, AnyFitted], X: Array, confidence: float = 0.95) -> Evaluation:
     compiled = CompiledEnsembles.pack(fitted)
-    return compiled.evaluate(X, compiled.factors(confidence))
+    return compiled.evaluate(X, interval_factors(fitted, confidence))
 
 
 def assert_equals_reference(fitted: dict[str, AnyFitted], X: Array) -> None:
@@ -115,7 +115,7 @@ def test_equals_torch(fitted: dict[str, AnyFitted], X: Array) -> None:
 @pytest.mark.parametrize("block", [1, 2, 15, 16, 17, 255, 256, 257])
 def test_blocks_give_the_same_bits_as_the_whole(fitted: dict[str, AnyFitted], X: Array, block: int) -> None:
     compiled = CompiledEnsembles.pack(fitted)
-    factors = compiled.factors(0.95)
+    factors = interval_factors(fitted, 0.95)
     parts = [compiled.evaluate(X[start : start + block], factors) for start in range(0, len(X), block)]
     joined = Evaluation(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in Evaluation._fields)
@@ -140,13 +140,13 @@ def test_confidence_widens_by_the_rule(X: Array) -> None:
     rules = {"Fx": NormalRule(), "Fz": TrainedRule(0.95)}
     fitted = {axis: random_ensemble("bootstrap", X, REGRESSORS, rule=rule) for axis, rule in rules.items()}
     compiled = CompiledEnsembles.pack(fitted)
-    factors = compiled.factors(0.95)
+    factors = interval_factors(fitted, 0.95)
     np.testing.assert_allclose(factors, [1.959964, 0, 1.0, 0, 0, 0], atol=1e-6)
     narrow, wide = compiled.evaluate(X, factors), compiled.evaluate(X, 2.0 * factors)
     np.testing.assert_array_equal(narrow.predicted, wide.predicted)
     np.testing.assert_allclose(wide.upper - wide.lower, 2.0 * (narrow.upper - narrow.lower), rtol=1e-12)
     with pytest.raises(ModelError, match="trained for a confidence"):
-        compiled.factors(0.9)
+        interval_factors(fitted, 0.9)
 
 
 @pytest.mark.parametrize("output", [-2000.0, 2000.0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import Flight
-from quadpi_core.identification.identify import identify
+from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.models.candidate_pool import CandidatePool
@@ -71,7 +71,7 @@ def training(clean, vehicle):
 
 @pytest.fixture(scope="session")
 def model(training, vehicle):
-    identified = identify(training, vehicle, POOLS, cutoff_hz=250.0, settings="paper")
+    identified = identify(training, vehicle, POOLS, IdentifyOptions(cutoff_hz=250.0, settings="paper"))
     return replace(identified, name="fitted")
 
 

@@ -46,7 +46,7 @@ BARS = {
         (Step.training(EPOCHS[0]),),
         (Step.training(EPOCHS[1]),),
     ),
-    "Identifying Fz .* 2 of 6 ": (identifying, (Step.fitting("Fz", 2, 6),)),
+    "Identifying Fz .* 2 of 6 ": (identifying, (Step("Identifying Fz", 2, 6),)),
     "Reading flights .* 3 of 7 ": (partial(counting, what="Reading flights", total=7), (3,)),
     "Flying .* 4 of 5 s · 1 of 2 flights ": (
         partial(flying, durations={"hop": 2.0, "stand": 3.0}),
@@ -79,4 +79,4 @@ def test_words_say_the_same():
         "Training members: epoch 12 of 50, loss 0.213, coverage 94.1% of what it has not seen",
         "Training noise: epoch 1 of 50, loss -1.5",
     ]
-    assert str(Step.fitting("Fx", 0, 6)) == "Identifying Fx"
+    assert str(Step("Identifying Fx", 0, 6)) == "Identifying Fx"
