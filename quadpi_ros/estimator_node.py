@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -24,18 +23,12 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.input_sources import AdaptedSources, Source, adapters_of
-from quadpi_ros.parameters import namespaced_body_frame, parameter
+from quadpi_ros.input_sources import AdaptedSources, Source
+from quadpi_ros.node_parameters import EstimatorParameters
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, FRAMES, STRICT, WARN, ConsistencyWatch, SensorNode
+from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, ConsistencyWatch, SensorNode
 
-# Of several in a bag, the first is used.
-MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
 IMU_TOPIC = "imu"
-
-# Nothing of a quadrotor needs a faster one.
-FASTEST_IMU_HZ = 5000.0
-IMU_RATE = "nominal rate of the topic imu; 0: as its stamps tell in the first second"
 
 _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
@@ -48,34 +41,6 @@ _LEVELS = {
     EstimatorStatus.DEGRADED: diagnostics.WARN,
     EstimatorStatus.LOST: diagnostics.ERROR,
 }
-
-
-@dataclass(frozen=True)
-class EstimatorParameters:
-    """Parameters of the node `estimator`."""
-
-    vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
-    imu_rate_hz: float = parameter(0.0, IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
-    mocap_topic: str = parameter(
-        "mocap/pose",
-        "topic and type of the motion capture to use",
-        choices=MOCAP_TOPICS + adapters_of("mocap"),
-    )
-    adapters: str = parameter(
-        "",
-        "how messages of other packages are read: a name in config/adapters or a path",
-        optional=True,
-    )
-    world_frame: str = parameter(
-        sensor_messages.WORLD_FRAME, "frame_id of odometry: the world, east-north-up"
-    )
-    body_frame: str = parameter(
-        "",
-        "child_frame_id of odometry: forward-left-up; empty: base_link behind the namespace",
-        empty_means=namespaced_body_frame,
-    )
-    frames: str = parameter(WARN, FRAMES, choices=(WARN, STRICT))
-    autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
 
 
 class StateListener(Protocol):

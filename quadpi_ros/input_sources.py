@@ -18,6 +18,7 @@ from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Stream
 from quadpi_core.messages.adapters import ADAPTERS, Adapter, AdapterSettings
 from quadpi_core.vehicle import Vehicle
+from quadpi_ros.node_parameters import adapters_of
 from quadpi_ros.parameters import ParameterError
 
 _PRIMITIVES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
@@ -34,11 +35,6 @@ class Source(NamedTuple):
     message_type: type
     topic: str
     unpack: Callable[[bytes], Any]
-
-
-def adapters_of(kind: str) -> tuple[str, ...]:
-    """Names of the adapters that give a kind of stream, as further choices of a parameter."""
-    return tuple(name for name, adapter in ADAPTERS.items() if adapter.kind == kind)
 
 
 class AdaptedSources:

@@ -12,7 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,19 +27,19 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.logs.mavlink_frames import signing_key
-from quadpi_core.logs.mavlink_samples import SOURCES, stream_of
+from quadpi_core.logs.mavlink_samples import stream_of
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, SessionSettings
 from quadpi_core.messages import sensor_messages
-from quadpi_core.rotor_order import RPM, RotorOrder
+from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_subscribers
 from quadpi_ros.mavlink_link import Chunk, Link, check_connection, is_replay, open_link
-from quadpi_ros.parameters import ParameterError, namespaced_body_frame, parameter, read_parameters
+from quadpi_ros.node_parameters import STANDARD_ORDER, BridgeParameters
+from quadpi_ros.parameters import ParameterError, read_parameters
 from quadpi_ros.runtime import run, spin
 
-_STANDARD, _AUTO = "standard", "auto"
 _READ_TIMEOUT_S = 0.02
 _BACK_OFF_S = (0.5, 8.0)
 _SILENT_S = 2.0
@@ -52,37 +52,6 @@ _FLUSH_S = 0.2
 _OTHERS_NAMED = 8
 _WIDTHS = {"imu": 6, "rotor_speeds": 4, "mocap/pose": 7, "odometry": 13}
 _LEVEL_ROW = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-
-
-@dataclass(frozen=True)
-class BridgeParameters:
-    """Parameters of the node `mavlink_bridge`."""
-
-    connection: str = parameter(
-        "", "udp:HOST:PORT (listens), udpout:…, tcp:…, serial:DEVICE:BAUD, or a .tlog file"
-    )
-    vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
-    rotor_order: str = parameter(
-        _STANDARD, "speed controllers, from 1 on, in the vehicle's rotor order, such as `4 1 2 3`"
-    )
-    rotor_unit: str = parameter(RPM, "what the rpm of the messages is", choices=("rpm", "erpm"))
-    imu_source: str = parameter(_AUTO, "IMU message to use", choices=(_AUTO, *SOURCES["imu"]))
-    system: int = parameter(
-        0, "system id of the autopilot; 0: the first that sends an autopilot's heartbeat", limits=(0, 255)
-    )
-    imu_rate_hz: float = parameter(250.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 4000.0))
-    rotor_rate_hz: float = parameter(250.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 4000.0))
-    state_rate_hz: float = parameter(100.0, "asked of the autopilot; 0: do not ask", limits=(0.0, 1000.0))
-    passive: bool = parameter(False, "send nothing: no heartbeat, no requests, no clock exchange")
-    key_file: str = parameter(
-        "", "file with the passphrase of signed packets; with one, others are refused", optional=True
-    )
-    body_frame: str = parameter(
-        "",
-        "frame_id of the body, forward-left-up; empty: base_link behind the namespace",
-        empty_means=namespaced_body_frame,
-    )
-    world_frame: str = parameter(sensor_messages.WORLD_FRAME, "frame_id of the world, east-north-up")
 
 
 class _Reported(NamedTuple):
@@ -294,7 +263,7 @@ def _clock_values(report: SessionReport) -> dict[str, Any]:
 
 
 def _order(parameters: BridgeParameters, vehicle: Vehicle) -> RotorOrder:
-    if parameters.rotor_order == _STANDARD:
+    if parameters.rotor_order == STANDARD_ORDER:
         return RotorOrder.by_layout(vehicle, "quad-x", parameters.rotor_unit)
     return RotorOrder.parse(parameters.rotor_order, parameters.rotor_unit)
 

@@ -8,7 +8,7 @@ import math
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -37,80 +37,18 @@ from quadpi_core.messages.frame_ids import Framed
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import Latency
-from quadpi_core.monitor.pairing import CAPACITY, TIMEOUT_S, Pairing, first_known
+from quadpi_core.monitor.pairing import CAPACITY, Pairing, first_known
 from quadpi_core.monitor.silence import WATCH_S, Silence
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import SlowService, guarded
-from quadpi_ros.estimator_node import FASTEST_IMU_HZ, IMU_RATE, IMU_TOPIC, EstimatorNode, framed_imu
-from quadpi_ros.input_sources import AdaptedSources, Source, adapters_of
-from quadpi_ros.parameters import namespaced_body_frame, parameter
+from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, framed_imu
+from quadpi_ros.input_sources import AdaptedSources, Source
+from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
 from quadpi_ros.result_publishers import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import FRAMES, STEADY, STRICT, WARN, ConsistencyWatch, SensorNode
-
-_SETTINGS = MonitorSettings()
-
-
-@dataclass(frozen=True)
-class MonitorParameters:
-    """Parameters of the node `monitor`."""
-
-    vehicle: str = parameter("", "vehicle file: a name in config/vehicles or a path")
-    model: tuple[str, ...] = parameter(
-        (), "model folder, as `quadpi identify` writes it; of several, the first gives the alarm"
-    )
-    model_folder: str = parameter(
-        "",
-        "folder below which the service load_model takes models; empty: those that hold the models above",
-        optional=True,
-    )
-    rotor_topic: str = parameter(
-        "rotor_speeds",
-        "topic and type of the rotor speeds to use",
-        choices=("rotor_speeds", "erpm", *adapters_of("rotor_speeds")),
-    )
-    adapters: str = parameter(
-        "",
-        "how messages of other packages are read: a name in config/adapters or a path",
-        optional=True,
-    )
-    imu_rate_hz: float = parameter(0.0, IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
-    confidence: float = parameter(
-        0.0, "nominal coverage of the intervals; 0 takes the model's own", limits=(0.0, 0.9999)
-    )
-    persistence_s: float = parameter(
-        _SETTINGS.persistence_s,
-        "evidence that raises an alarm, in seconds",
-        limits=(0.001, 60.0),
-        in_flight=True,
-    )
-    release_s: float = parameter(
-        _SETTINGS.release_s,
-        "absence of evidence that clears an alarm, in seconds",
-        limits=(0.001, 60.0),
-        in_flight=True,
-    )
-    alarm_rate_hz: float = parameter(
-        _SETTINGS.alarm_rate_hz,
-        "rate of extrapolation_alarm between changes",
-        limits=(0.1, 1000.0),
-        in_flight=True,
-    )
-    adaptive: bool = parameter(
-        _SETTINGS.adaptive, "intervals that adapt to the measured wrench, instead of the model's own"
-    )
-    pairing_timeout_s: float = parameter(
-        TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
-    )
-    body_frame: str = parameter(
-        "",
-        "frame_id of what is published: forward-left-up; empty: base_link behind the namespace",
-        empty_means=namespaced_body_frame,
-    )
-    frames: str = parameter(WARN, FRAMES, choices=(WARN, STRICT))
-    autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
+from quadpi_ros.sensor_node import STEADY, ConsistencyWatch, SensorNode
 
 
 class MonitorNode(SensorNode[MonitorParameters]):

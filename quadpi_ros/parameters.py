@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node parameters as frozen dataclasses: each field is one parameter with its ROS descriptor."""
+"""Declare the parameters of a node, check what they are set to, and follow changes in flight."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import Field, fields, replace
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -19,8 +18,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.messages.sensor_messages import BODY_FRAME
 from quadpi_ros.dds_profile import QOS_PREFIX
+from quadpi_ros.node_parameters import ALL_NAMES, Declaration
 
 # Declared by rclpy itself.
 _RCLPY_PARAMETERS = {"use_sim_time", "start_type_description_service"}
@@ -31,59 +30,11 @@ _ROS_NAMES = {
     bool: "bool",
     tuple: "string or an array of strings",
 }
-# Nodes whose parameters one file may hold for all of them, under `/**`.
-_NODES = {
-    "estimator_node": "EstimatorParameters",
-    "monitor_node": "MonitorParameters",
-    "mavlink_bridge": "BridgeParameters",
-}
-
 Parameters = TypeVar("Parameters")
 
 
 class ParameterError(QuadpiError):
     """A node parameter is unknown, missing, of the wrong type or out of range."""
-
-
-@dataclass(frozen=True)
-class _Declaration:
-    description: str
-    limits: tuple[float, float] | None
-    choices: tuple[str, ...]
-    in_flight: bool
-    optional: bool
-    empty_means: Callable[[Node], str] | None
-
-
-def parameter(
-    default: str | float | bool | tuple[str, ...],
-    description: str,
-    *,
-    limits: tuple[float, float] | None = None,
-    choices: tuple[str, ...] = (),
-    in_flight: bool = False,
-    optional: bool = False,
-    empty_means: Callable[[Node], str] | None = None,
-) -> Any:
-    """A field of a parameter dataclass.
-
-    Args:
-        default: also fixes the type; the empty string or tuple makes the parameter required, unless it is
-            optional. A tuple takes one string, or an array of them.
-        description: shown by `ros2 param describe`.
-        limits: smallest and largest value of a number.
-        choices: the strings allowed.
-        in_flight: whether it can be set while the node runs; else it is read-only.
-        optional: whether it may be empty.
-        empty_means: the value that an empty string stands for, on a node.
-    """
-    declaration = _Declaration(description, limits, choices, in_flight, optional, empty_means)
-    return field(default=default, metadata={"declaration": declaration})
-
-
-def namespaced_body_frame(node: Node) -> str:
-    """The body's default frame: `base_link` behind the namespace of a node, as each vehicle has its own."""
-    return f"{node.get_namespace()}/{BODY_FRAME}".lstrip("/")
 
 
 class ParameterServer(Generic[Parameters]):
@@ -94,7 +45,7 @@ class ParameterServer(Generic[Parameters]):
 
     Args:
         node: created with `automatically_declare_parameters_from_overrides`.
-        parameters: dataclass made of :func:`parameter` fields.
+        parameters: dataclass made of :func:`quadpi_ros.node_parameters.parameter` fields.
         changed: called after a change in flight.
 
     Raises:
@@ -125,7 +76,7 @@ class ParameterServer(Generic[Parameters]):
     def _pass_over(self, node: Node, names: set[str]) -> None:
         """Refuse parameters that no node has, and take off this one those that only others have."""
         names = {name for name in names if not name.startswith(QOS_PREFIX)}
-        for name in sorted(names - _names_of_all_nodes() if names else ()):
+        for name in sorted(names - ALL_NAMES):
             raise ParameterError(
                 f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"
             )
@@ -133,7 +84,7 @@ class ParameterServer(Generic[Parameters]):
             node.undeclare_parameter(name)
 
     def _declare(self, node: Node, name: str, given: dict[str, Any]) -> Any:
-        declaration: _Declaration = self._fields[name].metadata["declaration"]
+        declaration: Declaration = self._fields[name].metadata["declaration"]
         value = self._fields[name].default
         if name in given:
             value = self._checked(name, given[name])
@@ -152,7 +103,7 @@ class ParameterServer(Generic[Parameters]):
         Raises:
             ParameterError: if it is of the wrong type or out of range.
         """
-        declaration: _Declaration = self._fields[name].metadata["declaration"]
+        declaration: Declaration = self._fields[name].metadata["declaration"]
         where = f"{self._where}: parameter `{name}`"
         value = _coerced(where, type(self._fields[name].default), value)
         if declaration.choices and value not in declaration.choices:
@@ -199,15 +150,6 @@ def read_parameters(node: Node, parameters: type[Parameters]) -> Parameters:
     return ParameterServer(node, parameters).values
 
 
-def _names_of_all_nodes() -> set[str]:
-    """The parameters of every node; imported here, as each node runs without the modules of the others."""
-    return {
-        item.name
-        for module, parameters in _NODES.items()
-        for item in fields(getattr(importlib.import_module(f"quadpi_ros.{module}"), parameters))
-    }
-
-
 def _coerced(where: str, kind: type, value: Any) -> Any:
     if kind is float and type(value) is int:
         return float(value)
@@ -222,7 +164,7 @@ def _coerced(where: str, kind: type, value: Any) -> Any:
     return value
 
 
-def _descriptor(declaration: _Declaration, kind: type) -> ParameterDescriptor:
+def _descriptor(declaration: Declaration, kind: type) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=declaration.description, read_only=not declaration.in_flight)
     if declaration.choices:
         descriptor.additional_constraints = f"one of {', '.join(declaration.choices)}"

@@ -32,7 +32,8 @@ from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import whole_output
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
-from quadpi_ros.input_sources import AdapterError, adapters_of, message_class
+from quadpi_ros.input_sources import AdapterError, message_class
+from quadpi_ros.node_parameters import adapters_of
 from quadpi_ros.runtime import run
 
 SENSOR_TYPES: dict[str, type] = {

@@ -29,6 +29,7 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
 from quadpi_ros.input_sources import AdapterError, message_class
+from quadpi_ros.node_parameters import STRICT
 from quadpi_ros.parameters import Parameters
 from quadpi_ros.runtime import ManagedNode
 
@@ -36,11 +37,6 @@ Sample = TypeVar("Sample", bound=Stream)
 
 # No clock of a sensor or a simulation stops it.
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-# What the parameter `frames` may be.
-WARN, STRICT = "warn", "strict"
-FRAMES = (
-    "an IMU in another frame without a static transform: `warn` takes it as the body's, `strict` refuses it"
-)
 # After the first sample that needs one.
 _TRANSFORMS_COME_S = 1.0
 _WARNING_PERIOD_S = 5.0

@@ -29,8 +29,7 @@ from quadpi_core.models import AerodynamicModel
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Listener
-from quadpi_ros.estimator_node import EstimatorParameters
-from quadpi_ros.monitor_node import MonitorParameters
+from quadpi_ros.node_parameters import EstimatorParameters, MonitorParameters
 
 from . import launch_child
 

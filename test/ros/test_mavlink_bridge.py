@@ -36,8 +36,9 @@ from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
 from quadpi_ros.dds_profile import SENSOR_QOS
-from quadpi_ros.mavlink_bridge import BridgeParameters, MavlinkBridge
+from quadpi_ros.mavlink_bridge import MavlinkBridge
 from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
+from quadpi_ros.node_parameters import BridgeParameters
 from quadpi_ros.parameters import ParameterError
 
 ROOT = Path(__file__).parents[2]

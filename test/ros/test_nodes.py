@@ -22,9 +22,7 @@ from quadpi_core.errors import ModelError
 from quadpi_core.messages.result_messages import ReportedAlarms
 from quadpi_core.monitor import MonitorSettings
 from quadpi_ros.collector import AlarmFollower
-from quadpi_ros.estimator_node import EstimatorParameters
-from quadpi_ros.monitor_node import MonitorParameters
-from quadpi_ros.parameters import parameter
+from quadpi_ros.node_parameters import EstimatorParameters, MonitorParameters, parameter
 from quadpi_ros.runtime import start
 
 pytestmark = pytest.mark.usefixtures("ros_domain")

@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +20,14 @@ from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
-from quadpi_ros import diagnostics, estimator_node, mavlink_bridge, monitor_node, parameters
+from quadpi_core.logs.mavlink_samples import SOURCES
+from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, QosOverrideError
 from quadpi_ros.estimator_node import EstimatorNode
-from quadpi_ros.mavlink_bridge import BridgeParameters
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.parameters import ParameterError, parameter, read_parameters
+from quadpi_ros.node_parameters import MAVLINK_IMU_MESSAGES, BridgeParameters, parameter
+from quadpi_ros.parameters import ParameterError, read_parameters
 from quadpi_ros.player import player_node
 
 ROOT = Path(__file__).parents[2]
@@ -88,16 +88,8 @@ def test_a_typing_error_in_a_file_for_every_process_is_refused(
         kind()
 
 
-def test_the_parameters_of_every_node_are_known_to_all() -> None:
-    found = {
-        name: one
-        for module in (estimator_node, monitor_node, mavlink_bridge)
-        for name, one in vars(module).items()
-        if is_dataclass(one) and name.endswith("Parameters")
-    }
-    assert found.keys() == set(parameters._NODES.values())
-    names = {item.name for one in found.values() for item in fields(one)}  # type: ignore[arg-type]
-    assert parameters._names_of_all_nodes() == names
+def test_the_bridge_takes_every_imu_message_that_it_can_read() -> None:
+    assert SOURCES["imu"] == MAVLINK_IMU_MESSAGES
 
 
 FILES = [

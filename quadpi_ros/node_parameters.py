@@ -1,0 +1,203 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of every node, as frozen dataclasses: name, default, description and limits of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from rclpy.node import Node
+
+from quadpi_core.messages.adapters import ADAPTERS
+from quadpi_core.messages.sensor_messages import BODY_FRAME, WORLD_FRAME
+from quadpi_core.monitor import MonitorSettings
+from quadpi_core.monitor.pairing import TIMEOUT_S
+from quadpi_core.rotor_order import RPM
+
+# Standard topics of motion capture; of several in a bag, the first is used.
+MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
+# No IMU of a quadrotor is faster.
+FASTEST_IMU_HZ = 5000.0
+# Values of the parameter `frames`.
+WARN, STRICT = "warn", "strict"
+# Values of the bridge's parameters `rotor_order` and `imu_source` that leave the choice to quadpi.
+STANDARD_ORDER, AUTOMATIC = "standard", "auto"
+# `quadpi_core.logs.mavlink_samples.SOURCES["imu"]`: live nodes do without the readers of logs.
+MAVLINK_IMU_MESSAGES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
+
+_SETTINGS = MonitorSettings()
+_VEHICLE = "vehicle file: a name in config/vehicles or a path"
+_ADAPTERS = "how messages of other packages are read: a name in config/adapters or a path"
+_IMU_RATE = "nominal rate of the topic imu; 0: as its stamps tell in the first second"
+_FRAMES = (
+    "an IMU in another frame without a static transform: `warn` takes it as the body's, `strict` refuses it"
+)
+_AUTOSTART = "configure and activate at the start; else by lifecycle services"
+_ASKED = "asked of the autopilot; 0: do not ask"
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What a parameter may be and what its ROS descriptor says, see :func:`parameter`."""
+
+    description: str
+    limits: tuple[float, float] | None
+    choices: tuple[str, ...]
+    in_flight: bool
+    optional: bool
+    empty_means: Callable[[Node], str] | None
+
+
+def parameter(
+    default: str | float | bool | tuple[str, ...],
+    description: str,
+    *,
+    limits: tuple[float, float] | None = None,
+    choices: tuple[str, ...] = (),
+    in_flight: bool = False,
+    optional: bool = False,
+    empty_means: Callable[[Node], str] | None = None,
+) -> Any:
+    """A field of a parameter dataclass.
+
+    Args:
+        default: also fixes the type; the empty string or tuple makes the parameter required, unless it is
+            optional. A tuple takes one string, or an array of them.
+        description: shown by `ros2 param describe`.
+        limits: smallest and largest value of a number.
+        choices: the strings allowed.
+        in_flight: whether it can be set while the node runs; else it is read-only.
+        optional: whether it may be empty.
+        empty_means: the value that an empty string stands for, on a node.
+    """
+    declaration = Declaration(description, limits, choices, in_flight, optional, empty_means)
+    return field(default=default, metadata={"declaration": declaration})
+
+
+def namespaced_body_frame(node: Node) -> str:
+    """The body's default frame: `base_link` behind the namespace of a node, as each vehicle has its own."""
+    return f"{node.get_namespace()}/{BODY_FRAME}".lstrip("/")
+
+
+def adapters_of(kind: str) -> tuple[str, ...]:
+    """Names of the adapters that give a kind of stream, as further choices of a parameter."""
+    return tuple(name for name, adapter in ADAPTERS.items() if adapter.kind == kind)
+
+
+@dataclass(frozen=True)
+class EstimatorParameters:
+    """Parameters of the node `estimator`."""
+
+    vehicle: str = parameter("", _VEHICLE)
+    imu_rate_hz: float = parameter(0.0, _IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
+    mocap_topic: str = parameter(
+        "mocap/pose",
+        "topic and type of the motion capture to use",
+        choices=MOCAP_TOPICS + adapters_of("mocap"),
+    )
+    adapters: str = parameter("", _ADAPTERS, optional=True)
+    world_frame: str = parameter(WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
+    body_frame: str = parameter(
+        "",
+        "child_frame_id of odometry: forward-left-up; empty: base_link behind the namespace",
+        empty_means=namespaced_body_frame,
+    )
+    frames: str = parameter(WARN, _FRAMES, choices=(WARN, STRICT))
+    autostart: bool = parameter(True, _AUTOSTART)
+
+
+@dataclass(frozen=True)
+class MonitorParameters:
+    """Parameters of the node `monitor`."""
+
+    vehicle: str = parameter("", _VEHICLE)
+    model: tuple[str, ...] = parameter(
+        (), "model folder, as `quadpi identify` writes it; of several, the first gives the alarm"
+    )
+    model_folder: str = parameter(
+        "",
+        "folder below which the service load_model takes models; empty: those that hold the models above",
+        optional=True,
+    )
+    rotor_topic: str = parameter(
+        "rotor_speeds",
+        "topic and type of the rotor speeds to use",
+        choices=("rotor_speeds", "erpm", *adapters_of("rotor_speeds")),
+    )
+    adapters: str = parameter("", _ADAPTERS, optional=True)
+    imu_rate_hz: float = parameter(0.0, _IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
+    confidence: float = parameter(
+        0.0, "nominal coverage of the intervals; 0 takes the model's own", limits=(0.0, 0.9999)
+    )
+    persistence_s: float = parameter(
+        _SETTINGS.persistence_s,
+        "evidence that raises an alarm, in seconds",
+        limits=(0.001, 60.0),
+        in_flight=True,
+    )
+    release_s: float = parameter(
+        _SETTINGS.release_s,
+        "absence of evidence that clears an alarm, in seconds",
+        limits=(0.001, 60.0),
+        in_flight=True,
+    )
+    alarm_rate_hz: float = parameter(
+        _SETTINGS.alarm_rate_hz,
+        "rate of extrapolation_alarm between changes",
+        limits=(0.1, 1000.0),
+        in_flight=True,
+    )
+    adaptive: bool = parameter(
+        _SETTINGS.adaptive, "intervals that adapt to the measured wrench, instead of the model's own"
+    )
+    pairing_timeout_s: float = parameter(
+        TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
+    )
+    body_frame: str = parameter(
+        "",
+        "frame_id of what is published: forward-left-up; empty: base_link behind the namespace",
+        empty_means=namespaced_body_frame,
+    )
+    frames: str = parameter(WARN, _FRAMES, choices=(WARN, STRICT))
+    autostart: bool = parameter(True, _AUTOSTART)
+
+
+@dataclass(frozen=True)
+class BridgeParameters:
+    """Parameters of the node `mavlink_bridge`."""
+
+    connection: str = parameter(
+        "", "udp:HOST:PORT (listens), udpout:…, tcp:…, serial:DEVICE:BAUD, or a .tlog file"
+    )
+    vehicle: str = parameter("", _VEHICLE)
+    rotor_order: str = parameter(
+        STANDARD_ORDER, "speed controllers, from 1 on, in the vehicle's rotor order, such as `4 1 2 3`"
+    )
+    rotor_unit: str = parameter(RPM, "what the rpm of the messages is", choices=("rpm", "erpm"))
+    imu_source: str = parameter(AUTOMATIC, "IMU message to use", choices=(AUTOMATIC, *MAVLINK_IMU_MESSAGES))
+    system: int = parameter(
+        0, "system id of the autopilot; 0: the first that sends an autopilot's heartbeat", limits=(0, 255)
+    )
+    imu_rate_hz: float = parameter(250.0, _ASKED, limits=(0.0, 4000.0))
+    rotor_rate_hz: float = parameter(250.0, _ASKED, limits=(0.0, 4000.0))
+    state_rate_hz: float = parameter(100.0, _ASKED, limits=(0.0, 1000.0))
+    passive: bool = parameter(False, "send nothing: no heartbeat, no requests, no clock exchange")
+    key_file: str = parameter(
+        "", "file with the passphrase of signed packets; with one, others are refused", optional=True
+    )
+    body_frame: str = parameter(
+        "",
+        "frame_id of the body, forward-left-up; empty: base_link behind the namespace",
+        empty_means=namespaced_body_frame,
+    )
+    world_frame: str = parameter(WORLD_FRAME, "frame_id of the world, east-north-up")
+
+
+ALL_NAMES = {
+    item.name
+    for parameters in (EstimatorParameters, MonitorParameters, BridgeParameters)
+    for item in fields(parameters)
+}
+"""Names of the parameters of all nodes: one file may hold them all, under `/**`."""
