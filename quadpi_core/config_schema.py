@@ -15,7 +15,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import GetCoreSchemaHandler, StrictBool, TypeAdapter, ValidationError
@@ -80,19 +80,20 @@ class Section:
     """Base of a dataclass whose fields are the keys of a mapping in a file.
 
     A key of another name is refused. A key without a value (null) counts as absent if its field has a
-    default. Rules between keys stand in `__post_init__`, which raises ValueError.
+    default, unless `blank_is_absent` is False. Rules between keys stand in `__post_init__`, which raises
+    ValueError.
     """
+
+    blank_is_absent: ClassVar[bool] = True
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Let pydantic check the fields, after the keys."""
         schema = handler(source)
-        declared: Any = handler.resolve_ref_schema(schema)
-        defaults = {
-            key: field["schema"]["type"] == "default"
-            for field in declared["schema"]["fields"]
-            for key in _keys(field)
-        }
+        # Changed in place: where a section occurs again, pydantic takes what it has stored of it.
+        stored: Any = handler.resolve_ref_schema(schema)
+        fields = stored["schema"]["fields"]
+        defaults = {key: field["schema"]["type"] == "default" for field in fields for key in _keys(field)}
 
         def known_keys(data: Any) -> Any:
             if not isinstance(data, Mapping):
@@ -100,9 +101,11 @@ class Section:
             for key in data:
                 if key not in defaults:
                     raise ValueError(unknown_key(key, defaults))
-            return {key: value for key, value in data.items() if value is not None or not defaults[key]}
+            absent = {key for key, value in data.items() if value is None and defaults[key]}
+            return {k: v for k, v in data.items() if k not in absent} if cls.blank_is_absent else data
 
-        return core_schema.no_info_before_validator_function(known_keys, schema)
+        stored["schema"] = core_schema.no_info_before_validator_function(known_keys, stored["schema"])
+        return schema
 
 
 def _keys(field: Mapping[str, Any]) -> list[str]:
@@ -216,8 +219,6 @@ Text: TypeAlias = Annotated[str, _NonEmpty()]
 _EXPECTED = {
     "string_type": "must be text",
     "tuple_type": "must be a list",
-    "dict_type": "must be keys and values",
-    "mapping_type": "must be keys and values",
 }
 # Of what was found, in a message.
 _FOUND_MAX = 200
@@ -231,7 +232,7 @@ def _sentence(problem: ErrorDetails, above: tuple[str, ...]) -> str:
     key = place[-1] if place else ""
     if key == "[key]":
         return f"{_path(place[:-2])}unknown key `{found}`{_known(context, found)}"
-    if kind == "missing" or (found is None and isinstance(key, str) and key):
+    if kind == "missing" or (found is None and isinstance(key, str) and key and kind != "value_error"):
         return f"{path}missing key `{key}`"
     if kind == "value_error":
         message = str(context["error"])
@@ -239,7 +240,7 @@ def _sentence(problem: ErrorDetails, above: tuple[str, ...]) -> str:
     shown = repr(found)
     if len(shown) > _FOUND_MAX:
         shown = f"{shown[:_FOUND_MAX]}…"
-    if kind == "dataclass_type":
+    if kind in {"dataclass_type", "dict_type"}:
         return f"{_path(place)}expected keys and values, found {shown}"
     words = _EXPECTED.get(kind, problem["msg"][:1].lower() + problem["msg"][1:])
     name = f"`{key}` " if isinstance(key, str) and key else f"entry {key + 1} " if key != "" else ""

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import PlainValidator
 
-from quadpi_core.config import read_config
+from quadpi_core.config_schema import OneOf, Section, load_config
 from quadpi_core.errors import LogError
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -51,15 +52,8 @@ class RotorOrder:
         Raises:
             LogError: naming the file and the key.
         """
-        path, data = read_config("mapping", name_or_path, LogError)
-        if not isinstance(data, dict) or not data.keys() <= {"rotors", "unit"} or "rotors" not in data:
-            raise LogError(
-                f"{path}: the mapping of an autopilot log has the key `rotors`, and optionally `unit`"
-            )
-        unit = data.get("unit")
-        if unit not in {None, RPM, ERPM}:
-            raise LogError(f"{path}: `unit` must be {RPM} or {ERPM}, found {unit!r}")
-        return cls(_controllers(f"{path}: `rotors`", data["rotors"]), unit)
+        _, content = load_config("mapping", name_or_path, _OrderFile, LogError)
+        return cls(tuple(number - 1 for number in content.rotors), content.unit)
 
     @classmethod
     def parse(cls, text: str, unit: str | None = None) -> RotorOrder:
@@ -69,7 +63,10 @@ class RotorOrder:
             LogError: if they are not four different numbers.
         """
         numbers = [int(word) if word.isdecimal() else word for word in text.replace(",", " ").split()]
-        return cls(_controllers("rotor order", numbers), unit)
+        try:
+            return cls(tuple(number - 1 for number in controller_numbers(numbers)), unit)
+        except ValueError as error:
+            raise LogError(f"rotor order {error}") from None
 
     @classmethod
     def by_corner(
@@ -121,11 +118,24 @@ class RotorOrder:
         return vehicle.rotor_speeds_from_erpm(magnitudes)
 
 
-def _controllers(where: str, numbers: Any) -> tuple[int, ...]:
+def controller_numbers(numbers: Any) -> tuple[int, ...]:
+    """The key `rotors` of a file, as a validator of pydantic: speed controllers counted from 1.
+
+    Raises:
+        ValueError: for anything but four different numbers.
+    """
     is_list = isinstance(numbers, list) and len(numbers) == ROTORS and len(set(map(str, numbers))) == ROTORS
     if not is_list or not all(type(number) is int and number >= 1 for number in numbers):
-        raise LogError(
-            f"{where} must be {ROTORS} different numbers of speed controllers, counted from 1, in the order "
-            f"of the vehicle's rotors; found {numbers!r}"
+        raise ValueError(
+            f"must be {ROTORS} different numbers of speed controllers, counted from 1, in the order of the "
+            f"vehicle's rotors; found {numbers!r}"
         )
-    return tuple(number - 1 for number in numbers)
+    return tuple(numbers)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OrderFile(Section):
+    """The content of a mapping file of an autopilot's logs."""
+
+    rotors: Annotated[tuple[int, ...], PlainValidator(controller_numbers)]
+    unit: Annotated[str, OneOf(RPM, ERPM)] | None = None

@@ -472,7 +472,7 @@ def _table() -> pa.Table:
         columns[name] = np.full(_TABLE_ROWS, 120_000.0)
     for signal in ("attitude", "mocap_attitude"):
         if signal in mapping.signals and mapping.signals[signal].unit is None:
-            first = mapping.signals[signal].columns[mapping.signals[signal].choices["form"].index("w")]
+            first = mapping.signals[signal].columns[str(mapping.signals[signal].form).index("w")]
             columns[first] = np.ones(_TABLE_ROWS)
     columns[mapping.signals["acceleration"].columns[2]] = np.full(_TABLE_ROWS, 9.8)
     return pa.table(columns)

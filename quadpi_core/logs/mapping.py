@@ -7,15 +7,15 @@ docs/add-a-data-set.md explains the keys; config/mappings holds those that come 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import PlainValidator
 
-from quadpi_core.config import read_config
+from quadpi_core.config_schema import OneOf, Section, Share, load_config, unknown_key
 from quadpi_core.errors import LogError
 from quadpi_core.units import STANDARD_GRAVITY
 
@@ -46,35 +46,94 @@ UNITS: MappingProxyType[str, dict[str, float]] = MappingProxyType(
     }
 )
 _COLUMN_COUNT = MappingProxyType({"time": 1, "rotor_speeds": 4, "battery": 1})
-_ATTITUDES = ("attitude", "mocap_attitude")
-_REQUIRED = ("time", "body", "world", "angular_velocity", "acceleration")
-
-# Keys that some signals have beside `columns`, `unit` and `missing`, with the values that they take.
-_CHOICES: MappingProxyType[str, dict[str, tuple[str, ...]]] = MappingProxyType(
+# Keys that some signals must have beside `columns` and `unit`.
+_CHOICES: MappingProxyType[str, tuple[str, ...]] = MappingProxyType(
     {
-        "acceleration": {"axes": ("body", "world"), "gravity": ("included", "removed")},
-        "velocity": {"axes": ("body", "world")},
-        "attitude": {"form": (*QUATERNION_ORDERS, ROLL_PITCH_YAW)},
-        "mocap_attitude": {"form": (*QUATERNION_ORDERS, ROLL_PITCH_YAW)},
+        "acceleration": ("axes", "gravity"),
+        "velocity": ("axes",),
+        "attitude": ("form",),
+        "mocap_attitude": ("form",),
     }
 )
 
 
-@dataclass(frozen=True)
-class Signal:
-    """One signal of a table.
+def _read_columns(data: Any) -> tuple[str, ...]:
+    if not isinstance(data, list):
+        raise ValueError(f"must be a list of columns, found {data!r}")
+    return tuple(str(column) for column in data)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal(Section):
+    """One signal of a table; which keys it has depends on its name.
 
     Attributes:
         columns: in the order x, y, z, or that of the vehicle's rotors.
         unit: a key of UNITS; None for quaternions.
         missing: largest share of rows without a value between the first and the last that have one.
-        choices: `axes`, `gravity` and `form`, for the signals that have them.
+        axes: in which a vector is given.
+        gravity: whether an acceleration is the specific force, or gravity was removed.
+        form: of an attitude.
     """
 
-    columns: tuple[str, ...]
-    unit: str | None
-    missing: float
-    choices: dict[str, str]
+    columns: Annotated[tuple[str, ...], PlainValidator(_read_columns)]
+    unit: str | None = None
+    missing: Share = 0.0
+    axes: Annotated[str, OneOf("body", "world")] | None = None
+    gravity: Annotated[str, OneOf("included", "removed")] | None = None
+    form: Annotated[str, OneOf(*QUATERNION_ORDERS, ROLL_PITCH_YAW)] | None = None
+
+    def require_keys_of(self, name: str) -> None:
+        """Refuse keys that a signal of this name lacks, or should not have.
+
+        Raises:
+            ValueError: naming signal and key.
+        """
+        choices = _CHOICES.get(name, ())
+        units = () if self.form in QUATERNION_ORDERS else ("unit",)
+        known = ("columns", *units, *choices, "missing")
+        for key in (*units, *choices):
+            if getattr(self, key) is None:
+                raise ValueError(f"{name}: missing key `{key}`")
+        for key, value in vars(self).items():
+            if key not in known and value is not None:
+                raise ValueError(f"{name}: {unknown_key(key, known)}")
+        if self.unit is not None and self.unit not in UNITS[name]:
+            raise ValueError(f"{name}: `unit` must be one of {', '.join(UNITS[name])}, found {self.unit!r}")
+        count = _COLUMN_COUNT.get(name, 3) if units else 4
+        if len(self.columns) != count or len(set(self.columns)) != count:
+            raise ValueError(f"{name}: `columns` must list {count} different column{'s'[: count - 1]}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MappingFile(Section):
+    """The content of a mapping file of tables."""
+
+    time: Signal
+    body: Annotated[str, OneOf("flu", "frd")]
+    world: Annotated[str, OneOf("enu", "ned")]
+    angular_velocity: Signal
+    acceleration: Signal
+    rotor_speeds: Signal | None = None
+    position: Signal | None = None
+    velocity: Signal | None = None
+    attitude: Signal | None = None
+    mocap_position: Signal | None = None
+    mocap_attitude: Signal | None = None
+    wind: Signal | None = None
+    battery: Signal | None = None
+    simulated_force: Signal | None = None
+    simulated_moment: Signal | None = None
+
+    def __post_init__(self) -> None:
+        for name, signal in self.signals.items():
+            signal.require_keys_of(name)
+
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """The signals of the table, in the order of UNITS."""
+        named = {name: getattr(self, name) for name in UNITS}
+        return {name: signal for name, signal in named.items() if signal is not None}
 
 
 @dataclass(frozen=True)
@@ -99,50 +158,5 @@ class Mapping:
         Raises:
             LogError: naming the file and the key that is missing, unknown or has a value that is not known.
         """
-        path, data = read_config("mapping", name_or_path, LogError)
-        _check_keys(f"{path}", data, _REQUIRED, ("body", "world", *UNITS))
-        return cls(
-            path=path,
-            body=_choice(f"{path}: `body`", data["body"], ("flu", "frd")),
-            world=_choice(f"{path}: `world`", data["world"], ("enu", "ned")),
-            signals={name: _signal(f"{path}: `{name}`", name, data[name]) for name in UNITS if name in data},
-        )
-
-
-def _signal(where: str, name: str, data: Any) -> Signal:
-    choices: dict[str, tuple[str, ...]] = _CHOICES.get(name, {})
-    form = data.get("form") if isinstance(data, dict) else None
-    is_quaternion = name in _ATTITUDES and isinstance(form, str) and form in QUATERNION_ORDERS
-    units = () if is_quaternion else ("unit",)
-    _check_keys(where, data, ("columns", *units, *choices), ("missing",))
-    count = 4 if is_quaternion else _COLUMN_COUNT.get(name, 3)
-    columns = data["columns"]
-    if not isinstance(columns, list) or len(columns) != count or len(set(map(str, columns))) != count:
-        raise LogError(f"{where}: `columns` must list {count} different column{'s'[: count - 1]}")
-    missing = data.get("missing", 0.0)
-    if isinstance(missing, bool) or not isinstance(missing, (int, float)) or not 0.0 <= missing < 1.0:
-        raise LogError(f"{where}: `missing` must be a share of the rows, from 0 to below 1")
-    return Signal(
-        columns=tuple(str(column) for column in columns),
-        unit=_choice(f"{where}: `unit`", data["unit"], UNITS[name]) if units else None,
-        missing=float(missing),
-        choices={key: _choice(f"{where}: `{key}`", data[key], known) for key, known in choices.items()},
-    )
-
-
-def _check_keys(where: str, data: Any, required: tuple[str, ...], optional: tuple[str, ...]) -> None:
-    if not isinstance(data, dict):
-        raise LogError(f"{where}: expected keys and values, found {type(data).__name__}")
-    for key in required:
-        if key not in data:
-            raise LogError(f"{where}: missing key `{key}`")
-    known = dict.fromkeys(required + optional)
-    for key in data:
-        if key not in known:
-            raise LogError(f"{where}: unknown key `{key}`; known: {', '.join(known)}")
-
-
-def _choice(where: str, value: Any, known: Iterable[str]) -> str:
-    if value not in list(known):
-        raise LogError(f"{where} is {value!r}; known: {', '.join(known)}")
-    return str(value)
+        path, content = load_config("mapping", name_or_path, _MappingFile, LogError)
+        return cls(path=path, body=content.body, world=content.world, signals=content.signals)

@@ -134,9 +134,9 @@ class _TableReader:
 
     def _specific_force(self) -> Array:
         values = self._scaled("acceleration")
-        choices = self.mapping.signals["acceleration"].choices
-        gravity = choices["gravity"] == "included"
-        if choices["axes"] == "world":
+        signal = self.mapping.signals["acceleration"]
+        gravity = signal.gravity == "included"
+        if signal.axes == "world":
             in_world = self._to_ned(values) - (0.0 if gravity else _GRAVITY_NED)
             return rotate_world_to_body(self._attitude("attitude"), in_world)
         in_body = self._to_frd(values)
@@ -146,7 +146,7 @@ class _TableReader:
 
     def _velocity(self) -> Array:
         values = self._scaled("velocity")
-        if self.mapping.signals["velocity"].choices["axes"] == "body":
+        if self.mapping.signals["velocity"].axes == "body":
             return self._to_frd(values)
         return rotate_world_to_body(self._attitude("attitude"), self._to_ned(values))
 
@@ -158,7 +158,7 @@ class _TableReader:
             raise LogError(f"{self.mapping.path}: world axes or gravity removed need `{name}`")
         signal = self.mapping.signals[name]
         if signal.unit is None:
-            order = QUATERNION_ORDERS[signal.choices["form"]]
+            order = QUATERNION_ORDERS[str(signal.form)]
             quaternion = unit_attitude(str(self.path), name, self._raw(name)[:, order])
         else:
             quaternion = quaternion_from_roll_pitch_yaw(self._scaled(name))

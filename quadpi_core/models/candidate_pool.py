@@ -13,13 +13,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
-from quadpi_core.config import read_config
-from quadpi_core.errors import ModelError
+from pydantic import PlainValidator
+
+from quadpi_core.config_schema import OneOf, Section, load_config
+from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.models.regressors import (
     CONSTANT,
@@ -33,8 +35,6 @@ from quadpi_core.models.regressors import (
 
 # The largest family that comes with quadpi has a few hundred; of more than samples none can be identified.
 _FAMILY_MAX = 20_000
-# Of an axis in a pool file, in the order in which a pool takes them.
-_KEYS = ("fixed", "candidates", "inputs")
 _FAMILY = re.compile(
     r"P\^(?P<degree>[1-9]\d?)\((?P<variables>[^()]+)\)\s*(?:[·*]\s*\{(?P<factors>[^{}]+)\})?"
 )
@@ -108,10 +108,35 @@ def load_pools(name_or_path: str | Path) -> dict[str, CandidatePool]:
     Raises:
         ModelError: naming the file, the axis and the entry that cannot be read.
     """
-    path, data = read_config("candidate", name_or_path, ModelError)
-    if not isinstance(data, dict) or not data:
+    path, content = load_config("candidate", name_or_path, dict[Axis, _AxisLists], ModelError)
+    if not content:
         raise ModelError(f"{path}: expected axes, each with `fixed`, `candidates` and `inputs`")
-    return {axis: _parse_axis(path, axis, entry) for axis, entry in data.items()}
+    pools = {}
+    for axis, lists in content.items():
+        with named_in(f"{path}: {axis}"):
+            pools[axis] = CandidatePool.parse(lists.fixed, lists.candidates, lists.inputs)
+    return pools
+
+
+def _texts(data: Any) -> list[str]:
+    if not isinstance(data, list):
+        raise ValueError(f"must be a list, found {data!r}")
+    return [str(text) for text in data]
+
+
+Texts: TypeAlias = Annotated[list[str], PlainValidator(_texts)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AxisLists(Section):
+    """The keys of an axis in a pool file."""
+
+    fixed: Texts = field(default_factory=list)
+    candidates: Texts = field(default_factory=list)
+    inputs: Texts = field(default_factory=list)
+
+
+Axis: TypeAlias = Annotated[str, OneOf(*AXES)]
 
 
 def select_axes(pools: dict[str, CandidatePool], names: str | None) -> dict[str, CandidatePool]:
@@ -127,18 +152,3 @@ def select_axes(pools: dict[str, CandidatePool], names: str | None) -> dict[str,
         if name not in pools:
             raise ModelError(f"no candidates for axis {name!r}; there are pools for {', '.join(pools)}")
     return {name: pools[name] for name in wanted}
-
-
-def _parse_axis(path: Path, axis: Any, entry: Any) -> CandidatePool:
-    if axis not in AXES:
-        raise ModelError(f"{path}: unknown axis {axis!r}; axes: {', '.join(AXES)}")
-    if not isinstance(entry, dict) or set(entry) - set(_KEYS):
-        raise ModelError(f"{path}: {axis}: expected the keys {', '.join(f'`{key}`' for key in _KEYS)}")
-    lists = [entry.get(key) or [] for key in _KEYS]
-    for key, texts in zip(_KEYS, lists, strict=True):
-        if not isinstance(texts, list):
-            raise ModelError(f"{path}: {axis}: `{key}` must be a list, found {texts!r}")
-    try:
-        return CandidatePool.parse(*([str(text) for text in texts] for texts in lists))
-    except ModelError as error:
-        raise ModelError(f"{path}: {axis}: {error}") from error

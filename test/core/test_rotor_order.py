@@ -62,9 +62,9 @@ def test_a_mapping_file(tmp_path: Path) -> None:
         ("rotors: [1, 2, 3, 3]", "must be 4 different numbers"),
         ("rotors: [0, 1, 2, 3]", "counted from 1"),
         ("rotors: [1, 2, 3, true]", "counted from 1"),
-        ("rotors: [1, 2, 3, 4]\nunit: rad/s", "`unit` must be rpm or erpm"),
-        ("time: {columns: [t]}", "has the key `rotors`"),
-        ("[1, 2, 3, 4]", "has the key `rotors`"),
+        ("rotors: [1, 2, 3, 4]\nunit: rad/s", "`unit` must be one of rpm, erpm, found 'rad/s'"),
+        ("time: {columns: [t]}", "unknown key `time`; known: rotors, unit"),
+        ("[1, 2, 3, 4]", r"expected keys and values, found \[1, 2, 3, 4\]"),
     ],
 )
 def test_a_wrong_mapping_file_is_refused(text: str, message: str, tmp_path: Path) -> None:

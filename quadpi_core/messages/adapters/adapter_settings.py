@@ -7,21 +7,30 @@ docs/adapters.md explains the keys; config/adapters holds examples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Annotated, Any, ClassVar
 
-from quadpi_core.config import nearest, read_config
+from pydantic import BeforeValidator, PlainValidator
+
+from quadpi_core.config_schema import OneOf, Section, Text, load_config
 from quadpi_core.errors import LogError
-from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder
+from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_numbers
 from quadpi_core.vehicle import Vehicle
 
 FLU_ENU, FRD_NED, FUR_EUS = "flu-enu", "frd-ned", "fur-eus"
 
 
+def _read_rotors(data: Any) -> tuple[int, ...] | str:
+    if isinstance(data, str) and data in LAYOUTS:
+        return data
+    if not isinstance(data, list):
+        raise ValueError(f"must list numbers of ESCs or motors, or be {' or '.join(LAYOUTS)}, found {data!r}")
+    return controller_numbers(data)
+
+
 @dataclass(frozen=True)
-class RotorSettings:
+class RotorSettings(Section):
     """How ESC reports become rotor speeds.
 
     Attributes:
@@ -31,9 +40,9 @@ class RotorSettings:
         topic: which, where a bag holds several that could be meant.
     """
 
-    rotors: tuple[int, ...] | str
-    unit: str
-    topic: str | None = None
+    rotors: Annotated[tuple[int, ...] | str, PlainValidator(_read_rotors)]
+    unit: Annotated[str, OneOf(RPM, ERPM)]
+    topic: Text | None = None
 
     def order(self, vehicle: Vehicle | None) -> RotorOrder:
         """The order that the settings give.
@@ -42,7 +51,7 @@ class RotorSettings:
             LogError: if they give none, or not without a vehicle.
         """
         if not isinstance(self.rotors, str):
-            return RotorOrder.parse(" ".join(map(str, self.rotors)), self.unit)
+            return RotorOrder(tuple(number - 1 for number in self.rotors), self.unit)
         if vehicle is None:
             raise LogError(
                 f"the layout {self.rotors} needs the vehicle, whose file says where its rotors are"
@@ -50,8 +59,14 @@ class RotorSettings:
         return RotorOrder.by_layout(vehicle, self.rotors, self.unit)
 
 
+def _read_body(data: Any) -> str:
+    if isinstance(data, bool) or not isinstance(data, str | int) or data == "":
+        raise ValueError(f"must be the name of a body, found {data!r}")
+    return str(data)
+
+
 @dataclass(frozen=True)
-class BodySettings:
+class BodySettings(Section):
     """Which of the bodies that a motion capture follows, and in what axes.
 
     Attributes:
@@ -60,26 +75,35 @@ class BodySettings:
         topic: see :class:`RotorSettings`.
     """
 
-    body: str
-    frames: str
-    topic: str | None = None
+    body: Annotated[str, PlainValidator(_read_body)]
+    frames: Annotated[str, OneOf(FLU_ENU, FRD_NED, FUR_EUS)]
+    topic: Text | None = None
 
 
 @dataclass(frozen=True)
-class StateSettings:
+class StateSettings(Section):
     """For messages that name their frames and units themselves."""
 
-    topic: str | None = None
+    topic: Text | None = None
+
+
+def _present(data: Any) -> Any:
+    """Refuse a key without a value, which may be meant as a stream with no settings or as none."""
+    if data is None:
+        raise ValueError("expected keys and values, such as {}, found nothing")
+    return data
 
 
 @dataclass(frozen=True)
-class AdapterSettings:
+class AdapterSettings(Section):
     """Settings of every kind of stream; None: messages of other packages are not used for it."""
 
-    rotor_speeds: RotorSettings | None = None
-    mocap: BodySettings | None = None
-    odometry: StateSettings | None = None
-    imu: StateSettings | None = None
+    blank_is_absent: ClassVar[bool] = False
+
+    rotor_speeds: Annotated[RotorSettings | None, BeforeValidator(_present)] = None
+    mocap: Annotated[BodySettings | None, BeforeValidator(_present)] = None
+    odometry: Annotated[StateSettings | None, BeforeValidator(_present)] = None
+    imu: Annotated[StateSettings | None, BeforeValidator(_present)] = None
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> AdapterSettings:
@@ -88,72 +112,4 @@ class AdapterSettings:
         Raises:
             LogError: naming the file and the key that is missing, unknown or has a value that is not known.
         """
-        path, data = read_config("adapter", name_or_path, LogError)
-        entries = _checked(f"{path}", data, {}, dict.fromkeys(_READERS))
-        return cls(**{kind: _READERS[kind](f"{path}: `{kind}`", entries[kind]) for kind in entries})
-
-
-def _rotors(where: str, data: Any) -> RotorSettings:
-    entries = _checked(where, data, {"rotors": None, "unit": (RPM, ERPM)}, {"topic": None})
-    rotors = entries["rotors"]
-    if isinstance(rotors, list):
-        rotors = tuple(rotors)
-    elif not isinstance(rotors, str) or rotors not in LAYOUTS:
-        raise LogError(f"{where}: `rotors` must list numbers of ESCs or motors, or be {' or '.join(LAYOUTS)}")
-    settings = RotorSettings(rotors, entries["unit"], entries.get("topic"))
-    if not isinstance(rotors, str):
-        try:
-            settings.order(None)
-        except LogError as error:
-            raise LogError(f"{where}: {error}") from None
-    return settings
-
-
-def _body(where: str, data: Any) -> BodySettings:
-    required = {"body": None, "frames": (FLU_ENU, FRD_NED, FUR_EUS)}
-    entries = _checked(where, data, required, {"topic": None})
-    if not isinstance(entries["body"], (str, int)) or entries["body"] == "":
-        raise LogError(f"{where}: `body` must be the name of a body")
-    return BodySettings(str(entries["body"]), entries["frames"], entries.get("topic"))
-
-
-def _state(where: str, data: Any) -> StateSettings:
-    return StateSettings(_checked(where, data, {}, {"topic": None}).get("topic"))
-
-
-_READERS: dict[str, Callable[[str, Any], Any]] = {
-    "rotor_speeds": _rotors,
-    "mocap": _body,
-    "odometry": _state,
-    "imu": _state,
-}
-
-_Choices: TypeAlias = Mapping[str, tuple[str, ...] | None]
-
-
-def _checked(where: str, data: Any, required: _Choices, optional: _Choices) -> dict[str, Any]:
-    """The entries, once every key is known and has one of its values.
-
-    Args:
-        where: file and key, for errors.
-        data: what stands there.
-        required: keys that must be there, with the values that they take; None for any.
-        optional: keys that may be there.
-    """
-    if not isinstance(data, dict):
-        raise LogError(f"{where}: expected keys and values, found {type(data).__name__}")
-    known = {**required, **optional}
-    for key in required:
-        if key not in data:
-            raise LogError(f"{where}: missing key `{key}`")
-    for key, value in data.items():
-        if key not in known:
-            raise LogError(
-                f"{where}: unknown key `{key}`; known: {', '.join(known)}{nearest(str(key), known)}"
-            )
-        choices = known[key]
-        if choices is not None and value not in choices:
-            raise LogError(f"{where}: `{key}` is {value!r}; known: {', '.join(choices)}")
-        if key == "topic" and not isinstance(value, str):
-            raise LogError(f"{where}: `topic` must be the name of a topic")
-    return data
+        return load_config("adapter", name_or_path, cls, LogError)[1]

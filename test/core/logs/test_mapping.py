@@ -230,19 +230,33 @@ def test_spikes_are_left_out(tmp_path: Path, vehicle: Vehicle):
     ("change", "message"),
     [
         ({"speed": 1}, "unknown key `speed`; known: time, body"),
-        ({"body": "fru"}, "`body` is 'fru'; known: flu, frd"),
+        ({"body": "fru"}, "`body` must be one of flu, frd, found 'fru'"),
         (
             {"time": {"columns": ["t"], "unit": "minutes"}},
-            "`time`: `unit` is 'minutes'; known: s, ms, us, ns",
+            "time: `unit` must be one of s, ms, us, ns, found 'minutes'",
         ),
-        ({"time": {"columns": ["t"]}}, "`time`: missing key `unit`"),
-        ({"time": {"columns": ["t"], "unit": "s", "zero": 0}}, "`time`: unknown key `zero`"),
-        ({"time": "t"}, "`time`: expected keys and values, found str"),
-        ({"wind": {"columns": ["a", "b"], "unit": "m/s"}}, "`wind`: `columns` must list 3 different columns"),
-        ({"time": {"columns": ["t"], "unit": "s", "missing": 2}}, "`missing` must be a share"),
+        ({"time": {"columns": ["t"]}}, "time: missing key `unit`"),
+        (
+            {"time": {"columns": ["t"], "unit": "s", "zero": 0}},
+            "time: unknown key `zero`; known: columns,",
+        ),
+        ({"time": "t"}, "time: expected keys and values, found 't'"),
+        ({"wind": {"columns": ["a", "b"], "unit": "m/s"}}, "wind: `columns` must list 3 different columns"),
+        (
+            {"time": {"columns": ["t"], "unit": "s", "missing": 2}},
+            "time: `missing` must be a number from 0 to 1, found 2",
+        ),
+        (
+            {"wind": {"columns": list("abc"), "unit": "m/s", "zero": 0}},
+            "wind: unknown key `zero`; known: columns,",
+        ),
+        (
+            {"wind": {"columns": list("abc"), "unit": "m/s", "axes": "body"}},
+            "wind: unknown key `axes`; known",
+        ),
         (
             {"attitude": {"columns": ["a", "b", "c", "d"], "form": "zyx"}},
-            "`attitude`: missing key `unit`",
+            "attitude: `form` must be one of wxyz, xyzw, roll-pitch-yaw, found 'zyx'",
         ),
     ],
 )
