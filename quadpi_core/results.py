@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +17,11 @@ LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 # Causes of an alarm, one bit each.
 EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
 CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
-# Health of a cause. ACTIVE: judged with a stated rate of false alarms. WAITING: not judged on the ground, nor
-# MISCOVERAGE while the state settles. UNAVAILABLE: no usable samples. UNCALIBRATED: judged by plain limits.
+# Health of a cause. ACTIVE: judged with a stated rate of false alarms. WAITING: not judged, on the ground
+# or, for MISCOVERAGE, while the state settles. UNAVAILABLE: no usable samples. UNCALIBRATED: judged by
+# plain limits.
 ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
-# The log of alarm events holds the last ones only: /alarm_log and its memory stay small.
+# Events that the log keeps, and that a late subscriber to /alarm_log is given.
 EVENTS_KEPT = 64
 
 
@@ -41,10 +42,12 @@ class Predictions:
 
 
 @dataclass(frozen=True)
-class Alarms:
-    """One row per published alarm state; its evidence is the largest since the row before it.
+class AlarmRows:
+    """One row per published alarm state, as the monitor gives it and as its message says it.
 
-    Columns of causes: EXTRAPOLATION, MISCOVERAGE, BAD_DATA. A score is a value over its limit.
+    The evidence of a row is the largest since the row before it. A score is a value over its limit. Columns
+    of
+    causes: EXTRAPOLATION, MISCOVERAGE, BAD_DATA; of axes: Fx … Mz.
 
     Attributes:
         level: (M,) 0 ok, 1 warning, 2 alarm; the highest of the causes.
@@ -52,12 +55,7 @@ class Alarms:
         cause_level, cause_health: (M, 3) level and health of each cause.
         cause_evidence: (M, 3) largest score of the signals of each cause.
         leverage, width, miscoverage: (M, 6) scores per axis.
-        leverage_ratio, width_ratio: (M, 6) leverage and width over their peaks in training.
         miss_share: (M, 6) share of recent samples outside the model's own interval.
-        input_score: (M, 19) scores of the inputs' distances from the middle of their training range.
-        input_excess: (M, 19) how far each input lies outside its training range, in widths of that
-            range, zero inside; columns as `quadpi_core.inputs.INPUT_NAMES`.
-        faults: (M,) what is wrong with the data, bits of `monitor.data_quality`.
     """
 
     time_ns: Stamps
@@ -67,33 +65,74 @@ class Alarms:
     cause_health: npt.NDArray[np.uint8]
     cause_evidence: Array
     leverage: Array
-    leverage_ratio: Array
     width: Array
-    width_ratio: Array
     miscoverage: Array
     miss_share: Array
-    input_score: Array
-    input_excess: Array
-    faults: npt.NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.time_ns)
 
-    def row(self, index: int) -> Alarms:
-        """One row, as arrays of length one."""
-        return Alarms(*(getattr(self, column.name)[index : index + 1] for column in fields(self)))
+
+@dataclass(frozen=True)
+class Alarms(AlarmRows):
+    """Alarm rows of the monitor, with the evidence behind the words of a message.
+
+    Attributes:
+        leverage_ratio, width_ratio: (M, 6) leverage and width over their peaks in training.
+        input_score: (M, 19) scores of the inputs' distances from the middle of their training range;
+            columns as `quadpi_core.inputs.INPUT_NAMES`.
+        input_excess: (M, 19) how far each input lies outside its training range, in widths of that range,
+            zero inside.
+        faults: (M,) what is wrong with the data, bits of `monitor.data_quality`.
+    """
+
+    leverage_ratio: Array
+    width_ratio: Array
+    input_score: Array
+    input_excess: Array
+    faults: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ReportedAlarms(AlarmRows):
+    """Alarm rows as messages say them.
+
+    Attributes:
+        envelope_distance: (M,) how far the worst input lies outside its training range.
+        inputs_outside: names of the inputs outside the envelope, the farthest first, per message.
+        reasons: why the causes are not ok, in plain words, per message.
+    """
+
+    envelope_distance: Array
+    inputs_outside: list[tuple[str, ...]]
+    reasons: list[tuple[str, ...]]
+
+    @property
+    def of_samples(self) -> npt.NDArray[np.bool_]:
+        """(M,) False for a message without a sample: by the monitor's own clock, while nothing came."""
+        of_samples: npt.NDArray[np.bool_] = self.cause_health[:, CAUSES.index(BAD_DATA)] != UNAVAILABLE
+        return of_samples
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> ReportedAlarms:
+        """Those that a mask (M,) chooses."""
+        rows = np.flatnonzero(chosen)
+        kept: dict[str, Any] = {
+            name: [values[k] for k in rows] if isinstance(values, list) else values[rows]
+            for name, values in vars(self).items()
+        }
+        return ReportedAlarms(**kept)
 
 
 @dataclass(frozen=True)
 class AlarmEvent:
-    """One cause at alarm level; a warning is no event.
+    """The time that one cause spends at alarm level; warnings are no events.
 
     Attributes:
         number: counts the events of a log from 1.
         cause: EXTRAPOLATION, MISCOVERAGE or BAD_DATA.
-        time_ns: stamp of the sample that this state of the event follows from.
+        time_ns: stamp of the sample that led to this state of the event.
         start_ns: stamp at which the cause was raised.
-        end_ns: stamp at which it was cleared; 0 while it stands.
+        end_ns: stamp at which it was cleared; 0 until then.
         peak_evidence: largest score so far.
         reasons: at the peak, in plain words.
     """

@@ -21,7 +21,7 @@ from rclpy.task import Future
 from quadpi_core.flight import Stamps
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE, Predictions
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE, Predictions, ReportedAlarms
 
 _CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 _LEVEL_NAMES = ("ok", "warning", "ALARM")
@@ -68,7 +68,7 @@ class AlarmFollower:
         self._state = (LEVEL_OK, 0)
         self._named: set[str] = set()
 
-    def follow(self, alarms: result_messages.ReportedAlarms) -> AlarmChange | None:
+    def follow(self, alarms: ReportedAlarms) -> AlarmChange | None:
         """The change that one alarm message brings; None if it brings none."""
         level, causes = int(alarms.level[0]), int(alarms.causes[0])
         inputs = alarms.inputs_outside[0] if level != LEVEL_OK else ()
@@ -181,7 +181,7 @@ class Collector(Listener):
         """Every prediction so far."""
         return result_messages.unpack_predictions(Payloads.join(self._predictions))
 
-    def alarms(self) -> result_messages.ReportedAlarms:
+    def alarms(self) -> ReportedAlarms:
         """Every alarm message that followed from a sample so far: none of the silence around a flight."""
         return result_messages.unpack_alarms(Payloads.join(self._alarms))
 

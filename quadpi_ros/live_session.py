@@ -16,10 +16,9 @@ from quadpi_core.estimator.initialise import COLLECT_NS
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.messages.result_messages import ReportedAlarms
 from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.monitor.alarm import alarm_time
-from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Predictions
+from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Predictions, ReportedAlarms
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.player import START_TIMEOUT_S, Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain

@@ -36,9 +36,8 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.frame_ids import Framed
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
-from quadpi_core.monitor.health import Latency
+from quadpi_core.monitor.health import WATCH_S, Latency, Silence
 from quadpi_core.monitor.pairing import CAPACITY, Pairing, first_known
-from quadpi_core.monitor.silence import WATCH_S, Silence
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics

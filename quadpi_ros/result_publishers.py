@@ -19,9 +19,9 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, Predictions
+from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.monitor import Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.reasons import reasons_by_row
-from quadpi_core.monitor.several_models import Monitors
 from quadpi_core.results import LEVEL_OK
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
@@ -127,7 +127,7 @@ class Results:
 
     def tell_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
         """Publish an alarm at an instant at which no sample is."""
-        alarms = self.monitors[self._first].unheard(time_ns)
+        alarms = self.monitors[self._first].alarm_without_sample(time_ns)
         _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, [reasons], self._frame_id))
 
     def swap(

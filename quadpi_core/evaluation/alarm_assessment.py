@@ -25,7 +25,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
+from quadpi_core.monitor.alarm import Alarm, MonitorSettings
+from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import LEVEL_ALARM
 
 SIGNALS = ("inputs", "leverage", "width", "miscoverage")
@@ -77,23 +78,12 @@ def alarm_of_flight(
         model.interval_ratio(confidence),
     )
     samples = len(time)
-    # A flight in the air never stands: a speed beyond all measure tells the gate so.
-    rows = alarm.step(
-        np.round(1e9 * time).astype(np.int64),
-        known,
-        np.zeros(samples, dtype=np.int64),
-        Judged(
-            inputs,
-            np.full((len(inputs), 3), np.inf),
-            evaluation.leverage,
-            evaluation.relative_width,
-            wrench,
-            evaluation.lower,
-            evaluation.upper,
-            # What is known has settled.
-            np.ones(len(inputs), dtype=np.bool_),
-        ),
-    )
+    verdicts = np.zeros(samples, VERDICT)
+    verdicts["time_ns"] = np.round(1e9 * time)
+    verdicts["usable"], verdicts["settled"] = known, True
+    # The flight was in the air all the time: at an infinite speed the alarm never takes it for standing.
+    verdicts["velocity"] = np.inf
+    rows = alarm.step(Prepared(verdicts, inputs, wrench), evaluation)
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
     missed[known] = (wrench < evaluation.lower) | (wrench > evaluation.upper)
     outside = np.zeros(samples, dtype=np.bool_)

@@ -25,7 +25,7 @@ from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import follow, recorded_flight
 from quadpi_core.parallel import map_files
 from quadpi_core.screening.consistency import checked
-from quadpi_core.signals.resample import interpolate, nominal_rate
+from quadpi_core.signals.resample import interpolate
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 
@@ -157,14 +157,14 @@ def live_samples(recording: Recording, vehicle: Vehicle, cutoff_hz: float, at_ns
         LogError: naming what is missing, or if no sample could be judged.
         SignalError: if the estimator never starts, or the cut-off is impossible.
     """
-    preparation = Preparation(vehicle, nominal_rate(recording.imu.time_ns), cutoff_hz)
+    preparation = Preparation(vehicle, None, cutoff_hz)
     stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 7))]
     for part in follow(recorded_flight(recording), vehicle):
         if part.begin == SET_BACK:
             preparation.reset()
         preparation.retune(part.rate)
         prepared = preparation.step(*part.samples)
-        stamps.append(prepared.time_ns[prepared.usable])
+        stamps.append(prepared.usable_ns)
         rows.append(np.column_stack((prepared.inputs, prepared.measured, prepared.settled)))
     time_ns, values = np.concatenate(stamps), np.concatenate(rows)
     if len(time_ns) == 0:

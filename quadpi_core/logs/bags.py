@@ -39,10 +39,10 @@ from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.messages.result_messages import ReportedAlarms, unpack_alarms, unpack_predictions
+from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.recording_blocks import join_blocks, split_by_stamp
-from quadpi_core.results import Predictions
+from quadpi_core.results import Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)

@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields
 from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.definitions import codec
@@ -28,7 +28,7 @@ from quadpi_core.messages.sensor_messages import (
     mirrored,
 )
 from quadpi_core.messages.values import PREDICTION_VALUES, prediction_values
-from quadpi_core.results import BAD_DATA, CAUSES, UNAVAILABLE, AlarmEvent, Alarms, Predictions
+from quadpi_core.results import AlarmEvent, AlarmRows, Alarms, Predictions, ReportedAlarms
 
 _NANOSECONDS = 1_000_000_000
 
@@ -90,58 +90,7 @@ def _axis_flags(axes: tuple[str, ...]) -> int:
     return sum(1 << AXES.index(axis) for axis in axes)
 
 
-@dataclass(frozen=True)
-class ReportedAlarms:
-    """What alarm messages say; one row per message (see `results.Alarms`).
-
-    Attributes:
-        envelope_distance: (M,) how far the worst input lies outside its training range.
-        inputs_outside: names of the inputs outside the envelope, the farthest first, per message.
-        reasons: why the causes are not ok, in plain words, per message.
-    """
-
-    time_ns: Stamps
-    level: npt.NDArray[np.uint8]
-    causes: npt.NDArray[np.uint8]
-    cause_level: npt.NDArray[np.uint8]
-    cause_health: npt.NDArray[np.uint8]
-    cause_evidence: Array
-    leverage: Array
-    width: Array
-    miscoverage: Array
-    miss_share: Array
-    envelope_distance: Array
-    inputs_outside: list[tuple[str, ...]]
-    reasons: list[tuple[str, ...]]
-
-    @property
-    def of_samples(self) -> npt.NDArray[np.bool_]:
-        """(M,) False for a message that no sample led to: by the monitor's own clock, while nothing came."""
-        of_samples: npt.NDArray[np.bool_] = self.cause_health[:, CAUSES.index(BAD_DATA)] != UNAVAILABLE
-        return of_samples
-
-    def where(self, chosen: npt.NDArray[np.bool_]) -> ReportedAlarms:
-        """Those that a mask (M,) chooses."""
-        rows = np.flatnonzero(chosen)
-        columns = {column.name: getattr(self, column.name) for column in fields(self)}
-        kept: dict[str, Any] = {
-            name: [values[k] for k in rows] if isinstance(values, list) else values[rows]
-            for name, values in columns.items()
-        }
-        return replace(self, **kept)
-
-
-_ALARM_NUMBERS = (
-    "level",
-    "causes",
-    "cause_level",
-    "cause_health",
-    "cause_evidence",
-    "leverage",
-    "width",
-    "miscoverage",
-    "miss_share",
-)
+_ALARM_NUMBERS = tuple(column.name for column in fields(AlarmRows) if column.name != "time_ns")
 
 
 def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:

@@ -2,25 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """From evidence per sample to an alarm of three causes, with persistence and hysteresis, O(1) per sample.
 
-Every signal is a score, its value over its limit. What is charged fills while there is evidence, within
-`persistence_s`, and drains without, within `release_s`: so evidence with short gaps still counts, one
-sample inside changes nothing and nothing chatters.
+Every signal is a score, its value over its limit. A charge fills while there is evidence, within
+`persistence_s`, and drains without, within `release_s`: evidence with short gaps still counts, single samples
+change nothing and the level does not chatter.
 
-EXTRAPOLATION keeps two charges. A signal beyond its near limit, a plain fraction outside of what training
-has shown, charges the warning; one beyond the limit of a stated rate of false alarms (a score above 1) the
-alarm. Either is raised when its charge is full and cleared when it is empty. No warning comes after its
-alarm, as the near limit is never the farther one; where no flights calibrated the limits they are the same.
+EXTRAPOLATION has two charges. A signal beyond its near limit, a plain fraction outside of what training has
+shown, charges the warning; one beyond the limit of a stated rate of false alarms (a score above 1) the alarm.
+Either is raised when its charge is full and cleared when it is empty. No warning comes after its alarm, as
+the near limit is never the farther one; where no flights calibrated the limits they are the same.
 
-BAD_DATA keeps one charge, by faults: an alarm when it is full, a warning from half full on, until it is
-empty. A single sample that cannot be judged charges it to one half at once: it is reported, and becomes
-an alarm if more follow.
+BAD_DATA has one charge, filled by faults: an alarm when it is full, a warning from half full on, until it is
+empty. A single sample that cannot be judged charges it to one half at once: it is reported, and becomes an
+alarm if more follow.
 
-MISCOVERAGE is a sequential test per axis (Page 1954): S ← max(0, S + dt (miss − k)), with the model's
-own interval and k between the allowed share of misses and the alternative (`models.alarm_limits`). S
-over its limit is the score, and takes the place of the charge: full at 1, half full at ½, empty at ¼.
+MISCOVERAGE is a sequential test per axis (Page 1954): S ← max(0, S + dt (miss − k)), with the model's own
+interval and k between the allowed share of misses and the alternative (`models.alarm_limits`). Its score, S
+over its limit, takes the place of the charge: full at 1, half full at ½, empty at ¼.
 
 On the ground neither EXTRAPOLATION nor MISCOVERAGE is judged, for there the wrench is not aerodynamic.
-While the state settles (`monitor.preparation.SETTLE_NS`) the sums of MISCOVERAGE stay as they are.
+While the state settles (`monitor.preparation.SETTLE_NS`) the sums of MISCOVERAGE do not change.
 """
 
 from __future__ import annotations
@@ -32,20 +32,15 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.flight import AXES, NO_STAMP, Stamps
+from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.monitor import alarm_kernel as kernel
-from quadpi_core.results import (
-    ACTIVE,
-    BAD_DATA,
-    CAUSES,
-    LEVEL_ALARM,
-    UNAVAILABLE,
-    UNCALIBRATED,
-    Alarms,
-)
+from quadpi_core.monitor.preparation import Prepared
+from quadpi_core.records import Records
+from quadpi_core.results import ACTIVE, BAD_DATA, CAUSES, LEVEL_ALARM, UNAVAILABLE, UNCALIBRATED, Alarms
 
 
 @dataclass(frozen=True)
@@ -75,30 +70,8 @@ class MonitorSettings:
                 raise QuadpiError(f"monitor setting {name} must be positive, found {value}")
 
 
-class Judged(NamedTuple):
-    """What the alarm goes by: U usable samples, in order; columns of axes as `AXES`, zero where not held.
-
-    Attributes:
-        inputs: (U, 19) input vectors.
-        velocity: (U, 3) over ground, m/s.
-        leverage, relative_width: (U, 6).
-        measured, lower, upper: (U, 6) measured wrench and the model's own interval.
-        settled: (U,) False while a state that has just begun, or come back, still errs: its misses say
-            nothing of the model.
-    """
-
-    inputs: Array
-    velocity: Array
-    leverage: Array
-    relative_width: Array
-    measured: Array
-    lower: Array
-    upper: Array
-    settled: npt.NDArray[np.bool_]
-
-
 class Alarm:
-    """Follows one vehicle; rows come at every change and at a steady rate by stamps in between.
+    """The alarm of one vehicle: rows at every change, and at a steady rate by stamps in between.
 
     A row comes when the level or health of a cause changes, when one more input leaves the envelope or one
     more fault shows while the level is not ok, and at the first sample of each period of `alarm_rate_hz`. Its
@@ -121,80 +94,86 @@ class Alarm:
         held: npt.NDArray[np.bool_] | None = None,
         interval_ratio: Array | None = None,
     ) -> None:
-        misses = limits.miscoverage_s if held is None else np.where(held, limits.miscoverage_s, np.inf)
-        near = envelope.near
-        self._limits = np.zeros(kernel.LIMITS_SIZE)
-        for place, values in (
-            (kernel.LOWER, envelope.lower),
-            (kernel.UPPER, envelope.upper),
-            (kernel.SCALE, envelope.scale),
-            (kernel.DISTANCE, 1.0 + 2.0 * envelope.margin),
-            (kernel.NEAR_DISTANCE, 1.0 + 2.0 * near.margin),
-            (kernel.LEVERAGE, envelope.leverage_limit),
-            (kernel.WIDTH, envelope.width_limit),
-            (kernel.NEAR_LEVERAGE, near.leverage_limit),
-            (kernel.NEAR_WIDTH, near.width_limit),
-            (kernel.MISSES, misses),
-            (kernel.RATIO, np.ones(len(AXES)) if interval_ratio is None else interval_ratio),
-        ):
-            self._limits[place : place + len(values)] = values
-        hover_square = limits.hover_rotor_speed**2
-        self._limits[kernel.ALLOWANCE] = limits.allowance
-        self._limits[kernel.LIFT_SQUARE] = kernel.LIFTED * hover_square
-        self._limits[kernel.STAND_SQUARE] = kernel.STANDING * hover_square
-        self._limits[kernel.RATED] = ACTIVE if limits.calibrated else UNCALIBRATED
-        self._per_peak = (
-            envelope.leverage_limit * _inverse(envelope.leverage_peak),
-            envelope.width_limit * _inverse(envelope.width_peak),
-        )
+        near, hover_square = envelope.near, limits.hover_rotor_speed**2
+        self._limits = np.zeros(1, kernel.LIMITS)
+        for name, values in {
+            "lower": envelope.lower,
+            "upper": envelope.upper,
+            "scale": envelope.scale,
+            "distance": 1.0 + 2.0 * envelope.margin,
+            "near_distance": 1.0 + 2.0 * near.margin,
+            "leverage": envelope.leverage_limit,
+            "near_leverage": near.leverage_limit,
+            "width": envelope.width_limit,
+            "near_width": near.width_limit,
+            "miscoverage_s": limits.miscoverage_s
+            if held is None
+            else np.where(held, limits.miscoverage_s, np.inf),
+            "interval_ratio": 1.0 if interval_ratio is None else interval_ratio,
+            "allowance": limits.allowance,
+            "lifted_square": kernel.LIFTED * hover_square,
+            "standing_square": kernel.STANDING * hover_square,
+            "health_in_flight": ACTIVE if limits.calibrated else UNCALIBRATED,
+        }.items():
+            self._limits[name] = values
+        # Limits of leverage and width over their peaks in training: a score times this is a multiple of the
+        # peak.
+        self._leverage_per_peak = envelope.leverage_limit * _inverse(envelope.leverage_peak)
+        self._width_per_peak = envelope.width_limit * _inverse(envelope.width_peak)
+        self._state = np.zeros(1, kernel.STATE)
+        self._no_rows = self._alarms(np.empty(0, kernel.ROW))
         self.change(settings)
         self.reset()
 
     def change(self, settings: MonitorSettings) -> None:
         """Go on with other times and rates."""
-        self._limits[kernel.PERSISTENCE] = settings.persistence_s
-        self._limits[kernel.RELEASE] = settings.release_s
-        self._limits[kernel.PERIOD] = round(1e9 / settings.alarm_rate_hz)
+        self._limits["persistence_s"] = settings.persistence_s
+        self._limits["release_s"] = settings.release_s
+        self._limits["period_ns"] = round(1e9 / settings.alarm_rate_hz)
 
     def reset(self) -> None:
         """Forget all evidence; the next sample gives a row."""
-        self._state = np.zeros(kernel.STATE_SIZE)
-        self._memory = np.zeros(kernel.MEMORY_SIZE, dtype=np.int64)
-        self._memory[kernel.PREVIOUS] = NO_STAMP
+        kernel.forget(self._state)
 
-    def step(
-        self,
-        time_ns: Stamps,
-        usable: npt.NDArray[np.bool_],
-        faults: npt.NDArray[np.int64],
-        judged: Judged,
-    ) -> Alarms:
-        """Take K samples.
+    def step(self, prepared: Prepared, evaluation: Evaluation) -> Alarms:
+        """Take K samples, and what the model says of the U usable ones with its own intervals."""
+        rows = np.empty(len(prepared.verdicts), kernel.ROW)
+        count = kernel.advance(self._limits, self._state, *prepared, evaluation, rows)
+        return self._alarms(rows[:count]) if count else self._no_rows
 
-        Args:
-            time_ns: (K,) stamps of all samples.
-            usable: (K,) False for a sample that cannot be judged (BAD_DATA).
-            faults: (K,) what is wrong with a sample, usable or not, bits of `monitor.data_quality`.
-            judged: the usable samples.
-        """
-        integers = np.empty((len(time_ns), kernel.ROW_INTEGERS), dtype=np.int64)
-        numbers = np.empty((len(time_ns), kernel.ROW_SIZE))
-        count = kernel.advance(
-            time_ns, usable, faults, *judged, self._limits, self._state, self._memory, integers, numbers
+    def without_sample(self, time_ns: int) -> Alarms:
+        """A row for an instant without a sample: BAD_DATA beside the causes raised; changes nothing."""
+        row = self._state["row"].copy()
+        bad_data = CAUSES.index(BAD_DATA)
+        row["time_ns"], row["faults"] = time_ns, 0
+        row["level"] = row["cause_level"][:, bad_data] = LEVEL_ALARM
+        row["causes"] |= BAD_DATA
+        row["cause_health"] = UNAVAILABLE
+        for name in ("leverage", "width", "miscoverage", "miss_share", "input_score", "input_excess"):
+            row[name] = 0.0
+        row["cause_evidence"] = 0.0
+        row["cause_evidence"][:, bad_data] = 1.0
+        return self._alarms(row)
+
+    def _alarms(self, rows: Records) -> Alarms:
+        """Rows (M,) as the kernel filled them, with leverage and width in multiples of their peaks too."""
+        return Alarms(
+            time_ns=rows["time_ns"],
+            faults=rows["faults"],
+            level=rows["level"].astype(np.uint8),
+            causes=rows["causes"].astype(np.uint8),
+            cause_level=rows["cause_level"].astype(np.uint8),
+            cause_health=rows["cause_health"].astype(np.uint8),
+            cause_evidence=rows["cause_evidence"],
+            leverage=rows["leverage"],
+            width=rows["width"],
+            miscoverage=rows["miscoverage"],
+            miss_share=rows["miss_share"],
+            input_score=rows["input_score"],
+            input_excess=rows["input_excess"],
+            leverage_ratio=rows["leverage"] * self._leverage_per_peak,
+            width_ratio=rows["width"] * self._width_per_peak,
         )
-        return _rows(integers[:count], numbers[:count], *self._per_peak) if count else _NO_ROWS
-
-    def unheard(self, time_ns: int) -> Alarms:
-        """A row for an instant without a sample: BAD_DATA, beside the causes that stand; changes nothing."""
-        integers = self._memory[: kernel.ROW_INTEGERS].copy()
-        integers[kernel.ROW_TIME], integers[kernel.ROW_FAULTS] = time_ns, 0
-        integers[kernel.ROW_LEVEL] = LEVEL_ALARM
-        integers[kernel.ROW_CAUSES] |= BAD_DATA
-        integers[kernel.ROW_CAUSE_LEVEL + CAUSES.index(BAD_DATA)] = LEVEL_ALARM
-        integers[kernel.ROW_HEALTH : kernel.ROW_FAULTS] = UNAVAILABLE
-        numbers = np.zeros(kernel.ROW_SIZE)
-        numbers[kernel.ROW_EVIDENCE + CAUSES.index(BAD_DATA)] = 1.0
-        return _rows(integers[np.newaxis], numbers[np.newaxis], *self._per_peak)
 
 
 def _inverse(peaks: Array) -> Array:
@@ -202,40 +181,8 @@ def _inverse(peaks: Array) -> Array:
     return np.divide(1.0, peaks, out=np.zeros_like(peaks), where=peaks > 0.0)
 
 
-def _rows(
-    integers: npt.NDArray[np.int64], numbers: Array, leverage_per_peak: Array, width_per_peak: Array
-) -> Alarms:
-    """Rows from what the kernel filled, and the limits (6,) of leverage and width over their peaks."""
-    levels = integers[:, kernel.ROW_LEVEL : kernel.ROW_FAULTS].astype(np.uint8)
-    of_causes = kernel.ROW_CAUSE_LEVEL - kernel.ROW_LEVEL
-    leverage = numbers[:, kernel.ROW_LEVERAGE : kernel.ROW_WIDTH]
-    width = numbers[:, kernel.ROW_WIDTH : kernel.ROW_MISSES]
-    return Alarms(
-        time_ns=integers[:, kernel.ROW_TIME],
-        level=levels[:, 0],
-        causes=levels[:, kernel.ROW_CAUSES - kernel.ROW_LEVEL],
-        cause_level=levels[:, of_causes : of_causes + len(CAUSES)],
-        cause_health=levels[:, of_causes + len(CAUSES) :],
-        cause_evidence=numbers[:, kernel.ROW_EVIDENCE :],
-        leverage=leverage,
-        leverage_ratio=leverage * leverage_per_peak,
-        width=width,
-        width_ratio=width * width_per_peak,
-        miscoverage=numbers[:, kernel.ROW_MISSES : kernel.ROW_SHARE],
-        miss_share=numbers[:, kernel.ROW_SHARE : kernel.ROW_EVIDENCE],
-        input_score=numbers[:, kernel.ROW_SCORE : kernel.ROW_EXCESS],
-        input_excess=numbers[:, kernel.ROW_EXCESS : kernel.ROW_LEVERAGE],
-        faults=integers[:, kernel.ROW_FAULTS],
-    )
-
-
-_NO_ROWS = _rows(
-    np.empty((0, kernel.ROW_INTEGERS), dtype=np.int64), np.empty((0, kernel.ROW_SIZE)), np.ones(6), np.ones(6)
-)
-
-
 class AlarmTime(NamedTuple):
-    """How much of a flight stood at a level or above, and since when.
+    """For how much of a flight the alarm was at a level or above, and from when on.
 
     Attributes:
         fraction: share of the time from the first alarm row to the end.
@@ -253,7 +200,7 @@ class AlarmTime(NamedTuple):
 def alarm_time(
     time_ns: Stamps, level: npt.NDArray[np.uint8], end_ns: int, at_least: int = LEVEL_ALARM
 ) -> AlarmTime:
-    """Sum up alarm rows (M,), each of which stands until the next; the last until `end_ns`."""
+    """Sum up alarm rows (M,), each of which holds until the next one; the last until `end_ns`."""
     raised = level >= at_least
     durations = np.diff(time_ns, append=max(end_ns, int(time_ns[-1])))
     fraction = float(durations[raised].sum() / max(durations.sum(), 1))

@@ -1,19 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The alarm's kernel, and where its limits, its state and its rows keep what; see `monitor.alarm`."""
+"""The compiled part of the alarm: its limits, its state and how a sample changes it; see `monitor.alarm`."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.flight import AXES as AXIS_NAMES
-from quadpi_core.flight import NO_STAMP
+from quadpi_core.flight import AXES, NO_STAMP
+from quadpi_core.frames import Array
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import excess_of_cosine
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
+from quadpi_core.monitor.preparation import Verdict
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.results import (
     ACTIVE,
     BAD_DATA,
@@ -27,113 +31,267 @@ from quadpi_core.results import (
     WAITING,
 )
 
+# Charge that BAD_DATA starts with, and from which on it and MISCOVERAGE are a warning.
 WARNING_CHARGE = 0.5
 # Sums of steps such as 50 × 0.02 miss 1 by rounding.
 ROUNDING = 1e-9
-# A gap in the samples counts as this long: nobody knows what happened in it.
+# A gap between samples counts as this long [s], as nothing is known of what happened in it.
 STEP_MAX_S = 0.02
-# The sum of the test ends here, in limits, so that it comes down again; below the other, it is over.
+# The cumulative sum of MISCOVERAGE stops at this multiple of its limit, so that it comes down again soon;
+# at or below the second one, its alarm or warning is cleared.
 SUM_MOST, SUM_OVER = 1.5, 0.25
-# Over which the share of misses is told.
+# Time constant [s] of the published share of misses.
 SHARE_S = 2.0
-# Without a usable sample for so long, there is nothing to judge.
+# After this long without a usable sample [s], the model is not judged.
 SILENT_S = 0.1
-# The vehicle flies from this share of its weight on. It stands when the rotors carry less than the other one
-# and it stays slow: in the air 0.3 g would have made it faster within that time.
+# Shares of the vehicle's weight that the rotors carry: from LIFTED on it flies. Below STANDING and slower
+# than STANDING_M_S for STANDING_S it stands on the ground: in the air 0.3 g would have made it faster
+# within that time.
 LIFTED, STANDING, STANDING_M_S, STANDING_S = 0.9, 0.7, 0.3, 0.3
 
-INPUTS, AXES = len(INPUT_NAMES), len(AXIS_NAMES)
-OMEGA_AVG = INPUT_INDEX["omega_avg"]
-# Places of the limits; those of a warning are NEAR. Distances of inputs are from the middle of the range.
-LOWER, UPPER, SCALE, DISTANCE, NEAR_DISTANCE = 0, INPUTS, 2 * INPUTS, 3 * INPUTS, 4 * INPUTS
-LEVERAGE = 5 * INPUTS
-WIDTH, NEAR_LEVERAGE, NEAR_WIDTH = LEVERAGE + AXES, LEVERAGE + 2 * AXES, LEVERAGE + 3 * AXES
-MISSES, RATIO = LEVERAGE + 4 * AXES, LEVERAGE + 5 * AXES
-PERSISTENCE = LEVERAGE + 6 * AXES
-RELEASE, ALLOWANCE, LIFT_SQUARE, STAND_SQUARE, PERIOD, RATED, LIMITS_SIZE = range(
-    PERSISTENCE + 1, PERSISTENCE + 8
-)
-# Places of its state: first what a row holds (the largest since the row before), then what it remembers.
-ROW_SCORE, ROW_EXCESS = 0, INPUTS
-ROW_LEVERAGE = 2 * INPUTS
-ROW_WIDTH, ROW_MISSES, ROW_SHARE = (
-    ROW_LEVERAGE + AXES,
-    ROW_LEVERAGE + 2 * AXES,
-    ROW_LEVERAGE + 3 * AXES,
-)
-ROW_EVIDENCE = ROW_LEVERAGE + 4 * AXES
-ROW_SIZE = ROW_EVIDENCE + len(CAUSES)
-SUM, SHARE, CHARGE = ROW_SIZE, ROW_SIZE + AXES, ROW_SIZE + 2 * AXES
-# Charge of the warning of EXTRAPOLATION, beside that of its alarm.
-NEAR_CHARGE = CHARGE + len(CAUSES)
-SILENT, STANDING_FOR, STATE_SIZE = NEAR_CHARGE + 1, NEAR_CHARGE + 2, NEAR_CHARGE + 3
-# Places of the integers of a row, and of those remembered.
-ROW_TIME, ROW_LEVEL, ROW_CAUSES, ROW_CAUSE_LEVEL, ROW_HEALTH, ROW_FAULTS = 0, 1, 2, 3, 6, 9
-ROW_INTEGERS = 10
-PREVIOUS, FLYING, SETTLED, NAMED, TOLD, MEMORY_SIZE = 10, 11, 12, 13, 14, 15
+# Columns of the causes.
+_OF_EXTRAPOLATION, _OF_MISCOVERAGE, _OF_BAD_DATA = map(CAUSES.index, (EXTRAPOLATION, MISCOVERAGE, BAD_DATA))
+_OMEGA_AVG = INPUT_INDEX["omega_avg"]
 
+_PerInput: TypeAlias = Annotated[Array, len(INPUT_NAMES)]
+_PerAxis: TypeAlias = Annotated[Array, len(AXES)]
+_PerCause: TypeAlias = Annotated[Array, len(CAUSES)]
+_WholePerCause: TypeAlias = Annotated[npt.NDArray[np.int64], len(CAUSES)]
+
+
+class Limits:
+    """Limits of the signals, `near_` those of a warning, and the times that the alarm follows them in.
+
+    The distance of an input is from the middle of its training range, in half widths: 1 at the ends.
+    """
+
+    lower: _PerInput
+    upper: _PerInput
+    scale: _PerInput  # width of the training range
+    distance: _PerInput
+    near_distance: _PerInput
+    leverage: _PerAxis
+    near_leverage: _PerAxis
+    width: _PerAxis
+    near_width: _PerAxis
+    miscoverage_s: (
+        _PerAxis  # of the cumulative sum of misses; infinite for an axis that the model does not hold
+    )
+    interval_ratio: (
+        _PerAxis  # width of the intervals that the limits were calibrated with over that of those used
+    )
+    allowance: float  # share of misses at which the sum neither rises nor falls
+    persistence_s: float
+    release_s: float
+    lifted_square: float  # (rad/s)², mean squared rotor speed from which on the vehicle flies
+    standing_square: float  # (rad/s)², below which it may stand on the ground
+    period_ns: int  # of the rows between changes
+    health_in_flight: int  # ACTIVE, or UNCALIBRATED
+
+
+class Row:
+    """An alarm row as it is published; its evidence and faults are those since the row before it."""
+
+    time_ns: int
+    level: int
+    causes: int
+    cause_level: _WholePerCause
+    cause_health: _WholePerCause
+    cause_evidence: _PerCause
+    leverage: _PerAxis
+    width: _PerAxis
+    miscoverage: _PerAxis
+    miss_share: _PerAxis
+    input_score: _PerInput
+    input_excess: _PerInput
+    faults: int
+
+
+class State:
+    """All that the alarm remembers."""
+
+    row: Row  # the next one
+    # Evidence that has gathered, 0 to 1. Of EXTRAPOLATION there is one more charge, for its warning; that of
+    # MISCOVERAGE is its largest score, at most SUM_MOST.
+    charge: _PerCause
+    near_charge: float
+    miss_sum_s: _PerAxis  # cumulative sum of the sequential test
+    miss_share: _PerAxis
+    silent_s: float  # since the last usable sample
+    standing_s: float  # for which the vehicle has seemed to stand on the ground
+    previous_ns: int  # stamp of the last sample; NO_STAMP before the first
+    flying: bool
+    settled: bool  # whether the misses of the last usable sample counted
+    told_inputs: int  # bits of the inputs outside that a row has told since the level was last ok
+    told_faults: int  # the same of faults
+
+
+LIMITS, ROW, STATE = record_dtype(Limits), record_dtype(Row), record_dtype(State)
 
 _excess_of_cosine = njit(cache=True)(excess_of_cosine)
 
 
-@njit(cache=True)
-def _extrapolation(
-    inputs: Any, leverage: Any, width: Any, limits: Any, state: Any
-) -> tuple[float, int, bool]:
-    """Largest score of one sample, which inputs are beyond their near limit, and whether any signal is.
+def forget(states: Records) -> None:
+    """Empty the state (1,)."""
+    states[:] = np.zeros(1, STATE)
+    states["previous_ns"] = NO_STAMP
 
-    Raises the peaks of the row.
+
+@njit(cache=True)
+def advance(
+    limits_of: Records,
+    states: Records,
+    verdicts: Records,
+    inputs: Array,
+    measured: Array,
+    evaluation: Evaluation,
+    rows: Records,
+) -> int:
+    """Take K samples, of which U are usable; fill the rows to publish and return their number.
+
+    Args:
+        limits_of: (1,) :class:`Limits`.
+        states: (1,) :class:`State`, which changes.
+        verdicts: (K,) :class:`quadpi_core.monitor.preparation.Verdict` of all samples.
+        inputs: (U, 19) input vectors of the usable samples.
+        measured: (U, 6) their wrench.
+        evaluation: what the model says of them, with its own intervals.
+        rows: (K,) :class:`Row`.
     """
+    limits, state = limits_of[0], states[0]
+    count, used = 0, 0
+    for i in range(verdicts.size):
+        sample = verdicts[i]
+        before_ns, first = state.previous_ns, state.previous_ns == NO_STAMP
+        step_s = 0.0 if first else min(max((sample.time_ns - before_ns) * 1e-9, 0.0), STEP_MAX_S)
+        state.previous_ns = sample.time_ns
+        beyond = 0
+        if sample.usable:
+            state.silent_s = 0.0
+            state.settled = sample.settled
+            _follow_ground(limits, state, inputs[used, _OMEGA_AVG], sample.velocity, step_s)
+            if state.flying:
+                beyond = _judge_extrapolation(limits, state, inputs[used], evaluation, used, step_s)
+                _judge_miscoverage(limits, state, measured[used], evaluation, used, step_s)
+            used += 1
+        else:
+            state.silent_s += step_s
+        faults = _judge_data(limits, state, sample, step_s)
+
+        is_due = _set_levels(limits, state) or first
+        is_due |= sample.time_ns // limits.period_ns != before_ns // limits.period_ns
+        if state.row.level == LEVEL_OK:
+            state.told_inputs, state.told_faults = 0, 0
+        else:
+            is_due |= beyond & ~state.told_inputs != 0 or faults & ~state.told_faults != 0
+        if is_due:
+            state.row.time_ns = sample.time_ns
+            rows[count] = state.row
+            count += 1
+            _begin_next_row(limits, state)
+    return count
+
+
+@njit(cache=True)
+def _follow_ground(limits: Limits, state: State, omega: float, velocity: Array, step_s: float) -> None:
+    """Decide whether the vehicle flies; on the ground, forget the evidence against the model."""
+    square = omega * omega
+    if not state.flying:
+        state.flying = square >= limits.lifted_square
+        state.standing_s = 0.0
+    speed_square = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
+    if square < limits.standing_square and speed_square < STANDING_M_S * STANDING_M_S:
+        state.standing_s += step_s
+    else:
+        state.standing_s = 0.0
+    if state.standing_s >= STANDING_S:
+        state.flying = False
+    if not state.flying:
+        state.miss_sum_s[:] = 0.0
+        state.miss_share[:] = 0.0
+        state.charge[_OF_EXTRAPOLATION] = state.charge[_OF_MISCOVERAGE] = state.near_charge = 0.0
+
+
+@njit(cache=True)
+def _judge_extrapolation(
+    limits: Limits, state: State, inputs: Array, evaluation: Evaluation, used: int, step_s: float
+) -> int:
+    """Charge alarm and warning of EXTRAPOLATION; returns the inputs beyond their near limit as bits."""
+    row = state.row
     worst, beyond, near = 0.0, 0, False
-    for k in range(INPUTS):
-        outside = max(limits[LOWER + k] - inputs[k], inputs[k] - limits[UPPER + k]) / limits[SCALE + k]
+    for k in range(inputs.size):
+        outside = max(limits.lower[k] - inputs[k], inputs[k] - limits.upper[k]) / limits.scale[k]
         if COSINES[k] and outside > 0.0:
             outside = _excess_of_cosine(outside)
         distance = 1.0 + 2.0 * outside
-        if distance > limits[NEAR_DISTANCE + k]:
+        if distance > limits.near_distance[k]:
             beyond |= 1 << k
-        score = distance / limits[DISTANCE + k]
+        score = distance / limits.distance[k]
         worst = max(worst, score)
-        state[ROW_SCORE + k] = max(state[ROW_SCORE + k], score)
-        state[ROW_EXCESS + k] = max(state[ROW_EXCESS + k], outside)
-    for axis in range(AXES):
-        near |= leverage[axis] > limits[NEAR_LEVERAGE + axis] or width[axis] > limits[NEAR_WIDTH + axis]
-        by_leverage = leverage[axis] / limits[LEVERAGE + axis]
-        by_width = width[axis] / limits[WIDTH + axis]
-        worst = max(worst, by_leverage, by_width)
-        state[ROW_LEVERAGE + axis] = max(state[ROW_LEVERAGE + axis], by_leverage)
-        state[ROW_WIDTH + axis] = max(state[ROW_WIDTH + axis], by_width)
-    return worst, beyond, near or beyond != 0
+        row.input_score[k] = max(row.input_score[k], score)
+        row.input_excess[k] = max(row.input_excess[k], outside)
+    for axis in range(len(AXES)):
+        leverage, width = evaluation.leverage[used, axis], evaluation.relative_width[used, axis]
+        near |= leverage > limits.near_leverage[axis] or width > limits.near_width[axis]
+        leverage /= limits.leverage[axis]
+        width /= limits.width[axis]
+        worst = max(worst, leverage, width)
+        row.leverage[axis] = max(row.leverage[axis], leverage)
+        row.width[axis] = max(row.width[axis], width)
+    row.cause_evidence[_OF_EXTRAPOLATION] = max(row.cause_evidence[_OF_EXTRAPOLATION], worst)
+    charge = state.charge[_OF_EXTRAPOLATION]
+    state.charge[_OF_EXTRAPOLATION] = _charged(charge, worst > 1.0, step_s, limits)
+    state.near_charge = _charged(state.near_charge, near or beyond != 0, step_s, limits)
+    return beyond
 
 
 @njit(cache=True)
-def _miscoverage(measured: Any, lower: Any, upper: Any, limits: Any, state: Any, step_s: float) -> float:
-    """Advance the sequential test of each axis; return the largest score."""
-    worst = 0.0
-    keep = SHARE_S / (SHARE_S + step_s)
-    for axis in range(AXES):
-        limit = limits[MISSES + axis]
-        if limit == np.inf:
-            continue
-        half = 0.5 * (upper[axis] - lower[axis]) * limits[RATIO + axis]
-        miss = 1.0 if abs(measured[axis] - 0.5 * (upper[axis] + lower[axis])) > half else 0.0
-        total = state[SUM + axis] + step_s * (miss - limits[ALLOWANCE])
-        state[SUM + axis] = min(max(total, 0.0), SUM_MOST * limit)
-        state[SHARE + axis] = keep * state[SHARE + axis] + (1.0 - keep) * miss
-        score = state[SUM + axis] / limit
-        worst = max(worst, score)
-        state[ROW_MISSES + axis] = max(state[ROW_MISSES + axis], score)
-        state[ROW_SHARE + axis] = max(state[ROW_SHARE + axis], state[SHARE + axis])
-    return worst
+def _judge_miscoverage(
+    limits: Limits, state: State, measured: Array, evaluation: Evaluation, used: int, step_s: float
+) -> None:
+    """Advance the sequential test of each axis, unless the misses of the sample do not count."""
+    row = state.row
+    if state.settled:
+        worst = 0.0
+        keep = SHARE_S / (SHARE_S + step_s)
+        for axis in range(len(AXES)):
+            limit = limits.miscoverage_s[axis]
+            if limit == np.inf:
+                continue
+            lower, upper = evaluation.lower[used, axis], evaluation.upper[used, axis]
+            half = 0.5 * (upper - lower) * limits.interval_ratio[axis]
+            miss = 1.0 if abs(measured[axis] - 0.5 * (upper + lower)) > half else 0.0
+            total = state.miss_sum_s[axis] + step_s * (miss - limits.allowance)
+            state.miss_sum_s[axis] = min(max(total, 0.0), SUM_MOST * limit)
+            state.miss_share[axis] = keep * state.miss_share[axis] + (1.0 - keep) * miss
+            score = state.miss_sum_s[axis] / limit
+            worst = max(worst, score)
+            row.miscoverage[axis] = max(row.miscoverage[axis], score)
+            row.miss_share[axis] = max(row.miss_share[axis], state.miss_share[axis])
+        state.charge[_OF_MISCOVERAGE] = worst
+    evidence = max(row.cause_evidence[_OF_MISCOVERAGE], state.charge[_OF_MISCOVERAGE])
+    row.cause_evidence[_OF_MISCOVERAGE] = evidence
 
 
 @njit(cache=True)
-def _charge(evidence: bool, step_s: float, limits: Any, state: Any, place: int) -> float:
-    """Charge or drain what stands at a place of the state."""
-    change = step_s / limits[PERSISTENCE] if evidence else -step_s / limits[RELEASE]
-    charge = min(1.0, max(0.0, state[place] + change))
-    state[place] = charge
-    return float(charge)
+def _judge_data(limits: Limits, state: State, sample: Verdict, step_s: float) -> int:
+    """Charge BAD_DATA; returns the faults of the sample that count where the vehicle is."""
+    row, charge = state.row, state.charge[_OF_BAD_DATA]
+    faults = sample.faults if state.flying else sample.faults & ~IN_FLIGHT_ONLY
+    bad = faults != 0 or not sample.usable
+    if bad:
+        charge = max(charge, WARNING_CHARGE)
+    state.charge[_OF_BAD_DATA] = charge = _charged(charge, bad, step_s, limits)
+    row.cause_evidence[_OF_BAD_DATA] = max(row.cause_evidence[_OF_BAD_DATA], charge)
+    row.faults |= faults
+    return faults
+
+
+@njit(cache=True)
+def _charged(charge: float, evidence: bool, step_s: float, limits: Limits) -> float:
+    """A charge after one more step with or without evidence."""
+    change = step_s / limits.persistence_s if evidence else -step_s / limits.release_s
+    return min(1.0, max(0.0, charge + change))
 
 
 @njit(cache=True)
@@ -149,135 +307,58 @@ def _level(charge: float, empty: float, before: int) -> int:
 
 
 @njit(cache=True)
-def _stands(charge: float, stood: bool) -> bool:
-    """Whether a level stands that is raised by a full charge and cleared by an empty one."""
-    return bool(charge >= 1.0 - ROUNDING or (stood and charge > ROUNDING))
+def _is_raised(charge: float, was_raised: bool) -> bool:
+    """Whether a level is raised that a full charge raises and an empty one clears."""
+    return bool(charge >= 1.0 - ROUNDING or (was_raised and charge > ROUNDING))
 
 
 @njit(cache=True)
 def _level_of_two(far: float, near: float, before: int) -> int:
     """Level of EXTRAPOLATION: an alarm and a warning, each by its own charge."""
-    if _stands(far, before == LEVEL_ALARM):
+    if _is_raised(far, before == LEVEL_ALARM):
         return LEVEL_ALARM
-    return LEVEL_WARNING if _stands(near, before != LEVEL_OK) else LEVEL_OK
+    return LEVEL_WARNING if _is_raised(near, before != LEVEL_OK) else LEVEL_OK
 
 
 @njit(cache=True)
-def _follow_ground(inputs: Any, velocity: Any, limits: Any, state: Any, memory: Any, step_s: float) -> None:
-    """Tell whether the vehicle flies; on the ground forget what was said of the model."""
-    square = inputs[OMEGA_AVG] * inputs[OMEGA_AVG]
-    if memory[FLYING] == 0:
-        memory[FLYING] = square >= limits[LIFT_SQUARE]
-        state[STANDING_FOR] = 0.0
-    speed_square = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
-    if square < limits[STAND_SQUARE] and speed_square < STANDING_M_S * STANDING_M_S:
-        state[STANDING_FOR] += step_s
-    else:
-        state[STANDING_FOR] = 0.0
-    if state[STANDING_FOR] >= STANDING_S:
-        memory[FLYING] = 0
-    if memory[FLYING] == 0:
-        state[SUM:CHARGE] = 0.0
-        state[CHARGE : CHARGE + 2] = 0.0
-        state[NEAR_CHARGE] = 0.0
-
-
-@njit(cache=True)
-def _judge_causes(limits: Any, state: Any, memory: Any) -> bool:
-    """Set level and health of each cause, and the level of all; True if any changed."""
-    health = ACTIVE if memory[FLYING] != 0 else WAITING
-    if health == ACTIVE:
-        health = int(limits[RATED])
-    if state[SILENT] >= SILENT_S:
-        health = UNAVAILABLE
+def _set_levels(limits: Limits, state: State) -> bool:
+    """Set level and health of each cause, and the highest level; True if any of a cause changed."""
+    row = state.row
+    health_of_model = limits.health_in_flight if state.flying else WAITING
+    if state.silent_s >= SILENT_S:
+        health_of_model = UNAVAILABLE
     changed = False
-    memory[ROW_LEVEL], memory[ROW_CAUSES] = LEVEL_OK, 0
+    row.level, row.causes = LEVEL_OK, 0
     for cause in range(len(CAUSES)):
-        own_health = ACTIVE if CAUSES[cause] == BAD_DATA else health
-        if CAUSES[cause] == MISCOVERAGE and memory[SETTLED] == 0 and health != UNAVAILABLE:
-            own_health = WAITING
-        charge, before = state[CHARGE + cause], memory[ROW_CAUSE_LEVEL + cause]
-        if CAUSES[cause] == EXTRAPOLATION:
-            level = _level_of_two(charge, state[NEAR_CHARGE], before)
+        health = ACTIVE if cause == _OF_BAD_DATA else health_of_model
+        if cause == _OF_MISCOVERAGE and not state.settled and health != UNAVAILABLE:
+            health = WAITING
+        charge, before = state.charge[cause], row.cause_level[cause]
+        if cause == _OF_EXTRAPOLATION:
+            level = _level_of_two(charge, state.near_charge, before)
         else:
-            level = _level(charge, SUM_OVER if CAUSES[cause] == MISCOVERAGE else 0.0, before)
-        changed |= level != before or own_health != memory[ROW_HEALTH + cause]
-        memory[ROW_CAUSE_LEVEL + cause], memory[ROW_HEALTH + cause] = level, own_health
-        memory[ROW_LEVEL] = max(memory[ROW_LEVEL], level)
+            level = _level(charge, SUM_OVER if cause == _OF_MISCOVERAGE else 0.0, before)
+        changed |= level != before or health != row.cause_health[cause]
+        row.cause_level[cause], row.cause_health[cause] = level, health
+        row.level = max(row.level, level)
         if level != LEVEL_OK:
-            memory[ROW_CAUSES] |= CAUSES[cause]
+            row.causes |= CAUSES[cause]
     return changed
 
 
 @njit(cache=True)
-def advance(
-    time_ns: Any,
-    usable: Any,
-    faults: Any,
-    inputs: Any,
-    velocity: Any,
-    leverage: Any,
-    width: Any,
-    measured: Any,
-    lower: Any,
-    upper: Any,
-    settled: Any,
-    limits: Any,
-    state: Any,
-    memory: Any,
-    integers: Any,
-    numbers: Any,
-) -> int:
-    """Advance the state over K samples and fill the rows to publish; return their number."""
-    rows, used = 0, 0
-    period_ns = np.int64(limits[PERIOD])
-    for i in range(time_ns.size):
-        now, before = time_ns[i], memory[PREVIOUS]
-        first = before == NO_STAMP
-        step_s = 0.0 if first else min(max((now - before) * 1e-9, 0.0), STEP_MAX_S)
-        memory[PREVIOUS] = now
-        beyond = 0
-        if usable[i]:
-            state[SILENT] = 0.0
-            _follow_ground(inputs[used], velocity[used], limits, state, memory, step_s)
-            memory[SETTLED] = settled[used]
-            if memory[FLYING] != 0:
-                worst, beyond, near = _extrapolation(inputs[used], leverage[used], width[used], limits, state)
-                state[ROW_EVIDENCE] = max(state[ROW_EVIDENCE], worst)
-                _charge(worst > 1.0, step_s, limits, state, CHARGE)
-                _charge(near, step_s, limits, state, NEAR_CHARGE)
-                if settled[used]:
-                    state[CHARGE + 1] = _miscoverage(
-                        measured[used], lower[used], upper[used], limits, state, step_s
-                    )
-                state[ROW_EVIDENCE + 1] = max(state[ROW_EVIDENCE + 1], state[CHARGE + 1])
-            used += 1
-        else:
-            state[SILENT] += step_s
-        found = faults[i] if memory[FLYING] != 0 else faults[i] & ~IN_FLIGHT_ONLY
-        bad = found != 0 or not usable[i]
-        if bad:
-            state[CHARGE + 2] = max(state[CHARGE + 2], WARNING_CHARGE)
-        state[ROW_EVIDENCE + 2] = max(
-            state[ROW_EVIDENCE + 2], _charge(bad, step_s, limits, state, CHARGE + 2)
-        )
-        memory[ROW_FAULTS] |= found
-
-        publish = _judge_causes(limits, state, memory)
-        publish |= first or now // period_ns != before // period_ns
-        if memory[ROW_LEVEL] == LEVEL_OK:
-            memory[NAMED], memory[TOLD] = 0, 0
-        else:
-            publish |= beyond & ~memory[NAMED] != 0 or found & ~memory[TOLD] != 0
-        if publish:
-            memory[ROW_TIME] = now
-            integers[rows] = memory[:ROW_INTEGERS]
-            numbers[rows] = state[:ROW_SIZE]
-            rows += 1
-            for k in range(INPUTS):
-                if 1.0 + 2.0 * state[ROW_EXCESS + k] > limits[NEAR_DISTANCE + k]:
-                    memory[NAMED] |= 1 << k
-            memory[TOLD] |= memory[ROW_FAULTS]
-            memory[ROW_FAULTS] = 0
-            state[:ROW_SIZE] = 0.0
-    return rows
+def _begin_next_row(limits: Limits, state: State) -> None:
+    """Remember what the row has told, and empty it of evidence; levels and health stay."""
+    row = state.row
+    for k in range(row.input_excess.size):
+        if 1.0 + 2.0 * row.input_excess[k] > limits.near_distance[k]:
+            state.told_inputs |= 1 << k
+    state.told_faults |= row.faults
+    row.faults = 0
+    row.cause_evidence[:] = 0.0
+    row.leverage[:] = 0.0
+    row.width[:] = 0.0
+    row.miscoverage[:] = 0.0
+    row.miss_share[:] = 0.0
+    row.input_score[:] = 0.0
+    row.input_excess[:] = 0.0

@@ -1,27 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why a sample cannot be judged, or not be trusted: evidence of BAD_DATA, one bit each, O(1) per sample.
+"""Why a sample cannot be judged or trusted: evidence of BAD_DATA, one bit per fault, O(1) per sample.
 
-Some of it makes a sample unusable (not finite, not plausible, a stamp that does not advance). The rest is
-said of samples that are used: a sensor that stands still for longer than noise lets it, a rotor that reads
-what the other three rule out.
+Some faults make a sample unusable: it is not finite, not plausible, or its stamp does not advance. The others
+are reported of samples that are used: a sensor that repeats its reading for longer than noise allows, a rotor
+whose speed contradicts the other three.
 
-The yaw moment of four rotors in flight is small, so the squares of the speeds of those turning one way and of
-those turning the other have about the same sum. A rotor reads half where these sums differ, its own speed is
-far below that of the others, and twice its reading makes the sums agree.
+The yaw moment of four rotors in flight is small, so the squared speeds of those turning one way and of those
+turning the other have about the same sum. A rotor reads half its speed where these sums differ, its own speed
+is far below that of the others, and doubling its reading makes the sums agree.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Annotated, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import MAX_GAP_NS, NO_STAMP
 from quadpi_core.frames import Array
+from quadpi_core.records import Records, Vector3, record_dtype
 from quadpi_core.sample_limits import (
     RATE_MAX_RAD_S,
     SPECIFIC_FORCE_MAX_M_S2,
@@ -39,72 +39,70 @@ STATE_MISSING, ROTORS_MISSING = 1 << 5, 1 << 6
 GYRO_FROZEN, ACCELEROMETER_FROZEN = 1 << 7, 1 << 8
 # One bit per rotor from each of these on.
 ROTOR_FROZEN, ROTOR_HALF, ROTOR_JUMPS, ROTOR_DIFFERS = 1 << 9, 1 << 13, 1 << 17, 1 << 21
-# Of the IMU's rate: another than was given, not known (any more), too low for the model's low-pass.
+# The IMU's rate: it is not the one given, is not known (any more), is too low for the model's low-pass.
 RATE_DIFFERS, RATE_UNKNOWN, RATE_LOW = 1 << 25, 1 << 26, 1 << 27
-# On the ground motors start one after the other and sensors may rest: there these mean nothing.
+# Faults that mean nothing on the ground, where motors start one after the other and sensors may rest.
 IN_FLIGHT_ONLY = RATE_DIFFERS - GYRO_FROZEN
 
-# An inertial sensor repeats a sample bit for bit once in a while, not for this long (and not this often).
+# An inertial sensor repeats a sample bit for bit once in a while, not for this long [s] and this many
+# samples.
 _FROZEN_S, _FROZEN_SAMPLES = 0.03, 8
-# The estimator moves its biases at every correction: a frozen sensor less a bias creeps by this much at most.
+# The estimator moves its biases at every correction, so the readings of a frozen sensor less its bias still
+# creep, by at most this much per sample [rad/s, m/s²].
 _CREEP_RAD_S, _CREEP_M_S2 = 0.01, 0.05
-# Speed controllers may repeat a reading until the next one.
+# Speed controllers may repeat a reading until the next one comes, for at most this long [s].
 _ROTOR_FROZEN_S = 0.5
-# Of the means of the squared rotor speeds.
+# Time constant of the means of the squared rotor speeds [s].
 _MEAN_S = 0.3
-# A motor changes its speed by less than 3 % in a millisecond.
+# Largest change of a rotor's speed between samples, as a share of it: a constant for the noise, and a rate;
+# a motor changes its speed by less than 3 % in a millisecond.
 _JUMP, _JUMP_PER_S = 0.15, 20.0
+# Difference between the squares of the two directions of rotation over their sum: clearly unbalanced, and
+# balanced again with one reading doubled. Such a rotor reads below this share of the others' speed.
 _UNBALANCED, _BALANCED, _HALF_BELOW = 0.15, 0.07, 0.6
+# A speed below or above these shares of the others' differs from them.
 _DIFFERS_BELOW, _DIFFERS_ABOVE = 0.4, 1.9
+# Slower rotors [rad/s] are at rest or starting: nothing is said of them.
 _TURNING_RAD_S = 50.0
 
-# State: numbers.
-_GYRO, _ACCELEROMETER, _SPEEDS, _SQUARES, _STILL, _ROTOR_STILL, _SETTLED = 0, 3, 6, 10, 14, 16, 20
-STATE_SIZE = 21
+PerRotor: TypeAlias = Annotated[Array, ROTORS]
 
 
-class FaultMemory(NamedTuple):
-    """What the search for faults knows of the vehicle, and remembers; arrays that the kernel changes.
+class Quality:
+    """What the checks know of the vehicle, and remember of the samples."""
 
-    Attributes:
-        limits: largest rotor speed [rad/s], and for how long an inertial sensor may stand still [s].
-        spins: (4,) ±1 per rotor.
-        previous_ns: (1,) stamp of the last usable sample.
-        state: (21,) numbers.
-    """
+    rotor_speed_max: float  # rad/s, beyond which a reading is not plausible
+    rotor_spins: PerRotor  # ±1
+    frozen_after_s: float  # for which an inertial sensor may repeat a reading
+    previous_ns: int  # stamp of the last usable sample; NO_STAMP before the first
+    # The last reading of each sensor, and for how long it has not changed.
+    rates: Vector3
+    rates_still_s: float
+    specific_force: Vector3
+    specific_force_still_s: float
+    rotor_speeds: PerRotor
+    rotor_still_s: PerRotor
+    mean_squares: PerRotor  # of the rotor speeds, over _MEAN_S
+    averaged_s: float  # since the means began
 
-    limits: Array
-    spins: Array
-    previous_ns: npt.NDArray[np.int64]
-    state: Array
 
-    def retune(self, rate_hz: float) -> None:
-        """Go on with samples of another rate."""
-        self.limits[1] = frozen_s(rate_hz)
-
-    @classmethod
-    def empty(cls, vehicle: Vehicle, rate_hz: float) -> FaultMemory:
-        """The memory for a vehicle, and the sample rate of its IMU, that has seen nothing."""
-        return cls(
-            np.array([vehicle.rotor_speed_spike_rad_s, frozen_s(rate_hz)]),
-            np.asarray(vehicle.rotor_spins, dtype=float),
-            np.array([NO_STAMP]),
-            np.zeros(STATE_SIZE),
-        )
-
-    def forget(self) -> None:
-        """Forget the past."""
-        self.previous_ns[0] = NO_STAMP
-        self.state[:] = 0.0
+def quality(vehicle: Vehicle, rate_hz: float) -> Records:
+    """The :class:`Quality` (1,) of a vehicle, and the sample rate of its IMU, before the first sample."""
+    memory = np.zeros(1, record_dtype(Quality))
+    memory["rotor_speed_max"] = vehicle.rotor_speed_spike_rad_s
+    memory["rotor_spins"] = vehicle.rotor_spins
+    memory["frozen_after_s"] = frozen_s(rate_hz)
+    memory["previous_ns"] = NO_STAMP
+    return memory
 
 
 def frozen_s(rate_hz: float) -> float:
-    """For how long an inertial sensor of that rate may stand still."""
+    """For how long an inertial sensor of that rate may repeat a reading [s]."""
     return max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz)
 
 
 def fault_words(faults: int) -> Iterator[str]:
-    """What the bits mean, in plain words."""
+    """What the bits of faults mean, in plain words."""
     words = {
         NOT_FINITE: "sample not finite",
         NOT_PLAUSIBLE: "sample not plausible",
@@ -135,12 +133,59 @@ def fault_words(faults: int) -> Iterator[str]:
 
 
 @njit(cache=True)
-def _all_missing(values: Any) -> bool:
-    return bool(np.all(np.isnan(values)))
+def judge(memory: Quality, time_ns: int, sample: Array) -> tuple[int, bool, bool]:
+    """Judge one sample (20,), in the channels of :mod:`quadpi_core.signals.chain`.
+
+    Returns:
+        The bits of what is wrong; whether the sample can be used; whether it comes after a gap or a jump of
+        the clock, so that nothing may be filtered across.
+    """
+    step_ns = time_ns - memory.previous_ns
+    first = memory.previous_ns == NO_STAMP
+    jump = not first and abs(step_ns) > MAX_GAP_NS
+    faults = _stamp_faults(first, jump, step_ns)
+    missing = _missing_channels(sample)
+    faults |= missing
+    plausible = False
+    if np.all(np.isfinite(sample)):
+        plausible = _plausible(sample, memory.rotor_speed_max)
+        if not plausible:
+            faults |= NOT_PLAUSIBLE
+    elif missing == 0 or not np.all(np.isfinite(sample[SPECIFIC_FORCE])):
+        faults |= NOT_FINITE
+    usable = plausible and (first or jump or step_ns > 0)
+    if usable:
+        memory.previous_ns = time_ns
+        restarts = first or jump
+        faults |= _sensor_faults(memory, sample, 0.0 if restarts else step_ns * 1e-9, restarts)
+    return faults, usable, jump
 
 
 @njit(cache=True)
-def _plausible(sample: Any, rotor_speed_max: float) -> bool:
+def _stamp_faults(first: bool, jump: bool, step_ns: int) -> int:
+    """Bits of what is wrong with a stamp, by the step from the last usable one."""
+    if first:
+        return 0
+    if step_ns == 0:
+        return STAMP_REPEATED
+    if step_ns < 0:
+        return STAMP_BACKWARD
+    return GAP if jump else 0
+
+
+@njit(cache=True)
+def _missing_channels(sample: Array) -> int:
+    """Bits of the topics without which the sample was given up: all their channels are NaN."""
+    missing = 0
+    if np.all(np.isnan(sample[VELOCITY])) and np.all(np.isnan(sample[ATTITUDE])):
+        missing |= STATE_MISSING
+    if np.all(np.isnan(sample[ROTOR_SPEEDS])):
+        missing |= ROTORS_MISSING
+    return missing
+
+
+@njit(cache=True)
+def _plausible(sample: Array, rotor_speed_max: float) -> bool:
     """Whether a finite sample (20,) can be that of a flight."""
     return (
         unit_attitude(sample[ATTITUDE])
@@ -153,98 +198,64 @@ def _plausible(sample: Any, rotor_speed_max: float) -> bool:
 
 
 @njit(cache=True)
-def _still(sample: Any, state: Any, start: int, creep: float, timer: int, step_s: float) -> float:
-    """Time for which a sensor stood still; also takes the sample."""
-    equal, small = True, True
-    for k in range(sample.size):
-        change = abs(sample[k] - state[start + k])
-        equal &= change == 0.0
-        small &= change <= creep
-        state[start + k] = sample[k]
-    if equal:
-        state[timer] += step_s
-    elif small:
-        state[timer] = max(0.0, state[timer] - 0.5 * step_s)
-    else:
-        state[timer] = 0.0
-    return float(state[timer])
+def _sensor_faults(memory: Quality, sample: Array, step_s: float, restarts: bool) -> int:
+    """Bits of the faults of sensors in a usable sample, which is remembered."""
+    faults = _rotor_faults(memory, sample[ROTOR_SPEEDS], step_s, restarts)
+    rates, force = sample[RATES], sample[SPECIFIC_FORCE]
+    memory.rates_still_s = _still_s(rates, memory.rates, memory.rates_still_s, _CREEP_RAD_S, step_s)
+    memory.specific_force_still_s = _still_s(
+        force, memory.specific_force, memory.specific_force_still_s, _CREEP_M_S2, step_s
+    )
+    memory.rates[:], memory.specific_force[:] = rates, force
+    if memory.rates_still_s >= memory.frozen_after_s:
+        faults |= GYRO_FROZEN
+    if memory.specific_force_still_s >= memory.frozen_after_s:
+        faults |= ACCELEROMETER_FROZEN
+    return faults
 
 
 @njit(cache=True)
-def _rotor_faults(speeds: Any, spins: Any, state: Any, step_s: float, first: bool) -> int:
-    """Bits of the rotors' faults after one more sample."""
+def _still_s(reading: Array, last: Array, still_s: float, creep: float, step_s: float) -> float:
+    """For how long an inertial sensor has repeated its reading [s], after one more reading."""
+    equal, small = True, True
+    for k in range(reading.size):
+        change = abs(reading[k] - last[k])
+        equal &= change == 0.0
+        small &= change <= creep
+    if equal:
+        return still_s + step_s
+    return max(0.0, still_s - 0.5 * step_s) if small else 0.0
+
+
+@njit(cache=True)
+def _rotor_faults(memory: Quality, speeds: Array, step_s: float, restarts: bool) -> int:
+    """Bits of the faults of the rotors' readings (4,), which are remembered."""
     faults = 0
-    share = 1.0 if first else step_s / (_MEAN_S + step_s)
+    share = 1.0 if restarts else step_s / (_MEAN_S + step_s)
     total, balance = 0.0, 0.0
     for k in range(ROTORS):
-        before = state[_SPEEDS + k]
+        before = memory.rotor_speeds[k]
         turning = min(speeds[k], before) > _TURNING_RAD_S
-        state[_ROTOR_STILL + k] = state[_ROTOR_STILL + k] + step_s if turning and speeds[k] == before else 0.0
-        if state[_ROTOR_STILL + k] >= _ROTOR_FROZEN_S:
+        memory.rotor_still_s[k] = memory.rotor_still_s[k] + step_s if turning and speeds[k] == before else 0.0
+        if memory.rotor_still_s[k] >= _ROTOR_FROZEN_S:
             faults |= ROTOR_FROZEN << k
         larger = max(speeds[k], before)
         most = (_JUMP + _JUMP_PER_S * step_s) * larger
-        if not first and larger > _TURNING_RAD_S and abs(speeds[k] - before) > most:
+        if not restarts and larger > _TURNING_RAD_S and abs(speeds[k] - before) > most:
             faults |= ROTOR_JUMPS << k
-        state[_SPEEDS + k] = speeds[k]
-        state[_SQUARES + k] += share * (speeds[k] * speeds[k] - state[_SQUARES + k])
-        total += state[_SQUARES + k]
-        balance += spins[k] * state[_SQUARES + k]
-    state[_SETTLED] = 0.0 if first else state[_SETTLED] + step_s
-    if state[_SETTLED] < 2.0 * _MEAN_S or total < 4.0 * _TURNING_RAD_S**2:
+        memory.rotor_speeds[k] = speeds[k]
+        memory.mean_squares[k] += share * (speeds[k] * speeds[k] - memory.mean_squares[k])
+        total += memory.mean_squares[k]
+        balance += memory.rotor_spins[k] * memory.mean_squares[k]
+    memory.averaged_s = 0.0 if restarts else memory.averaged_s + step_s
+    if memory.averaged_s < 2.0 * _MEAN_S or total < 4.0 * _TURNING_RAD_S**2:
         return faults
     for k in range(ROTORS):
-        square = state[_SQUARES + k]
+        square = memory.mean_squares[k]
         relative = np.sqrt((ROTORS - 1) * square / max(total - square, 1.0))
-        doubled = abs(balance + 3.0 * spins[k] * square) / (total + 3.0 * square)
+        doubled = abs(balance + 3.0 * memory.rotor_spins[k] * square) / (total + 3.0 * square)
         if abs(balance) > _UNBALANCED * total and doubled < _BALANCED and relative < _HALF_BELOW:
             faults |= ROTOR_HALF << k
         elif relative < _DIFFERS_BELOW or relative > _DIFFERS_ABOVE:
             faults |= ROTOR_DIFFERS << k
     return faults
-
-
-@njit(cache=True)
-def judge(time_ns: int, sample: Any, memory: Any) -> tuple[int, bool, bool]:
-    """Judge one sample (20,), in the channels of :mod:`quadpi_core.signals.chain`.
-
-    Gives the bits of what is wrong, whether the sample can be used, and whether the low-pass starts anew.
-    """
-    limits, state = memory.limits, memory.state
-    step_ns = time_ns - memory.previous_ns[0]
-    first = memory.previous_ns[0] == NO_STAMP
-    jump = not first and abs(step_ns) > MAX_GAP_NS
-    found = 0
-    if not first:
-        if step_ns == 0:
-            found |= STAMP_REPEATED
-        elif step_ns < 0:
-            found |= STAMP_BACKWARD
-        elif jump:
-            found |= GAP
-    missing_state = _all_missing(sample[VELOCITY]) and _all_missing(sample[ATTITUDE])
-    missing_rotors = _all_missing(sample[ROTOR_SPEEDS])
-    if missing_state:
-        found |= STATE_MISSING
-    if missing_rotors:
-        found |= ROTORS_MISSING
-    plausible = False
-    if np.all(np.isfinite(sample)):
-        plausible = _plausible(sample, limits[0])
-        if not plausible:
-            found |= NOT_PLAUSIBLE
-    elif not (missing_state or missing_rotors) or not np.all(np.isfinite(sample[SPECIFIC_FORCE])):
-        found |= NOT_FINITE
-    usable = plausible and (first or jump or step_ns > 0)
-    if usable:
-        memory.previous_ns[0] = time_ns
-        anew = first or jump
-        step_s = 0.0 if anew else step_ns * 1e-9
-        gyro_s = _still(sample[RATES], state, _GYRO, _CREEP_RAD_S, _STILL, step_s)
-        force_s = _still(sample[SPECIFIC_FORCE], state, _ACCELEROMETER, _CREEP_M_S2, _STILL + 1, step_s)
-        if gyro_s >= limits[1]:
-            found |= GYRO_FROZEN
-        if force_s >= limits[1]:
-            found |= ACCELEROMETER_FROZEN
-        found |= _rotor_faults(sample[ROTOR_SPEEDS], memory.spins, state, step_s, anew)
-    return found, usable, jump

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well samples come in and results go out, for the diagnostics: O(1) each, summed up once a second."""
+"""How well samples arrive and results go out, for the diagnostics, and whether anything arrives at all."""
 
 from __future__ import annotations
 
@@ -14,28 +14,37 @@ from quadpi_core.flight import Stamps
 
 # Samples whose latency is kept between two reports.
 _LATENCIES_MAX = 4096
-# Reasons for a refusal that are told apart; what comes after them counts as "other".
+# Different reasons for a refusal that are counted; further ones count as "other".
 _REASONS_MAX = 16
-# A longer step between stamps is a gap, as a multiple of the nominal or the usual step.
+# A step between stamps longer than this multiple of the nominal or the usual step is a gap.
 _GAP_STEPS = 2.5
-# Results before their stamps by more than this, or later than that, say that the clocks differ.
+# Results earlier than their stamps by more than the first [s], or later than the second, show that clocks
+# differ.
 _CLOCKS_AGREE_S, _OLD_S = 0.01, 5.0
+
+# Without anything to judge for this long [s], an alarm says so: longer than the longest gap that is
+# bridged, and than a busy machine holds a message up.
+SILENT_S = 0.3
+# Period in which to call :meth:`Silence.follow` [s]. Longer ones count as two, as then this process was
+# held up and not the sensors.
+WATCH_S = 0.1
+_STEP_MAX_S = 2.0 * WATCH_S
 
 
 @dataclass(frozen=True)
 class TopicReport:
-    """What came on one topic since the report before.
+    """The samples of one topic since the previous report.
 
     Attributes:
-        samples: how many.
-        total: how many since the start.
-        rate_hz: by arrival; 0 for none.
-        stamp_rate_hz: by the usual steps of their stamps; None below two samples.
-        gaps: steps of the stamps beyond 2.5 times the usual one.
+        samples: their number.
+        total: their number since the start.
+        rate_hz: by arrival; 0 without samples.
+        stamp_rate_hz: by the usual step of the stamps; None for fewer than two samples.
+        gaps: number of steps of the stamps beyond 2.5 times the usual one.
         longest_gap_s: the longest of them; 0 without one.
         newest_ns: stamp of the newest sample; None before the first.
-        refused_now: how many could not be used.
-        refused: the same by reason, since the start.
+        refused_now: number of samples that could not be used.
+        refused: those since the start, by reason.
     """
 
     samples: int
@@ -54,7 +63,7 @@ class TopicHealth:
     """Counts the samples of one topic.
 
     Attributes:
-        rate_hz: nominal rate; None takes the rate of the period before.
+        rate_hz: nominal rate; None takes the rate of the previous period.
     """
 
     rate_hz: float | None = None
@@ -100,16 +109,16 @@ class TopicHealth:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing came since the report before."""
+        """Whether nothing arrived since the previous report."""
         return self._samples == 0 and self.refused.total() == self._refused_before
 
     @property
     def unread(self) -> bool:
-        """Whether messages came since the report before, and every one was refused."""
+        """Whether messages arrived since the previous report and every one was refused."""
         return self._samples == 0 and not self.silent
 
     def report(self, period_s: float) -> TopicReport:
-        """Sum up the time since the report before, `period_s` long."""
+        """Sum up the `period_s` since the previous report."""
         self._total += self._samples
         refused = self.refused.total()
         # Where most steps are gaps, the topic is slower than its nominal rate.
@@ -142,11 +151,11 @@ class Percentiles(NamedTuple):
 
 
 class LatencyReport(NamedTuple):
-    """How long results took since the report before.
+    """How long results took since the previous report.
 
     Attributes:
         arrival: from the arrival of the sample to the publication of its result.
-        stamp: from the stamp of the sample; None if the stamps are of another clock, or one not known.
+        stamp: from the stamp of the sample; None if stamps and results are by clocks that cannot be compared.
     """
 
     arrival: Percentiles
@@ -154,19 +163,19 @@ class LatencyReport(NamedTuple):
 
 
 class Latency:
-    """From a sample to the publication of its result, in their order; times of the monotonic clock."""
+    """The time from each sample to the publication of its result; both come in the order of the stamps."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[int, int]] = deque(maxlen=_LATENCIES_MAX)
-        # Since the arrival, and between the two clocks since the stamp.
+        # Nanoseconds since the arrival, and since the stamp, the latter between two clocks.
         self._latencies_ns: deque[tuple[int, int]] = deque(maxlen=_LATENCIES_MAX)
 
     def arrived(self, time_ns: int, now_ns: int) -> None:
-        """A sample of that stamp came."""
+        """Note that a sample arrived, by the monotonic clock."""
         self._waiting.append((time_ns, now_ns))
 
     def published(self, time_ns: int, now_ns: int) -> None:
-        """The result for a stamp went out; samples before it have none."""
+        """Note that the result for a stamp went out; samples before it have none."""
         waiting = self._waiting
         while waiting:
             stamp_ns, arrived_ns = waiting[0]
@@ -182,10 +191,11 @@ class Latency:
         self._waiting.clear()
 
     def report(self, clock_ahead_ns: int | None) -> LatencyReport | None:
-        """Sum up the time since the report before; None without a result.
+        """Sum up the time since the previous report; None without a result.
 
         Args:
-            clock_ahead_ns: by how much the clock that stamps should be of is ahead of the monotonic one.
+            clock_ahead_ns: how far the clock of the stamps is ahead of the monotonic one; None if that is
+                not known.
         """
         if not self._latencies_ns:
             return None
@@ -200,3 +210,65 @@ class Latency:
 def _percentiles(durations_ns: Stamps) -> Percentiles:
     median, p99 = np.percentile(1e-9 * durations_ns, (50, 99))
     return Percentiles(float(median), float(p99))
+
+
+class Arrived(NamedTuple):
+    """The newest stamp of each input, and how many samples have been judged.
+
+    Attributes:
+        imu_ns, state_ns, rotors_ns: newest stamps; None before the first.
+        judged: IMU samples handed to the monitor so far, complete or not; 0 until the rate of the IMU is
+            known.
+    """
+
+    imu_ns: int | None
+    state_ns: int | None
+    rotors_ns: int | None
+    judged: int
+
+
+class Silence:
+    """Watches, by a clock that no sensor can stop, whether samples arrive and are judged.
+
+    Attributes:
+        reasons: why nothing has been judged for :data:`SILENT_S`, in plain words; empty while samples are
+            judged.
+        elapsed_s: since the newest IMU stamp arrived, or since the beginning.
+    """
+
+    def __init__(self) -> None:
+        self.reasons: tuple[str, ...] = ()
+        self._arrived = Arrived(None, None, None, 0)
+        self._since_s = dict.fromkeys(Arrived._fields, 0.0)
+        self._now_s = 0.0
+        self._asked_s: float | None = None
+
+    @property
+    def elapsed_s(self) -> float:
+        """See the class."""
+        return self._now_s - self._since_s["imu_ns"]
+
+    def follow(self, clock_s: float, arrived: Arrived) -> None:
+        """Take what has arrived by an instant of a steady clock."""
+        if self._asked_s is not None:
+            self._now_s += min(clock_s - self._asked_s, _STEP_MAX_S)
+        self._asked_s = clock_s
+        for name, before, after in zip(Arrived._fields, self._arrived, arrived, strict=True):
+            if before != after:
+                self._since_s[name] = self._now_s
+        self._arrived = arrived
+        silent_s = {name: self._now_s - since_s for name, since_s in self._since_s.items()}
+        self.reasons = () if silent_s["judged"] < SILENT_S else tuple(self._missing(silent_s))
+
+    def _missing(self, silent_s: dict[str, float]) -> list[str]:
+        missing: list[str] = []
+        for name, what in (("imu_ns", "imu"), ("state_ns", "state"), ("rotors_ns", "rotor speeds")):
+            if what == "state" and missing:
+                continue  # The estimator makes it from the IMU's samples.
+            if getattr(self._arrived, name) is None:
+                missing.append(f"no {what} yet")
+            elif silent_s[name] >= SILENT_S:
+                missing.append(f"no {what} for {silent_s[name]:.1f} s")
+        if not missing and self._arrived.judged == 0:
+            return ["no sample is complete yet"]
+        return missing or ["no sample is complete: imu, state and rotor speeds share no time"]

@@ -1,23 +1,26 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From complete sensor samples to predictions and the alarm: the same code in a node and in replay."""
+"""The monitor: from paired samples to predictions and the alarm, the same code in a node and in replay."""
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
+from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.monitor.adaptive import AdaptiveFactor
-from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
-from quadpi_core.monitor.events import EventLog
+from quadpi_core.monitor.alarm import Alarm, MonitorSettings
+from quadpi_core.monitor.alarm_log import EventLog
+from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation, Prepared
 from quadpi_core.results import Alarms, Events, Predictions
 from quadpi_core.vehicle import Vehicle
@@ -32,8 +35,8 @@ class Monitor:
     Args:
         model: identified for this vehicle.
         vehicle: as in its vehicle file.
-        rate_hz: sample rate of the IMU; None until :meth:`retune` says it: no sample is used before.
-        confidence: nominal coverage of the intervals.
+        rate_hz: sample rate of the IMU; None until :meth:`retune` gives it: no sample is used before.
+        confidence: nominal coverage of the intervals; the model's own unless given.
         settings: of the alarm, and whether intervals adapt.
 
     Raises:
@@ -61,17 +64,66 @@ class Monitor:
             np.array([axis in model.axes for axis in AXES]),
             model.interval_ratio(self.confidence),
         )
-        self._events = EventLog()
+        self._log = EventLog()
         self._adaptive = (
             AdaptiveFactor(self.confidence, rate_hz or RATE_BEFORE_HZ) if settings.adaptive else None
         )
+        # Compiles the model before the first sample.
         model.evaluate(np.zeros((1, len(INPUT_NAMES))), self.confidence)
+
+    def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
+        """Take K samples; blocks of any length give the same rows, bit for bit.
+
+        A sample that is not finite, not plausible or not later than the one before gives no prediction and
+        counts as BAD_DATA. After a gap or a jump of the stamps the low-pass starts again; adaptive intervals
+        go on, as their coverage is that of all samples so far.
+
+        Args:
+            time_ns: (K,) stamps.
+            values: (K, 20), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
+        """
+        # Judge the data; from the samples that can be used, filter inputs and measured wrench.
+        prepared = self.preparation.step(time_ns, values)
+        return self.judge(prepared)
+
+    def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
+        """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`."""
+        # The model's prediction, its own interval, leverage and width of each usable sample.
+        predictions, prepared, evaluation = self._evaluate(prepared)
+        # Evidence of the three causes, their charges and levels; rows where something changes.
+        alarms = self._alarm.step(prepared, evaluation)
+        # Alarms that were raised or cleared, with their reasons.
+        events = self._log.take(alarms) if len(alarms.time_ns) else []
+        return predictions, alarms, events
+
+    def predict(self, prepared: Prepared) -> Predictions:
+        """Predictions alone, without an alarm; see :meth:`judge`."""
+        return self._evaluate(prepared)[0]
+
+    def _evaluate(self, prepared: Prepared) -> tuple[Predictions, Prepared, Evaluation]:
+        """Predictions of the usable samples, these, and what the model says of them with its own intervals.
+
+        Samples of which a number overflows are no longer usable.
+        """
+        inputs, measured = prepared.inputs, prepared.measured
+        evaluation = self.model.evaluate(inputs, self.confidence)
+        predicted, lower, upper, leverage, relative_width = evaluation
+        if self._adaptive is not None:
+            lower, upper = self._adaptive.step(measured, lower, upper)
+        finite = np.empty(len(inputs), dtype=np.bool_)
+        if not _all_finite(lower, upper, measured, leverage, inputs, finite):
+            prepared = prepared.where(finite)
+            evaluation = Evaluation._make(column[finite] for column in evaluation)
+            predicted, _, _, _, relative_width = evaluation
+            lower, upper, measured = lower[finite], upper[finite], prepared.measured
+        predictions = Predictions(prepared.usable_ns, predicted, lower, upper, measured, relative_width)
+        return predictions, prepared, evaluation
 
     def reset(self) -> None:
         """Forget the past: as after construction."""
         self.preparation.reset()
         self._alarm.reset()
-        self._events.reset()
+        self._log.reset()
         if self._adaptive is not None:
             self._adaptive.reset()
 
@@ -85,71 +137,107 @@ class Monitor:
             self._adaptive.retune(rate.filter_hz)
         self.preparation.retune(rate)
 
-    def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
-        """Take K samples; blocks of any length give the same rows, bit for bit.
-
-        A sample that is not finite, not plausible or not later than the one before gives no prediction and
-        counts as BAD_DATA. After a gap or a jump of the stamps the low-pass starts anew; adaptive intervals
-        go on, as their coverage is that of all samples so far.
-
-        Args:
-            time_ns: (K,) stamps.
-            values: (K, 20), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
-        """
-        return self.judge(self.preparation.step(time_ns, values))
-
-    def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
-        """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`."""
-        predictions, usable, judged = self._evaluate(prepared)
-        alarms = self._alarm.step(prepared.time_ns, usable, prepared.faults, judged)
-        return predictions, alarms, self._events.take(alarms)
-
-    def predict(self, prepared: Prepared) -> Predictions:
-        """Predictions alone, without an alarm; see :meth:`judge`."""
-        return self._evaluate(prepared)[0]
-
     def change(self, settings: MonitorSettings) -> None:
         """Go on with other times and rates of the alarm; which intervals go out stays as it is."""
         self._alarm.change(settings)
 
-    def unheard(self, time_ns: int) -> Alarms:
-        """The alarm at an instant without a sample, see :meth:`Alarm.unheard`; the log of events has none."""
-        return self._alarm.unheard(time_ns)
+    def alarm_without_sample(self, time_ns: int) -> Alarms:
+        """The alarm at an instant without a sample, see :meth:`Alarm.without_sample`; it is not logged."""
+        return self._alarm.without_sample(time_ns)
 
     @property
     def events(self) -> Events:
         """The last events of the alarm, the oldest first."""
-        return self._events.events
-
-    def _evaluate(self, prepared: Prepared) -> tuple[Predictions, npt.NDArray[np.bool_], Judged]:
-        """Predictions of the usable samples, which samples these are, and what the alarm goes by."""
-        time_ns, usable, inputs, measured, velocity, _, settled = prepared
-        used_ns = time_ns if len(inputs) == len(time_ns) else time_ns[usable]
-        predicted, own_lower, own_upper, leverage, relative_width = self.model.evaluate(
-            inputs, self.confidence
-        )
-        lower, upper = own_lower, own_upper
-        if self._adaptive is not None:
-            lower, upper = self._adaptive.step(measured, lower, upper)
-        predictions = Predictions(used_ns, predicted, lower, upper, measured, relative_width)
-        judged = Judged(inputs, velocity, leverage, relative_width, measured, own_lower, own_upper, settled)
-        finite = np.empty(len(inputs), dtype=np.bool_)
-        if not _all_finite(lower, upper, measured, leverage, inputs, finite):
-            usable = usable.copy()
-            usable[usable] = finite
-            predictions = Predictions(
-                *(getattr(predictions, column.name)[finite] for column in fields(predictions))
-            )
-            judged = Judged._make(column[finite] for column in judged)
-        return predictions, usable, judged
+        return self._log.events
 
 
 @njit(cache=True)
-def _all_finite(lower: Any, upper: Any, measured: Any, leverage: Any, inputs: Any, finite: Any) -> bool:
-    """Mark the samples of which every number is finite; True if all are."""
+def _all_finite(
+    lower: Array, upper: Array, measured: Array, leverage: Array, inputs: Array, finite: npt.NDArray[np.bool_]
+) -> bool:
+    """Mark the samples (U,) of which every number is finite; True if all are."""
     everywhere = True
     for i in range(finite.size):
         total = lower[i].sum() + upper[i].sum() + measured[i].sum() + leverage[i].sum() + inputs[i].sum()
         finite[i] = np.isfinite(total)
         everywhere &= finite[i]
     return everywhere
+
+
+class Monitors:
+    """Monitors of one vehicle, by name. The first gives predictions and the alarm, the others predictions.
+
+    What monitors of one cut-off share, the low-pass above all, runs once for all of them.
+    """
+
+    def __init__(self, monitors: Mapping[str, Monitor]) -> None:
+        self._monitors: dict[str, Monitor] = {}
+        self._rate: ImuRate | None = None
+        for name, monitor in monitors.items():
+            self._put(name, monitor)
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the monitors, the first one first."""
+        return list(self._monitors)
+
+    def __getitem__(self, name: str) -> Monitor:
+        return self._monitors[name]
+
+    def replace(self, name: str, monitor: Monitor) -> None:
+        """Put a new monitor in the place of one; with the same cut-off, the low-pass goes on.
+
+        Raises:
+            ModelError: if there is none of that name, or the rate of the IMU is too low for the new one.
+        """
+        if name not in self._monitors:
+            raise ModelError(f"no model flies as `{name}`; those that fly: {', '.join(self._monitors)}")
+        if self._rate is not None:
+            try:
+                monitor.retune(self._rate)
+            except SignalError as error:
+                raise ModelError(f"{monitor.model.identity}: {error}") from error
+        self._put(name, monitor)
+
+    def change(self, settings: MonitorSettings) -> None:
+        """Go on with other times and rates of the alarm."""
+        for monitor in self._monitors.values():
+            monitor.change(settings)
+
+    def reset(self) -> None:
+        """Forget the past: as after construction."""
+        for monitor in self._monitors.values():
+            monitor.reset()
+
+    def retune(self, rate: ImuRate) -> list[str]:
+        """Go on with samples of another rate; returns a sentence for each model that it is too low for."""
+        self._rate = rate
+        problems = []
+        for name, monitor in self._monitors.items():
+            try:
+                monitor.retune(rate)
+            except SignalError as error:
+                problems.append(f"model {name}: {error}")
+        return problems
+
+    def step(self, samples: PairedSamples) -> tuple[tuple[Predictions, Alarms, Events], list[Predictions]]:
+        """Take K samples: the results of the first monitor, see :meth:`Monitor.step`; others' predictions."""
+        first, *others = self._monitors.values()
+        prepared = first.preparation.step(*samples)
+        results = first.judge(prepared)
+        if not others:
+            return results, []
+        by_preparation = {first.preparation: prepared}
+        predictions = []
+        for monitor in others:
+            if monitor.preparation not in by_preparation:
+                by_preparation[monitor.preparation] = monitor.preparation.step(*samples)
+            predictions.append(monitor.predict(by_preparation[monitor.preparation]))
+        return results, predictions
+
+    def _put(self, name: str, monitor: Monitor) -> None:
+        for other in self._monitors.values():
+            if other.model.cutoff_hz == monitor.model.cutoff_hz:
+                monitor.preparation = other.preparation
+                break
+        self._monitors[name] = monitor

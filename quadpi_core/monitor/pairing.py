@@ -21,7 +21,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import CHANGES, LOST, ImuRate, Meter, follow, follow_arrays
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.monitor.silence import Arrived
+from quadpi_core.monitor.health import Arrived
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,

@@ -1,20 +1,29 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From sensor samples to filtered inputs and the measured wrench: what models of one cut-off share."""
+"""From paired samples to filtered inputs and the measured wrench: what models of one cut-off share."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
-from quadpi_core.flight import AXES, NO_STAMP, Stamps
+from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
-from quadpi_core.monitor.data_quality import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN, FaultMemory, judge
+from quadpi_core.monitor.data_quality import (
+    RATE_DIFFERS,
+    RATE_LOW,
+    RATE_UNKNOWN,
+    Quality,
+    frozen_s,
+    judge,
+    quality,
+)
+from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,
@@ -23,42 +32,114 @@ from quadpi_core.signals.chain import (
     SPECIFIC_FORCE,
     VELOCITY,
     WIND,
-    ChainMemory,
     filter_sample,
     forget,
 )
-from quadpi_core.signals.filters import LowPass, Section, design_low_pass
+from quadpi_core.signals.filters import DELAYS, SECTIONS, design_low_pass
 from quadpi_core.signals.wrench import newton_euler
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle
 
-# After a state begins or comes back, its accelerometer bias is still being found: measured forces then leave
+# When a state begins or comes back, its accelerometer bias is still being found: measured forces then leave
 # their intervals up to ten times as often (docs/alarm.md).
 SETTLE_NS = 1_000_000_000
-# Where the numbers of the low-pass stand: coefficients, rate (0: none fits), fault where no rate fits.
-_DESIGN_HZ, _FAULT, _LOW_PASS_SIZE = 6, 7, 8
+
+
+class Verdict:
+    """What data quality and low-pass say of one sample.
+
+    The velocity and `settled` mean something for a usable sample only. A sample has not settled in the first
+    :data:`SETTLE_NS` after the first one, or after more than `MAX_GAP_NS` without a usable one.
+    """
+
+    time_ns: int
+    faults: int  # bits of what is wrong, see :mod:`quadpi_core.monitor.data_quality`
+    usable: bool
+    settled: bool
+    velocity: Vector3  # filtered, over ground, m/s, body axes
+
+
+class _VehicleConstants:
+    """Numbers of a vehicle for inputs and wrench; see :func:`quadpi_core.inputs.vehicle_constants`."""
+
+    control_signs: Annotated[Array, 3, ROTORS]
+    rotor_radius: float
+    hover_induced_velocity: float
+    mass: float
+    inertia: Annotated[Array, 3, 3]
+
+
+class _Section:
+    gain: float
+    a1: float
+    a2: float
+
+
+class _LowPass:
+    """The coefficients of the low-pass, see :class:`quadpi_core.signals.filters.LowPass`."""
+
+    first: _Section
+    second: _Section
+    rate_hz: float  # 0: no rate of the IMU is known that fits, and no sample is usable
+
+
+class _Chain:
+    """What the low-pass remembers, see :class:`quadpi_core.signals.chain.ChainMemory`."""
+
+    delays: Annotated[Array, SECTIONS, DELAYS, CHANNELS]
+    attitude: Quaternion4
+    started: Annotated[Array, 1]
+
+
+class Memory:
+    """All that the preparation knows and remembers."""
+
+    vehicle: _VehicleConstants
+    low_pass: _LowPass
+    fault_without_rate: int  # bits of the fault of a sample that has no low-pass
+    quality: Quality
+    chain: _Chain
+    begun_ns: int  # stamp of the first sample since the low-pass began
+
+
+VERDICT, MEMORY = record_dtype(Verdict), record_dtype(Memory)
 
 
 class Prepared(NamedTuple):
     """K samples, U of them usable.
 
     Attributes:
-        time_ns: (K,) stamps.
-        usable: (K,) False for a sample that cannot be judged.
+        verdicts: (K,) a :class:`Verdict` of each.
         inputs: (U, 19) input vectors of the usable samples.
         measured: (U, 6) their measured wrench, N and Nm, body axes.
-        velocity: (U, 3) their velocity over ground, m/s, body axes.
-        faults: (K,) what is wrong, bits of :mod:`quadpi_core.monitor.data_quality`.
-        settled: (U,) False for usable samples in the first :data:`SETTLE_NS` after the first one, or after
-            more than `MAX_GAP_NS` without any.
     """
 
-    time_ns: Stamps
-    usable: npt.NDArray[np.bool_]
+    verdicts: Records
     inputs: Array
     measured: Array
-    velocity: Array
-    faults: npt.NDArray[np.int64]
-    settled: npt.NDArray[np.bool_]
+
+    @property
+    def usable(self) -> npt.NDArray[np.bool_]:
+        """(K,) which samples are usable."""
+        usable: npt.NDArray[np.bool_] = self.verdicts["usable"]
+        return usable
+
+    @property
+    def usable_ns(self) -> Stamps:
+        """(U,) stamps of the usable samples."""
+        time_ns: Stamps = self.verdicts["time_ns"]
+        return time_ns if len(self.inputs) == len(time_ns) else time_ns[self.usable]
+
+    @property
+    def settled(self) -> npt.NDArray[np.bool_]:
+        """(U,) which usable samples have settled."""
+        settled: npt.NDArray[np.bool_] = self.verdicts["settled"][self.usable]
+        return settled
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> Prepared:
+        """The same with only those of the usable samples (U,) left that a mask chooses."""
+        verdicts = self.verdicts.copy()
+        verdicts["usable"][self.usable] = chosen
+        return Prepared(verdicts, self.inputs[chosen], self.measured[chosen])
 
 
 class Preparation:
@@ -66,7 +147,7 @@ class Preparation:
 
     Args:
         vehicle: as in its vehicle file.
-        rate_hz: sample rate of the IMU; None until :meth:`retune` says it.
+        rate_hz: sample rate of the IMU; None if :meth:`retune` will give it.
         cutoff_hz: of the low-pass.
 
     Raises:
@@ -74,28 +155,28 @@ class Preparation:
     """
 
     def __init__(self, vehicle: Vehicle, rate_hz: float | None, cutoff_hz: float) -> None:
+        self._vehicle = vehicle
         self._cutoff_hz = cutoff_hz
         self._rate: ImuRate | None = None
-        self._low_pass = np.zeros(_LOW_PASS_SIZE)
-        self._faults = FaultMemory.empty(vehicle, rate_hz or RATE_BEFORE_HZ)
-        self._chain = ChainMemory.empty()
-        self._begun_ns = np.array([NO_STAMP])
+        self._quality_hz = rate_hz or RATE_BEFORE_HZ
+        self._memory = np.zeros(1, MEMORY)
+        constants = self._memory["vehicle"]
+        for name, value in zip(
+            ("control_signs", "rotor_radius", "hover_induced_velocity", "mass", "inertia"),
+            (*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia),
+            strict=True,
+        ):
+            constants[name] = value
         self.retune(ImuRate(rate_hz or 0.0))
-        self._known = (
-            self._low_pass,
-            *(*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia),
-            *self._faults,
-            *self._chain,
-            self._begun_ns,
-        )
+        self.reset()
 
     def reset(self) -> None:
         """Forget the past: as after construction."""
-        self._faults.forget()
-        forget(self._chain)
+        self._memory["quality"] = quality(self._vehicle, self._quality_hz)
+        self._memory["chain"] = 0
 
     def retune(self, rate: ImuRate) -> None:
-        """Go on with samples of another rate: the low-pass starts anew. Without one, no sample is usable.
+        """Go on with samples of another rate, with an empty low-pass. Without one, no sample is usable.
 
         Raises:
             SignalError: if the rate is too low for the cut-off; then no sample is usable either.
@@ -103,103 +184,72 @@ class Preparation:
         if rate == self._rate:
             return
         self._rate = rate
-        forget(self._chain)
-        self._low_pass[_DESIGN_HZ] = 0.0
-        self._low_pass[_FAULT] = RATE_DIFFERS if rate.differs else RATE_UNKNOWN
+        memory = self._memory
+        memory["chain"] = 0
+        memory["low_pass"]["rate_hz"] = 0.0
+        memory["fault_without_rate"] = RATE_DIFFERS if rate.differs else RATE_UNKNOWN
         if rate.filter_hz > 0.0:
-            self._low_pass[_FAULT] = RATE_LOW
-            design = design_low_pass(self._cutoff_hz, rate.filter_hz)
-            self._low_pass[:_FAULT] = (*design.first, *design.second, design.rate_hz)
-            self._faults.retune(rate.filter_hz)
+            memory["fault_without_rate"] = RATE_LOW
+            memory["low_pass"] = design_low_pass(self._cutoff_hz, rate.filter_hz)
+            self._quality_hz = rate.filter_hz
+            memory["quality"]["frozen_after_s"] = frozen_s(rate.filter_hz)
 
     def step(self, time_ns: Stamps, values: Array) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
         count = len(time_ns)
-        prepared = Prepared(
-            time_ns,
-            np.empty(count, dtype=np.bool_),
-            np.empty((count, len(INPUT_NAMES))),
-            np.empty((count, len(AXES))),
-            np.empty((count, 3)),
-            np.empty(count, dtype=np.int64),
-            np.empty(count, dtype=np.bool_),
-        )
-        used = _prepare(values, *self._known, *prepared)
-        if used == count:
-            return prepared
-        return prepared._replace(
-            inputs=prepared.inputs[:used],
-            measured=prepared.measured[:used],
-            velocity=prepared.velocity[:used],
-            settled=prepared.settled[:used],
-        )
+        verdicts = np.empty(count, VERDICT)
+        inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
+        used = _prepare(self._memory, time_ns, values, verdicts, inputs, measured)
+        return Prepared(verdicts, inputs[:used], measured[:used])
 
 
-# Arrays one by one: a tuple of them costs twice as much to hand over.
 @njit(cache=True)
 def _prepare(
-    values: Any,
-    low_pass: Any,
-    control_signs: Any,
-    rotor_radius: float,
-    hover_induced_velocity: float,
-    mass: float,
-    inertia: Any,
-    limits: Any,
-    spins: Any,
-    previous_ns: Any,
-    state: Any,
-    delays: Any,
-    last_attitude: Any,
-    started: Any,
-    begun_ns: Any,
-    time_ns: Any,
-    usable: Any,
-    inputs: Any,
-    measured: Any,
-    velocity: Any,
-    faults: Any,
-    settled: Any,
+    memories: Records, time_ns: Stamps, values: Array, verdicts: Records, inputs: Array, measured: Array
 ) -> int:
-    """Judge and filter samples (K, 20); the number of usable ones, whose rows are filled."""
-    design = LowPass(
-        Section(low_pass[0], low_pass[1], low_pass[2]),
-        Section(low_pass[3], low_pass[4], low_pass[5]),
-        low_pass[_DESIGN_HZ],
-    )
-    memory, chain = (
-        FaultMemory(limits, spins, previous_ns, state),
-        ChainMemory(delays, last_attitude, started),
-    )
+    """Fill the verdicts of K samples (K, 20), and inputs and wrench of the usable ones; returns their number.
+
+    Args:
+        memories: (1,) the :class:`Memory`, which changes.
+        time_ns: (K,) stamps.
+        values: (K, 20) channels of :mod:`quadpi_core.signals.chain`.
+        verdicts: (K,) to fill with a :class:`Verdict` each.
+        inputs: (K, 19) to fill.
+        measured: (K, 6) to fill.
+    """
+    memory = memories[0]
+    vehicle, chain = memory.vehicle, memory.chain
     used = 0
     value, slope = np.empty((1, CHANNELS)), np.empty((1, CHANNELS))
     for i in range(values.shape[0]):
-        faults[i], usable[i], jump = judge(time_ns[i], values[i], memory)
-        if low_pass[_DESIGN_HZ] == 0.0:
-            # Of a sample that lacks more, the rest says why.
-            faults[i] |= np.int64(low_pass[_FAULT]) if usable[i] else 0
-            usable[i] = False
-        if not usable[i]:
+        faults, usable, jump = judge(memory.quality, time_ns[i], values[i])
+        if usable and memory.low_pass.rate_hz == 0.0:
+            faults |= memory.fault_without_rate
+            usable = False
+        verdict = verdicts[i]
+        verdict.time_ns, verdict.faults, verdict.usable = time_ns[i], faults, usable
+        if not usable:
             continue
         if jump:
             forget(chain)
-        if started[0] == 0.0:
-            begun_ns[0] = time_ns[i]
-        settled[used] = time_ns[i] - begun_ns[0] >= SETTLE_NS
-        filter_sample(design, chain, values[i], value[0], slope[0])
-        attitude, rates = value[:, ATTITUDE], value[:, RATES]
-        row = slice(used, used + 1)
+        if chain.started[0] == 0.0:
+            memory.begun_ns = time_ns[i]
+        verdict.settled = time_ns[i] - memory.begun_ns >= SETTLE_NS
+        filter_sample(memory.low_pass, chain, values[i], value[0], slope[0])
+        verdict.velocity[:] = value[0, VELOCITY]
+        attitude, rates, row = value[:, ATTITUDE], value[:, RATES], slice(used, used + 1)
         inputs_kernel(
             relative_to_air(value[:, VELOCITY], attitude, value[:, WIND]),
             attitude,
             rates,
             value[:, ROTOR_SPEEDS],
-            control_signs,
-            rotor_radius,
-            hover_induced_velocity,
+            vehicle.control_signs,
+            vehicle.rotor_radius,
+            vehicle.hover_induced_velocity,
             inputs[row],
         )
-        measured[row] = newton_euler(value[:, SPECIFIC_FORCE], rates, slope[:, RATES], mass, inertia)
-        velocity[used] = value[0, VELOCITY]
+        measured[row] = newton_euler(
+            value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
+        )
         used += 1
     return used

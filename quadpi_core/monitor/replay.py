@@ -32,9 +32,9 @@ from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
+from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.monitor.reasons import reasons_by_row
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import by_arrival, split_recording

@@ -19,10 +19,10 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor
+from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.health import TopicHealth, TopicReport
+from quadpi_core.monitor.monitor import Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.reasons import reasons
-from quadpi_core.monitor.several_models import Monitors
 from quadpi_core.results import CAUSES, LEVEL_OK, AlarmEvent, Alarms, Predictions
 from quadpi_core.simulation.failures import Fault, Sent, apply_faults
 from quadpi_core.vehicle import Vehicle

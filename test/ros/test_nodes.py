@@ -19,8 +19,8 @@ pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from quadpi_core.errors import ModelError
-from quadpi_core.messages.result_messages import ReportedAlarms
 from quadpi_core.monitor import MonitorSettings
+from quadpi_core.results import ReportedAlarms
 from quadpi_ros.collector import AlarmFollower
 from quadpi_ros.node_parameters import EstimatorParameters, MonitorParameters, parameter
 from quadpi_ros.runtime import start

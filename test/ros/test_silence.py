@@ -17,8 +17,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from quadpi_core.flight import Recording
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.messages.result_messages import ReportedAlarms, unpack_alarms
-from quadpi_core.results import BAD_DATA, LEVEL_ALARM
+from quadpi_core.messages.result_messages import unpack_alarms
+from quadpi_core.results import BAD_DATA, LEVEL_ALARM, ReportedAlarms
 from quadpi_ros.processes import Child
 
 from .rig import STARTED_S, Rig, arguments

@@ -12,7 +12,9 @@ from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alar
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
+from quadpi_core.models.methods import Evaluation
+from quadpi_core.monitor.alarm import Alarm, MonitorSettings
+from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import EXTRAPOLATION, LEVEL_ALARM, MISCOVERAGE
 
 RATE_HZ = 100
@@ -50,21 +52,12 @@ def raised(envelope: Envelope, limits: AlarmLimits, flight: LeftOut) -> dict[int
     """How often each cause is raised in a flight."""
     count = len(flight.time)
     alarm = Alarm(envelope, limits, MonitorSettings(), np.arange(6) == FX)
-    rows = alarm.step(
-        np.round(1e9 * flight.time).astype(np.int64),
-        np.ones(count, dtype=np.bool_),
-        np.zeros(count, dtype=np.int64),
-        Judged(
-            flight.inputs,
-            np.zeros((count, 3)),
-            flight.leverage,
-            flight.width,
-            np.nan_to_num(2.0 * flight.miss),
-            np.full((count, 6), -1.0),
-            np.full((count, 6), 1.0),
-            np.ones(count, dtype=np.bool_),
-        ),
-    )
+    verdicts = np.zeros(count, VERDICT)
+    verdicts["time_ns"] = np.round(1e9 * flight.time)
+    verdicts["usable"] = verdicts["settled"] = True
+    prepared = Prepared(verdicts, flight.inputs, np.nan_to_num(2.0 * flight.miss))
+    bound = np.ones((count, 6))
+    rows = alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, flight.leverage, flight.width))
     at_alarm = rows.cause_level == LEVEL_ALARM
     begins = (np.diff(at_alarm.astype(int), axis=0, prepend=0) == 1).sum(axis=0)
     return {EXTRAPOLATION: int(begins[0]), MISCOVERAGE: int(begins[1])}

@@ -23,7 +23,7 @@ from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec
-from quadpi_core.monitor.reasons import reasons_by_row
+from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 

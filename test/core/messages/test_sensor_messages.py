@@ -20,8 +20,8 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads
+from quadpi_core.monitor.alarm_log import reasons, reasons_by_row
 from quadpi_core.monitor.data_quality import GYRO_FROZEN
-from quadpi_core.monitor.reasons import reasons, reasons_by_row
 from quadpi_core.results import AlarmEvent, Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 

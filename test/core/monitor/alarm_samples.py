@@ -11,7 +11,9 @@ import numpy as np
 
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.monitor.alarm import Alarm, Judged, MonitorSettings
+from quadpi_core.models.methods import Evaluation
+from quadpi_core.monitor.alarm import Alarm, MonitorSettings
+from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import Alarms
 
 RATE_HZ = 500
@@ -46,21 +48,13 @@ class Samples:
         for start in range(0, len(self.time_ns), block):
             keep = slice(start, start + block)
             used = self.usable[keep]
-            yield alarm.step(
-                self.time_ns[keep],
-                used,
-                self.faults[keep],
-                Judged(
-                    self.inputs[keep][used],
-                    self.velocity[keep][used],
-                    self.leverage[keep][used],
-                    self.width[keep][used],
-                    self.measured[keep][used],
-                    np.full((np.count_nonzero(used), 6), -1.0),
-                    np.full((np.count_nonzero(used), 6), 1.0),
-                    self.settled[keep][used],
-                ),
-            )
+            verdicts = np.zeros(len(used), VERDICT)
+            for name in ("time_ns", "usable", "faults", "settled", "velocity"):
+                verdicts[name] = getattr(self, name)[keep]
+            prepared = Prepared(verdicts, self.inputs[keep][used], self.measured[keep][used])
+            bound = np.ones_like(prepared.measured)
+            leverage, width = self.leverage[keep][used], self.width[keep][used]
+            yield alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, leverage, width))
 
     def run(self, alarm: Alarm, block: int | None = None) -> Alarms:
         parts = list(self.parts(alarm, block or len(self.time_ns)))

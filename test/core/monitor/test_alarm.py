@@ -12,7 +12,7 @@ import pytest
 from quadpi_core.errors import QuadpiError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
-from quadpi_core.monitor.reasons import reasons
+from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, LEVEL_WARNING, Alarms
 from test.core.monitor.alarm_samples import FX, LIMITS, MY, RATE_HZ, SETTINGS, Q, Samples, U, changes
 

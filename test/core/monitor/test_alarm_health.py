@@ -11,8 +11,8 @@ import numpy as np
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import Alarm
+from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.data_quality import GYRO_FROZEN, ROTOR_HALF, STAMP_REPEATED
-from quadpi_core.monitor.reasons import reasons
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, MISCOVERAGE, UNAVAILABLE, UNCALIBRATED, WAITING
 from test.core.monitor.alarm_samples import FX, LIMITS, OMEGA, SETTINGS, Samples, U
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.monitor.alarm import Alarm
-from quadpi_core.monitor.reasons import reasons
+from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.results import ACTIVE, LEVEL_ALARM, LEVEL_OK, MISCOVERAGE, WAITING
 from test.core.monitor.alarm_samples import (
     ALLOWANCE,

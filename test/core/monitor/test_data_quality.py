@@ -29,7 +29,7 @@ class Flight:
         """What is said of each sample."""
         preparation = Preparation(self.vehicle, RATE_HZ, CUTOFF_HZ)
         bits = [
-            preparation.step(*(column[start : start + block] for column in self.samples)).faults
+            preparation.step(*(column[start : start + block] for column in self.samples)).verdicts["faults"]
             for start in range(0, COUNT, block)
         ]
         return [set(fault_words(int(found))) for found in np.concatenate(bits)]

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.monitor.alarm import Alarm
-from quadpi_core.monitor.events import EventLog
-from quadpi_core.monitor.reasons import reasons
+from quadpi_core.monitor.alarm_log import EventLog, reasons
 from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION
 from test.core.monitor.alarm_samples import FX, LIMITS, MY, SETTINGS, Samples, U, missing_shares
 

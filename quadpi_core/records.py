@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records: structured arrays whose fields are declared once, for numpy, numba and mypy alike.
+
+A class names the fields, :func:`record_dtype` makes the dtype, and kernels take the class as a type::
+
+    class ImuSample:
+        time_ns: int
+        rates: Annotated[Array, 3]  # rad/s
+
+    samples = np.zeros(500, record_dtype(ImuSample))
+
+    @njit
+    def double(sample: ImuSample) -> None:
+        sample.rates[2] *= 2.0
+
+Python hands a kernel an array of records, of length one if need be; the kernel takes its elements. One
+structured array costs a call from Python less than half of what its fields would as arrays of their own.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.frames import Array
+
+Records: TypeAlias = npt.NDArray[Any]
+Vector3: TypeAlias = Annotated[Array, 3]
+Quaternion4: TypeAlias = Annotated[Array, 4]
+
+_NUMBERS: dict[Any, Any] = {
+    bool: np.bool_,
+    float: np.float64,
+    int: np.int64,
+    Array: np.float64,
+    npt.NDArray[np.int64]: np.int64,
+}
+
+
+def record_dtype(declaration: type) -> np.dtype[np.void]:
+    """The dtype of a class whose annotated fields are numbers, arrays and other such classes.
+
+    `float` and `int` have 64 bits, `bool` has one byte, `Annotated[Array, 3, 3]` is an array of that shape,
+    and `Annotated[Records, Other, 2]` an array of two records of another class.
+    """
+    fields = []
+    for name, hint in get_type_hints(declaration, include_extras=True).items():
+        kind, shape = hint, []
+        if get_origin(hint) is Annotated:
+            kind, *shape = get_args(hint)
+        if kind == Records:
+            kind, *shape = shape
+        dtype = _NUMBERS[kind] if kind in _NUMBERS else record_dtype(kind)
+        fields.append((name, dtype, tuple(shape)))
+    return np.dtype(fields, align=True)
