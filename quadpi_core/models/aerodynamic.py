@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from quadpi_core.config_schema import Within
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -38,7 +39,7 @@ class TrainingFlight:
 
     name: str
     sha256: str
-    samples: int
+    samples: Annotated[int, Within(0)]
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,18 @@ import hashlib
 import json
 import platform
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 from quadpi_core import __version__
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
+from quadpi_core.config_schema import Flag, OneOf, Real, Text, parse_config
 from quadpi_core.errors import ModelError, OutputError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -87,18 +89,12 @@ def load_model(folder: Path) -> AerodynamicModel:
     text, array_bytes = _read_files(folder)
     try:
         content = parse_json(text)
-        if content["format"] != FORMAT:
-            raise ModelError(
-                f"{MODEL_FILE}: format {content['format']!r} is not known to this version ({FORMAT})"
-            )
-        if content["method"] not in METHODS:
-            known = ", ".join(METHODS)
-            raise ModelError(
-                f"{MODEL_FILE}: method {content['method']!r} is not known to this version ({known})"
-            )
-        if hashlib.sha256(array_bytes).hexdigest() != content["arrays_sha256"]:
+        _require_known_format(content)
+        described = parse_config(_ModelFile, content, f"{MODEL_FILE}: not a quadpi model", ModelError)
+        if hashlib.sha256(array_bytes).hexdigest() != described.arrays_sha256:
             raise ModelError(f"{ARRAYS_FILE}: its hash is not the one in {MODEL_FILE}: the file was altered")
-        model = _parse(folder.name, content, load_arrays(array_bytes), _identity(folder.name, text))
+        model = _model(described, content["axes"], load_arrays(array_bytes))
+        model = replace(model, name=folder.name, identity=_identity(folder.name, text))
         # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
         for fitted in model.fitted.values():
             fitted.rule.factor(model.confidence)
@@ -109,52 +105,80 @@ def load_model(folder: Path) -> AerodynamicModel:
         raise ModelError(f"{path}: not a quadpi model: {type(error).__name__} {error}") from error
 
 
-def _parse(name: str, content: dict[str, Any], arrays: dict[str, Array], identity: str) -> AerodynamicModel:
-    axes: dict[str, Any] = content["axes"]
-    if not axes or set(axes) - set(AXES):
-        raise ModelError(f"{MODEL_FILE}: axes {list(axes)}; expected some of {', '.join(AXES)}")
+# model.json is written by quadpi alone: what its types do not declare is passed over, not refused.
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Step:
+    """A step of the selection of regressors, see :meth:`quadpi_core.models.polynomial.selection_log`."""
+
+    term: Text
+    fixed: Flag
+    coefficient: Real | None
+    r2: Real | None
+    removed: tuple[Text, ...] = ()
+    sse: Real | None = None
+    criterion: Real | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AxisFile:
+    """What an axis has beside its method's own keys."""
+
+    training_range: Real
+    selection: tuple[_Step, ...]
+    held_out_coverage: list[Real]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ModelFile:
+    """The content of model.json; the classes named `stored` and `from_json` read the keys typed as dict."""
+
+    method: Text
+    settings: str
+    vehicle: str
+    vehicle_fingerprint: str
+    cutoff_hz: Real
+    confidence: Real
+    axes: Annotated[dict[Annotated[str, OneOf(*AXES)], _AxisFile], Field(min_length=1)]
+    envelope: dict[str, Any]
+    alarm: dict[str, Any]
+    flights: tuple[TrainingFlight, ...]
+    arrays_sha256: str
+
+
+def _require_known_format(content: Any) -> None:
+    if not isinstance(content, dict) or "format" not in content:
+        raise ModelError(f"{MODEL_FILE}: not a quadpi model: missing key `format`")
+    if content["format"] != FORMAT:
+        raise ModelError(
+            f"{MODEL_FILE}: format {content['format']!r} is not known to this version ({FORMAT})"
+        )
+    if content.get("method") not in METHODS:
+        raise ModelError(
+            f"{MODEL_FILE}: method {content.get('method')!r} is not known to this version "
+            f"({', '.join(METHODS)})"
+        )
+
+
+def _model(described: _ModelFile, entries: dict[str, Any], arrays: dict[str, Array]) -> AerodynamicModel:
+    """The model without its name and identity; `entries` are the axes with the keys of their method."""
+    axes = described.axes
     return AerodynamicModel(
-        name=name,
-        vehicle=str(content["vehicle"]),
-        vehicle_fingerprint=str(content["vehicle_fingerprint"]),
-        settings=str(content["settings"]),
-        cutoff_hz=float(content["cutoff_hz"]),
-        confidence=float(content["confidence"]),
-        fitted={axis: _axis(content["method"], axis, entry, arrays) for axis, entry in axes.items()},
-        envelope=Envelope.from_json(content["envelope"]),
-        training_range={axis: float(entry["training_range"]) for axis, entry in axes.items()},
-        flights=tuple(_training_flight(flight) for flight in content["flights"]),
-        selection={axis: [_step(row) for row in entry["selection"]] for axis, entry in axes.items()},
-        held_out_coverage={
-            axis: [float(c) for c in entry["held_out_coverage"]] for axis, entry in axes.items()
-        },
-        identity=identity,
-        alarm_limits=AlarmLimits.from_json(content["alarm"]),
+        name="",
+        vehicle=described.vehicle,
+        vehicle_fingerprint=described.vehicle_fingerprint,
+        settings=described.settings,
+        cutoff_hz=described.cutoff_hz,
+        confidence=described.confidence,
+        fitted={axis: _axis(described.method, axis, entries[axis], arrays) for axis in axes},
+        envelope=Envelope.from_json(described.envelope),
+        training_range={axis: entry.training_range for axis, entry in axes.items()},
+        flights=described.flights,
+        selection={axis: entries[axis]["selection"] for axis in axes},
+        held_out_coverage={axis: entry.held_out_coverage for axis, entry in axes.items()},
+        alarm_limits=AlarmLimits.from_json(described.alarm),
     )
-
-
-def _training_flight(entry: dict[str, Any]) -> TrainingFlight:
-    flight = TrainingFlight(**entry)
-    if not _are(str, flight.name, flight.sha256) or not _are(int, flight.samples):
-        raise ModelError(f"{MODEL_FILE}: a flight is {entry}")
-    return flight
-
-
-def _step(row: dict[str, Any]) -> dict[str, Any]:
-    """A step of the selection, see :meth:`quadpi_core.models.polynomial.StepwisePolynomial.selection_log`."""
-    numbers = [row[name] for name in ("coefficient", "r2")] + [row.get(name) for name in ("sse", "criterion")]
-    if (
-        not _are(str, row["term"], *row.get("removed", []))
-        or not _are(bool, row["fixed"])
-        or not _are((int, float), *(number for number in numbers if number is not None))
-    ):
-        raise ModelError(f"{MODEL_FILE}: a step of the selection is {row}")
-    return row
-
-
-def _are(kind: type | tuple[type, ...], *values: Any) -> bool:
-    """Whether all values are of a kind; true and false are no numbers."""
-    return all(isinstance(value, kind) and (kind is bool or not isinstance(value, bool)) for value in values)
 
 
 def _axis(method: str, axis: str, entry: dict[str, Any], arrays: dict[str, Array]) -> FittedAxis:
