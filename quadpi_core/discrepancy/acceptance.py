@@ -206,7 +206,7 @@ class Judgement:
         effect: its name.
         label: the name with the rotor, where there is one.
         beside: names of the effects accepted before.
-        verdicts: in the order of the tests; the last is the reason for the decision.
+        verdicts: in the order of the tests.
     """
 
     effect: str
@@ -218,6 +218,12 @@ class Judgement:
     def accepted(self) -> bool:
         """Whether all tests passed."""
         return all(verdict.passed for verdict in self.verdicts)
+
+    @property
+    def reason(self) -> Verdict:
+        """The verdict that decided: of a rejected candidate the last, of an accepted one its evidence."""
+        wanted = "evidence" if self.accepted else self.verdicts[-1].test
+        return next(verdict for verdict in self.verdicts if verdict.test == wanted)
 
 
 def evidence_threshold(gains: Array) -> float:
@@ -369,7 +375,7 @@ class Trial:
     found: Fit
     added: int
     fit: Fit | None
-    needed: Callable[[], float]
+    needed: float
     dropped: bool
     behind: str
     squares_before: Callable[[], Array]
@@ -491,8 +497,8 @@ ACCEPTANCE_TESTS = (
     AcceptanceTest("size", lambda trial: judge_size(trial.sizes(trial.regression, trial.fitted)), False),
     # Two effects could take turns for ever.
     AcceptanceTest("not dropped", _not_dropped, False),
+    AcceptanceTest("evidence", lambda trial: judge_evidence(trial.gain, trial.needed), True),
     AcceptanceTest("precedence", _precedence, False),
-    AcceptanceTest("evidence", lambda trial: judge_evidence(trial.gain, trial.needed()), True),
     AcceptanceTest("loudness", lambda trial: judge_loudness(trial.loudness), True),
     # From here on linearised where all fit together.
     AcceptanceTest("bounds, refined", lambda trial: _possible("bounds, refined", trial.refined), True),

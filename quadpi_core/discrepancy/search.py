@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
@@ -138,6 +138,7 @@ def _one_more(
     None where no candidate passes.
     """
     regression, chosen = before.regression, before.chosen
+    energy = regression.energy(chosen, before.fit)
 
     @cache
     def squares() -> Array:
@@ -152,7 +153,7 @@ def _one_more(
             found=before.fit,
             added=index,
             fit=fit,
-            needed=partial(_needed, regression, index, chosen, before.fit, threshold),
+            needed=_needed(regression, index, chosen, energy, threshold),
             dropped=index in idle,
             behind=behind,
             squares_before=squares,
@@ -178,13 +179,15 @@ def _fits_with_one_more(before: Accepted) -> list[tuple[int, Fit | None]]:
     return sorted(fits, key=lambda item: np.inf if item[1] is None else -item[1].log_evidence)
 
 
-def _needed(regression: Regression, index: int, beside: Sequence[int], found: Fit, threshold: float) -> float:
-    """Evidence that an effect has to gain beside others, by what these add in their fit."""
+def _needed(
+    regression: Regression, index: int, beside: Sequence[int], energy: float, threshold: float
+) -> float:
+    """Evidence that an effect has to gain beside others, by the energy of what these add."""
     if not beside:
         return threshold
     candidate, others = regression.candidates[index], [regression.candidates[other] for other in beside]
     return evidence_beside(
-        regression.energy(beside, found),
+        energy,
         law=candidate.form > 0.0,
         beside_law=any(other.form > 0.0 for other in others),
         scales=scales_beside_law(candidate, others),
@@ -199,7 +202,7 @@ def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[J
         rest = regression.fit(fewer) if fewer else None
         if rest is None or not _sizeable(regression, fewer, rest):
             continue
-        needed = _needed(regression, index, fewer, rest, threshold)
+        needed = _needed(regression, index, fewer, regression.energy(fewer, rest), threshold)
         still_needed = judge_evidence(found.log_evidence - rest.log_evidence, needed)
         better = None if still_needed.passed else refined(regression, fewer, rest)
         if better is not None:

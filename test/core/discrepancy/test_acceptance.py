@@ -93,6 +93,8 @@ def test_a_search_gives_a_reason_for_every_candidate(found):
         assert own.accepted == (len(tests) == len(names))
         assert all(verdict.passed for verdict in own.verdicts[:-1])
         assert all(verdict.sentence for verdict in own.verdicts)
+    assert all(own.reason.test == "evidence" for own in accepted)
+    assert not any(own.reason.passed for own in judgements if not own.accepted)
     rejected = [own for own in judgements if own.beside == (accepted[0].effect,)]
     assert rejected
     assert not any(own.accepted for own in rejected)
