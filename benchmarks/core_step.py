@@ -20,7 +20,6 @@ import numpy as np
 from benchmarks import Result
 from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.odometry import fused_sample
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
 from quadpi_core.models import AerodynamicModel
@@ -73,10 +72,10 @@ def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording
         time_ns, gyro, force = int(imu.time_ns[k]), imu.angular_velocity[k], imu.specific_force[k]
         speeds = rotors.speeds[k]
         start = time.perf_counter_ns()
-        ekf.predict(time_ns, gyro, force)
+        ekf.step(time_ns, gyro, force)
         if not ekf.initialised:
             continue
-        sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+        sample = ekf.fused
         pairing.add_estimate(time_ns, sample.motion[0])
         pairing.add_rotor_speeds(time_ns, speeds)
         complete = pairing.take()

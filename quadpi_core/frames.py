@@ -110,26 +110,3 @@ def roll_pitch_yaw_from_quaternion(quaternion: Array) -> Array:
         axis=-1,
     )
     return angles
-
-
-def rotation_matrix(quaternion: Array) -> Array:
-    """Rotation matrices (..., 3, 3), body to world, of unit quaternions (..., 4), w first."""
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def rotate_body_to_world(quaternion: Array, vector: Array) -> Array:
-    """Rotate body vectors (..., 3) into the world by unit quaternions (..., 4), w first."""
-    rotated: Array = np.einsum("...ij,...j->...i", rotation_matrix(quaternion), vector)
-    return rotated
-
-
-def rotate_world_to_body(quaternion: Array, vector: Array) -> Array:
-    """Rotate world vectors (..., 3) into the body by unit quaternions (..., 4), w first."""
-    rotated: Array = np.einsum("...ji,...j->...i", rotation_matrix(quaternion), vector)
-    return rotated

@@ -1,17 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Beyond which a sample comes from a broken sensor or is in a wrong unit: the same limits live and offline.
+"""Limits beyond which a sample comes from a broken sensor or is in a wrong unit, the same live and offline.
 
 NaN is beyond every limit.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
 
 # Gyros of flight controllers end at 2000 deg/s, 35 rad/s, or 4000 deg/s.
 RATE_MAX_RAD_S = 70.0
@@ -28,7 +27,7 @@ _MIN_QUATERNION_NORM, _MAX_QUATERNION_NORM = 0.5, 1e6
 
 
 @njit(cache=True)
-def within(values: Any, limit: float) -> bool:
+def within(values: Array, limit: float) -> bool:
     """Whether every magnitude is at most `limit`."""
     for index in range(values.size):  # noqa: SIM110 - numba compiles no generators
         if not abs(values[index]) <= limit:
@@ -37,13 +36,13 @@ def within(values: Any, limit: float) -> bool:
 
 
 @njit(cache=True)
-def usable_imu(sample: Any) -> bool:
-    """Whether rates rad/s and specific force m/s² (6,) can be those of a flight."""
-    return within(sample[:3], RATE_MAX_RAD_S) and within(sample[3:], SPECIFIC_FORCE_MAX_M_S2)
+def usable_imu(rates: Array, specific_force: Array) -> bool:
+    """Whether rates (3,) rad/s and specific force (3,) m/s² can be those of a flight."""
+    return within(rates, RATE_MAX_RAD_S) and within(specific_force, SPECIFIC_FORCE_MAX_M_S2)
 
 
 @njit(cache=True)
-def usable_rotor_speeds(speeds: Any, highest: float) -> bool:
+def usable_rotor_speeds(speeds: Array, highest: float) -> bool:
     """Whether speeds (4,) rad/s can be those of rotors whose sensors read `highest` at most."""
     for rotor in range(speeds.size):  # noqa: SIM110 - as above
         if not 0.0 <= speeds[rotor] <= highest:
@@ -52,27 +51,27 @@ def usable_rotor_speeds(speeds: Any, highest: float) -> bool:
 
 
 @njit(cache=True)
-def usable_pose(value: Any) -> bool:
-    """Whether a position m can be measured and its attitude (7,) is a rotation, but for scale."""
-    norm2 = value[3] ** 2 + value[4] ** 2 + value[5] ** 2 + value[6] ** 2
-    return within(value[:3], POSITION_MAX_M) and bool(
+def usable_pose(position: Array, attitude: Array) -> bool:
+    """Whether a position (3,) m can be measured, and an attitude (4,) is a rotation, but for its norm."""
+    norm2 = attitude[0] ** 2 + attitude[1] ** 2 + attitude[2] ** 2 + attitude[3] ** 2
+    return within(position, POSITION_MAX_M) and bool(
         _MIN_QUATERNION_NORM**2 <= norm2 <= _MAX_QUATERNION_NORM**2
     )
 
 
 @njit(cache=True)
-def usable_velocity(value: Any) -> bool:
-    """Whether a measured velocity m/s, the first three numbers, can be that of a flight."""
-    return within(value[:3], MEASURED_SPEED_MAX_M_S)
+def usable_velocity(velocity: Array) -> bool:
+    """Whether a measured velocity (3,) m/s can be that of a flight."""
+    return within(velocity, MEASURED_SPEED_MAX_M_S)
 
 
 @njit(cache=True)
-def usable_airspeed(velocity: Any) -> bool:
+def usable_airspeed(velocity: Array) -> bool:
     """Whether a velocity (3,) m/s of the vehicle's state or of the air can be that of a flight."""
     return within(velocity, AIRSPEED_MAX_M_S)
 
 
 @njit(cache=True)
-def unit_attitude(attitude: Any) -> bool:
+def unit_attitude(attitude: Array) -> bool:
     """Whether a quaternion (4,) is near unit length."""
     return bool(abs(np.sqrt(np.sum(attitude * attitude)) - 1.0) <= QUATERNION_NORM_TOLERANCE)

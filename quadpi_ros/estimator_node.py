@@ -16,8 +16,8 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.odometry import FusedSamples, fused_sample, with_gyro_faults
-from quadpi_core.estimator.propagate import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
+from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
+from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
@@ -69,7 +69,6 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         parameters = self.parameters
         vehicle = Vehicle.load(parameters.vehicle)
         self._frames = (parameters.world_frame, parameters.body_frame)
-        self._gyro_noise = vehicle.noise.gyro_noise_rad_s
         adapted = AdaptedSources(self.get_name(), parameters.adapters, vehicle)
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
         self._imu = adapted.instead_of(framed_imu(self._body), "imu")
@@ -160,7 +159,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
     def _take_imu(self, imu: ImuStream) -> None:
         self._consistency.take(imu)
-        outcome = self._ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
+        outcome = self._ekf.step(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             reason = _reason(outcome)
             self._imu_health.refuse(reason)
@@ -169,7 +168,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             if self.listener and outcome in WITHOUT_ESTIMATE:
                 self.listener.take_imu(with_gyro_faults(imu))
             return
-        sample = fused_sample(self._ekf.state, self._gyro_noise)
+        sample = self._ekf.fused
         if self._ekf.status == EstimatorStatus.LOST:
             if self.listener:
                 self.listener.take_imu(sample.imu)
@@ -217,8 +216,8 @@ def _warm_up(vehicle: Vehicle) -> None:
         imu = sensor_messages.unpack_imu(sensor_messages.pack_imu(ImuStream(stamp, still, hover))[0])
         ekf.update_pose(int(stamp[0]), pose.position[0], pose.attitude[0])
         ekf.update_velocity(int(stamp[0]), pose.position[0], True)
-        ekf.predict(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0])
-    sample = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+        ekf.step(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0])
+    sample = ekf.fused
     sensor_messages.pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
 
 

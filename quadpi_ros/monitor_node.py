@@ -23,7 +23,7 @@ from rclpy.timer import Timer
 
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.estimator.imu_rate import ImuRate
-from quadpi_core.estimator.odometry import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import (
     MAX_JUMP_BACK_NS,
     NO_STAMP,

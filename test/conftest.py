@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from quadpi_core.cli import main
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.frames import Array
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import data_directory
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 # The same examples in every run: what fails on one computer fails on all.

@@ -18,9 +18,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from quadpi_core.estimator.corrections import ANGULAR_ACCELERATION, told
-from quadpi_core.estimator.ekf import assumed_noise
-from quadpi_core.estimator.propagate import (
+from quadpi_core.estimator.corrections import ANGULAR_ACCELERATION, significance
+from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     DELAY,
@@ -28,9 +27,12 @@ from quadpi_core.estimator.propagate import (
     GYRO_BIAS,
     POSITION,
     VELOCITY,
+    Noise,
+    assumed_noise,
 )
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
 STEP_S = 0.04
@@ -57,7 +59,7 @@ class BiasResponse:
 
     def __init__(self, flight: Flight, vehicle: Vehicle, imu_rate_hz: float) -> None:
         self._flight = flight
-        self._noise = assumed_noise(vehicle, imu_rate_hz)
+        self._noise: Noise = assumed_noise(vehicle, imu_rate_hz).view(np.recarray)[0]
         self._samples = max(1, round(STEP_S * flight.rate_hz))
         self._steps = max(1, len(flight) // self._samples)
         self._dt = self._samples / flight.rate_hz
@@ -201,7 +203,7 @@ class BiasResponse:
 
 def _told(motion: Array, variance: float) -> Array:
     """Squares (K,) of what of a motion (K, 3) tells the delay, of that variance in each component."""
-    shares = np.array([told((x, y, z), 3.0 * variance) for x, y, z in motion])
+    shares = np.array([significance((x, y, z), 3.0 * variance) for x, y, z in motion])
     squares: Array = np.square(motion * shares[:, None]).sum(axis=1)
     return squares
 

@@ -28,7 +28,8 @@ from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.whitening import BANDS
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotation_matrix
 
 # Chance that some coefficient of a simulation is further off than it is allowed to be here.
 _BEYOND = 0.025

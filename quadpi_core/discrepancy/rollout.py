@@ -19,7 +19,8 @@ from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 

@@ -17,12 +17,13 @@ from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
 from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.parallel import map_files
+from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
 # Airspeeds in induced velocities of hover, about half of which a gentle manoeuvre of any vehicle reaches.

@@ -19,7 +19,8 @@ from scipy.signal import lfilter
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, expected_squares, spectrum
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotation_matrix
 
 _LAGS_S = (0.1, 0.4)
 # A force that depends on the place alone, as of a draught, is looked for at points so many arms of the

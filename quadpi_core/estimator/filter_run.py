@@ -1,169 +1,321 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Kalman filter over whole streams, compiled: the steps that run live, merged by arrival."""
+"""The Kalman filter over whole streams, compiled: the steps that run live, in the order of arrival."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
-from quadpi_core.estimator.buffer import hold, predict, release
-from quadpi_core.estimator.corrections import BODY_VELOCITY, POSE, VALUES, WORLD_VELOCITY, Count
-from quadpi_core.estimator.filter_memory import Clock, Memory, noise_of
-from quadpi_core.estimator.odometry import FUSED, fill_fused
-from quadpi_core.estimator.propagate import ERROR_STATES, Outcome, Row, covariance_of
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.errors import SignalError
+from quadpi_core.estimator.buffer import fuse_due, hold_one, predict
+from quadpi_core.estimator.filter_state import (
+    BODY_VELOCITY,
+    ERROR_STATES,
+    IMU_SAMPLE,
+    MEASUREMENT,
+    POSE,
+    WORLD_VELOCITY,
+    Estimate,
+    Filter,
+    Outcome,
+)
+from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused
+from quadpi_core.flight import ImuStream, Recording, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
+from quadpi_core.rotations import rotate_world_to_body
 
-_HEAD, _STATUS = Clock.HEAD, Clock.STATUS
-_NOMINAL = Row.NOMINAL
+
+class EstimatedSample:
+    """The estimate at the stamp of one IMU sample, without the correlations of its errors."""
+
+    time_ns: int
+    position: Vector3
+    velocity: Vector3
+    attitude: Quaternion4
+    gyro_bias: Vector3
+    accelerometer_bias: Vector3
+    delay: float
+    variance: Annotated[Array, ERROR_STATES]
 
 
-class Measurements(NamedTuple):
-    """Corrections in the order of their arrival.
+class FilteredSample(EstimatedSample):
+    """The same of the filter."""
+
+    status: int
+    sample: int  # index of the IMU sample
+
+
+class Progress:
+    """How far :func:`run` has come."""
+
+    samples: int  # IMU samples taken
+    measurements: int  # measurements taken
+    estimates: int  # estimates written
+
+
+ESTIMATED, FILTERED = record_dtype(EstimatedSample), record_dtype(FilteredSample)
+_PROGRESS = record_dtype(Progress)
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Estimates at the stamps of IMU samples, of the filter or the smoother.
 
     Attributes:
-        after: (M,) how many IMU samples were there before it.
         time_ns: (M,) stamps.
-        kind: (M,) see :mod:`.ekf_corrections`.
-        value: (M, 7).
+        rows: (M,) each :class:`EstimatedSample`; the properties are views.
     """
 
-    after: Count
     time_ns: Stamps
-    kind: Count
-    value: Array
+    rows: Records
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @property
+    def position(self) -> Array:
+        """(M, 3) m, world."""
+        return self.rows["position"]
+
+    @property
+    def velocity(self) -> Array:
+        """(M, 3) m/s over ground, world."""
+        return self.rows["velocity"]
+
+    @property
+    def attitude(self) -> Array:
+        """(M, 4) body to world."""
+        return self.rows["attitude"]
+
+    @property
+    def gyro_bias(self) -> Array:
+        """(M, 3) rad/s."""
+        return self.rows["gyro_bias"]
+
+    @property
+    def accelerometer_bias(self) -> Array:
+        """(M, 3) m/s²."""
+        return self.rows["accelerometer_bias"]
+
+    @property
+    def delay_s(self) -> Array:
+        """(M,) of motion capture."""
+        return self.rows["delay"]
+
+    @property
+    def variance(self) -> Array:
+        """(M, 16) diagonal of the covariance of the error state, see :mod:`.filter_state`."""
+        return self.rows["variance"]
+
+    @property
+    def velocity_body(self) -> Array:
+        """(M, 3) m/s over ground, body axes."""
+        return rotate_world_to_body(self.attitude, self.velocity)
 
 
-class Track(NamedTuple):
-    """Estimates at M IMU stamps, filled by :func:`run`.
+@dataclass(frozen=True)
+class EkfTrace(Estimates):
+    """The filter's estimates from its initialisation on; there are none before.
+
+    After a pause of the IMU, or a jump back of its clock, the filter initialises again, and that time has no
+    estimates.
 
     Attributes:
-        nominal: (M, 17) see :class:`Row`.
-        variance: (M, 16) the diagonal of the covariance.
-        fused: (M, 88) see :class:`quadpi_core.estimator.odometry.FusedSamples`; (0, 88) where nobody asks.
-        status: (M,) see :class:`EstimatorStatus`.
-        sample: (M,) index of the IMU sample.
+        fused: odometry and corrected IMU at those stamps.
+        imu_outcomes: (N,) what became of each IMU sample, values of :class:`Outcome`.
     """
 
-    time_ns: Stamps
-    nominal: Array
-    variance: Array
-    fused: Array
-    status: npt.NDArray[np.uint8]
-    sample: Count
+    fused: FusedSamples
+    imu_outcomes: npt.NDArray[np.int64]
 
-    def until(self, end: int) -> Track:
-        """The first estimates."""
-        return Track(
-            self.time_ns[:end],
-            self.nominal[:end],
-            self.variance[:end],
-            self.fused[:end],
-            self.status[:end],
-            self.sample[:end],
+    @property
+    def status(self) -> npt.NDArray[np.int64]:
+        """(M,) see :class:`EstimatorStatus`."""
+        return self.rows["status"]
+
+    @property
+    def sample(self) -> npt.NDArray[np.int64]:
+        """(M,) index of the IMU sample."""
+        return self.rows["sample"]
+
+
+class Arrivals(NamedTuple):
+    """The samples of a recording in the order of their arrival.
+
+    Attributes:
+        samples: (N,) each :class:`ImuSample`.
+        measurements: (M,) each :class:`Measurement`.
+        after: (M,) how many IMU samples had arrived before each.
+    """
+
+    samples: Records
+    measurements: Records
+    after: Stamps
+
+
+class Trace(NamedTuple):
+    """What :func:`run` writes.
+
+    Attributes:
+        progress: (1,) a :class:`Progress`.
+        outcomes: (N,) what became of each IMU sample.
+        rows: (N,) each :class:`FilteredSample`.
+        fused: (N,) each :class:`FusedSample`; (0,) where they are not needed.
+        journal: (J,) each :class:`Correction`; (0,) where they are not needed.
+    """
+
+    progress: Records
+    outcomes: npt.NDArray[np.int64]
+    rows: Records
+    fused: Records
+    journal: Records
+
+    @classmethod
+    def empty(cls, arrivals: Arrivals, journal: Records) -> Trace:
+        """Room for a run; a run with a journal is for the smoother, which needs no odometry."""
+        count = len(arrivals.samples)
+        return cls(
+            np.zeros(1, _PROGRESS),
+            np.zeros(count, dtype=np.int64),
+            np.empty(count, FILTERED),
+            np.empty(0 if len(journal) else count, FUSED),
+            journal,
         )
 
 
-class Progress(NamedTuple):
-    """How far :func:`run` has come: arrays (1,), and what became of the IMU samples (N,) until there."""
+def imu_records(imu: ImuStream) -> Records:
+    """Each sample of a stream as an :class:`ImuSample`."""
+    samples = np.empty(len(imu), IMU_SAMPLE)
+    samples["time_ns"], samples["rates"] = imu.time_ns, imu.angular_velocity
+    samples["specific_force"] = imu.specific_force
+    return samples
 
-    imu: Count
-    measurement: Count
-    recorded: Count
-    outcomes: Count
 
+def in_order_of_arrival(recording: Recording) -> Arrivals:
+    """The IMU samples of a recording, and its poses and velocities; the pose first where they tie.
 
-def merge(recording: Recording) -> Measurements:
-    """Poses and velocities in the order of their arrival, the pose first where they tie."""
+    Raises:
+        SignalError: if the recording has neither poses nor velocities.
+    """
     pose, twist = recording.pose, recording.twist
-    after, time_ns, kind, value = [], [], [], []
+    if pose is None and twist is None:
+        raise SignalError(
+            f"{recording.source}: topics mocap/pose, mocap/odometry and mocap/twist are missing: "
+            "nothing to correct the IMU by"
+        )
+    parts, after = [], []
     if pose is not None:
+        part = np.zeros(len(pose), MEASUREMENT)
+        part["time_ns"], part["kind"] = pose.time_ns, POSE
+        part["vector"], part["attitude"] = pose.position, pose.attitude
+        parts.append(part)
         after.append(recording.arrivals_of(pose))
-        time_ns.append(pose.time_ns)
-        kind.append(np.full(len(pose), POSE))
-        value.append(np.concatenate((pose.position, pose.attitude), axis=1))
     if twist is not None:
+        part = np.zeros(len(twist), MEASUREMENT)
+        part["time_ns"], part["kind"] = twist.time_ns, np.where(twist.in_body, BODY_VELOCITY, WORLD_VELOCITY)
+        part["vector"] = twist.velocity
+        parts.append(part)
         after.append(recording.arrivals_of(twist))
-        time_ns.append(twist.time_ns)
-        kind.append(np.where(twist.in_body, BODY_VELOCITY, WORLD_VELOCITY))
-        value.append(np.pad(twist.velocity, ((0, 0), (0, VALUES - 3))))
-    arrived = np.concatenate(after)
+    arrived = np.concatenate(after).astype(np.int64)
     order = np.argsort(arrived, kind="stable")
-    return Measurements(
-        arrived[order].astype(np.int64),
-        np.concatenate(time_ns)[order],
-        np.concatenate(kind).astype(np.int64)[order],
-        np.ascontiguousarray(np.concatenate(value)[order], dtype=np.float64),
-    )
-
-
-def empty_track(samples: int, fused: bool) -> Track:
-    """Room for that many estimates, and for what the estimator gives to the outside if asked for."""
-    return Track(
-        np.empty(samples, dtype=np.int64),
-        np.empty((samples, _NOMINAL.stop - _NOMINAL.start)),
-        np.empty((samples, ERROR_STATES)),
-        np.empty((samples if fused else 0, FUSED)),
-        np.empty(samples, dtype=np.uint8),
-        np.empty(samples, dtype=np.int64),
-    )
+    return Arrivals(imu_records(recording.imu), np.concatenate(parts)[order], arrived[order])
 
 
 @njit(cache=True)
-def run(
-    memory: Memory,
-    imu_ns: Stamps,
-    samples: Array,
-    measurements: Measurements,
-    progress: Progress,
-    track: Track,
-    journal_ns: Stamps,
-    journal: Array,
-) -> None:
-    """Take IMU samples (N, 6) and measurements from `progress` on, as they arrived.
+def run(memories: Records, ring: Records, arrivals: Arrivals, trace: Trace) -> None:
+    """Take samples as they arrived, from `trace.progress` on.
 
     Stops at the end of the IMU samples, or before one that asks for a RESET.
     """
-    while progress.imu[0] < len(imu_ns):
-        index, following = progress.imu[0], progress.measurement[0]
-        if following < len(measurements.time_ns) and measurements.after[following] <= index:
-            hold(
-                memory,
-                measurements.time_ns[following],
-                measurements.kind[following],
-                measurements.value[following],
-            )
-            progress.measurement[0] += 1
+    memory, progress = memories[0], trace.progress[0]
+    while progress.samples < len(arrivals.samples):
+        index, following = progress.samples, progress.measurements
+        if following < len(arrivals.measurements) and arrivals.after[following] <= index:
+            hold_one(memory, ring, arrivals.measurements[following])
+            progress.measurements += 1
             continue
-        outcome = predict(memory, imu_ns[index], samples[index])
+        outcome = predict(memory, ring, arrivals.samples[index])
         if outcome == Outcome.RESET.value:
             return
-        progress.outcomes[index] = outcome
-        progress.imu[0] += 1
+        trace.outcomes[index] = outcome
+        progress.samples += 1
         if outcome == Outcome.USED.value:
-            release(memory, journal_ns, journal)
-            record(memory, track, progress, index)
+            fuse_due(memory, ring, trace.journal)
+            _record(memory, ring, trace, index)
         else:
             memory.counts[0, outcome] += 1
 
 
 @njit(cache=True)
-def record(memory: Memory, track: Track, progress: Progress, sample: int) -> None:
-    """Append the estimate as it stands after an IMU sample."""
-    row = progress.recorded[0]
-    head = memory.clock[_HEAD]
-    track.time_ns[row] = memory.stamps[head]
-    for index in range(track.nominal.shape[1]):
-        track.nominal[row, index] = memory.rows[head, _NOMINAL.start + index]
-    track.status[row] = memory.clock[_STATUS]
-    track.sample[row] = sample
-    covariance = covariance_of(memory.rows[head])
+def record(memories: Records, ring: Records, trace: Trace, sample: int) -> None:
+    """Append the newest estimate, which is that after the IMU sample of this index."""
+    _record(memories[0], ring, trace, sample)
+
+
+@njit(cache=True)
+def _record(memory: Filter, ring: Records, trace: Trace, sample: int) -> None:
+    """:func:`record` for kernels."""
+    progress, estimate = trace.progress[0], ring[memory.newest]
+    row = trace.rows[progress.estimates]
+    row.time_ns, row.status, row.sample = estimate.time_ns, memory.status, sample
+    copy_nominal(estimate, row)
     for index in range(ERROR_STATES):
-        track.variance[row, index] = covariance[index, index]
-    if len(track.fused) > 0:
-        fill_fused(memory.rows[head], noise_of(memory.noise).rates, track.fused[row])
-    progress.recorded[0] += 1
+        row.variance[index] = estimate.covariance[index, index]
+    if len(trace.fused) > 0:
+        fill_fused(estimate, memory.noise.rates, trace.fused[progress.estimates])
+    progress.estimates += 1
+
+
+@njit(cache=True)
+def copy_nominal(estimate: Estimate, row: EstimatedSample) -> None:
+    """Copy the state."""
+    for axis in range(3):
+        row.position[axis] = estimate.position[axis]
+        row.velocity[axis] = estimate.velocity[axis]
+        row.gyro_bias[axis] = estimate.gyro_bias[axis]
+        row.accelerometer_bias[axis] = estimate.accelerometer_bias[axis]
+    for component in range(4):
+        row.attitude[component] = estimate.attitude[component]
+    row.delay = estimate.delay
+
+
+class Spans(NamedTuple):
+    """From when to when there were samples of the IMU and of motion capture [ns]; None without any."""
+
+    imu: tuple[int, int] | None = None
+    mocap: tuple[int, int] | None = None
+    mocap_topic: str = ""
+
+    def extended(self, block: Recording) -> Spans:
+        """The spans with one more block of the recording."""
+        mocap = block.twist if block.pose is None else block.pose
+        return Spans(
+            _extended(self.imu, block.imu.time_ns),
+            self.mocap if mocap is None else _extended(self.mocap, mocap.time_ns),
+            self.mocap_topic if mocap is None else mocap.topic,
+        )
+
+
+def never_started(source: str, spans: Spans) -> SignalError:
+    """The error of a recording over which the filter gave no estimate."""
+    mocap = f"{spans.mocap_topic} {_span_text(spans.mocap)}" if spans.mocap else ""
+    return SignalError(
+        f"{source}: the estimator never started: it needs one second with IMU samples and "
+        f"motion capture; imu spans {_span_text(spans.imu)}, {mocap}"
+    )
+
+
+def _extended(span: tuple[int, int] | None, time_ns: Stamps) -> tuple[int, int] | None:
+    if len(time_ns) == 0:
+        return span
+    return int(time_ns[0]) if span is None else span[0], int(time_ns[-1])
+
+
+def _span_text(span: tuple[int, int] | None) -> str:
+    return "no time" if span is None else f"{span[0] * 1e-9:.3f} to {span[1] * 1e-9:.3f} s"

@@ -4,26 +4,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
+from quadpi_core import rotations
 from quadpi_core.compiled import njit
-from quadpi_core.estimator.corrections import ANGULAR_ACCELERATION, BODY_VELOCITY
-from quadpi_core.estimator.propagate import (
+from quadpi_core.estimator.corrections import ANGULAR_ACCELERATION
+from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
+    BODY_VELOCITY,
     DELAY,
     ERROR_STATES,
+    ESTIMATE,
     GYRO_BIAS,
     POSITION,
     VELOCITY,
-    Row,
 )
 from quadpi_core.flight import Stamps
-from quadpi_core.frames import Array, rotation_matrix
-from quadpi_core.signals import rotations
+from quadpi_core.frames import Array
+from quadpi_core.records import Records
+from quadpi_core.rotations import best_rotation, rotation_matrix
 from quadpi_core.vehicle import SensorNoise
 
 COLLECT_NS = 1_000_000_000
@@ -43,211 +45,202 @@ _HEADING_STD_LEAST_RAD = 0.05
 _LEAST_TURNING = 0.3
 _BLOCKS = 5
 
-ImuSample: TypeAlias = tuple[int, Array]
-Measurement: TypeAlias = tuple[int, int, Array]
-
 
 class Initial(NamedTuple):
-    """An estimate (279,) at `time_ns`, between the IMU sample stamped `imu_ns` and the next."""
+    """The first estimate.
 
-    time_ns: int
+    Attributes:
+        estimate: (1,) an :class:`quadpi_core.estimator.filter_state.Estimate`.
+        imu_ns: stamp of the IMU sample at or before it.
+    """
+
+    estimate: Records
     imu_ns: int
-    row: Array
+
+    @property
+    def time_ns(self) -> int:
+        """Its instant."""
+        return int(self.estimate["time_ns"][0])
 
 
-class _Inertial(NamedTuple):
-    """IMU samples: stamps (N,), rates (N, 3) rad/s and specific force (N, 3) m/s²."""
+class _State(NamedTuple):
+    """The state at the last measurement.
 
-    time_ns: Stamps
-    rates: Array
-    force: Array
-
-
-class _Start(NamedTuple):
-    """State at the last measurement, its covariance, and how the state changes per second of delay."""
+    Attributes:
+        covariance: (16, 16) as if the delay of motion capture were known.
+        by_delay: (16,) change of the state per second of delay.
+        acceleration: (3,) m/s² over ground, world.
+    """
 
     position: Array
     velocity: Array
     attitude: Array
     gyro_bias: Array
-    variance: Array
+    covariance: Array
     by_delay: Array
+    acceleration: Array
 
 
-def initial_from_poses(
-    imu: Sequence[ImuSample], poses: Sequence[Measurement], noise: SensorNoise, gravity: float
-) -> Initial | None:
+def initial_from_poses(imu: Records, poses: Records, noise: SensorNoise, gravity: float) -> Initial | None:
     """Estimate at the last pose that is not later than the last IMU sample.
 
     Position and attitude are that pose, velocity the slope of a line through the last 0.2 s of poses, gyro
-    bias the mean of the gyro minus the mean rate of the attitudes, accelerometer bias zero. What the delay of
-    motion capture makes of it is in the covariance.
+    bias the mean of the gyro minus the mean rate of the attitudes, accelerometer bias zero. The covariance
+    covers the delay of motion capture.
 
     Args:
-        imu: stamp and sample (6,), rates rad/s and specific force m/s², oldest first.
-        poses: stamp, kind, position m (world) and attitude (7,), oldest first.
+        imu: (N,) each :class:`quadpi_core.estimator.filter_state.ImuSample`, oldest first.
+        poses: (M,) each :class:`quadpi_core.estimator.filter_state.Measurement`, oldest first.
         noise: of the sensors, for the covariance.
         gravity: m/s².
 
     Returns:
         The estimate, or None if the poses are too few or too old.
     """
-    inertial = _inertial(imu)
-    time_ns, _, values = _seen(inertial, poses, noise)
-    if not _enough(inertial, time_ns):
+    time_ns, poses = _taken(imu, poses, noise)
+    if not _enough(imu, time_ns):
         return None
-    position = values[:, :3]
-    attitude = values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
-    last_ns = int(time_ns[-1])
-    recent = time_ns >= last_ns - _VELOCITY_FIT_NS
-    rate = np.average(rotations.body_rates(time_ns, attitude), axis=0, weights=np.diff(time_ns))
-    within = (inertial.time_ns >= time_ns[0]) & (inertial.time_ns <= last_ns)
+    within = (imu["time_ns"] >= time_ns[0]) & (imu["time_ns"] <= time_ns[-1])
     if not within.any():
         return None
-    gyro_bias = inertial.rates[within].mean(axis=0) - rate
-    span_s = 1e-9 * (last_ns - int(time_ns[0]))
+    position = poses["vector"]
+    attitude = poses["attitude"] / np.linalg.norm(poses["attitude"], axis=1, keepdims=True)
+    recent = time_ns >= time_ns[-1] - _VELOCITY_FIT_NS
     velocity = _slope(time_ns[recent], position[recent])
+    mean_rates = np.average(rotations.body_rates(time_ns, attitude), axis=0, weights=np.diff(time_ns))
+    gyro_bias = imu["rates"][within].mean(axis=0) - mean_rates
 
     last = int(np.flatnonzero(within)[-1])
-    first_rates, last_rates = inertial.rates[within][0], inertial.rates[last]
-    acceleration = rotation_matrix(attitude[-1:])[0] @ inertial.force[last] + [0.0, 0.0, gravity]
-    variance = np.zeros((ERROR_STATES, ERROR_STATES))
-    std = np.empty(15)
-    std[POSITION] = noise.mocap_position_m
-    std[VELOCITY] = _VELOCITY_STD_M_S
-    std[ATTITUDE] = noise.mocap_attitude_rad
-    std[GYRO_BIAS] = np.hypot(_GYRO_BIAS_STD_RAD_S, np.sqrt(2.0) * noise.mocap_attitude_rad / span_s)
-    std[ACCELEROMETER_BIAS] = _ACCELEROMETER_BIAS_STD_M_S2
-    variance[range(15), range(15)] = std**2
-    by_delay = np.concatenate(
-        (
-            velocity,
-            acceleration,
-            last_rates - gyro_bias,
-            (first_rates - last_rates) / span_s,
-            np.zeros(3),
-            [1.0],
-        )
+    first_rates, last_rates = imu["rates"][within][0], imu["rates"][last]
+    acceleration = rotation_matrix(attitude[-1:])[0] @ imu["specific_force"][last] + [0.0, 0.0, gravity]
+    span_s = 1e-9 * float(time_ns[-1] - time_ns[0])
+    covariance = _covariance(
+        position=noise.mocap_position_m,
+        velocity=_VELOCITY_STD_M_S,
+        attitude=noise.mocap_attitude_rad,
+        gyro_bias=float(np.hypot(_GYRO_BIAS_STD_RAD_S, np.sqrt(2.0) * noise.mocap_attitude_rad / span_s)),
     )
-    start = _Start(position[-1], velocity, attitude[-1], gyro_bias, variance, by_delay)
-    return _initial(inertial, last_ns, start, noise, acceleration)
+    by_delay = np.zeros(ERROR_STATES)
+    by_delay[POSITION], by_delay[VELOCITY] = velocity, acceleration
+    by_delay[ATTITUDE] = last_rates - gyro_bias
+    by_delay[GYRO_BIAS] = (first_rates - last_rates) / span_s
+    by_delay[DELAY] = 1.0
+    state = _State(position[-1], velocity, attitude[-1], gyro_bias, covariance, by_delay, acceleration)
+    return _initial(imu, int(time_ns[-1]), state, noise)
 
 
 def initial_from_velocities(
-    imu: Sequence[ImuSample], velocities: Sequence[Measurement], noise: SensorNoise, gravity: float
+    imu: Records, velocities: Records, noise: SensorNoise, gravity: float
 ) -> Initial | None:
     """Estimate at the last velocity that is not later than the last IMU sample.
 
-    The gyro tells how the vehicle turned; what the accelerometer adds up to, less the change of velocity, is
-    gravity: that levels the attitude. The heading is found from velocities in the world where the vehicle
-    accelerates sideways; else it is free, with a large variance. The position counts from here.
+    The gyro gives how the vehicle turned, so the integral of the specific force can be expressed in the last
+    body axes; less the change of velocity it is gravity, which levels the attitude. The heading follows from
+    velocities in the world where the vehicle accelerates sideways; else it is free, with a large variance.
+    The position counts from here.
 
     Args:
         imu: see :func:`initial_from_poses`.
-        velocities: stamp, kind, velocity m/s (7,), oldest first.
+        velocities: (M,) each :class:`quadpi_core.estimator.filter_state.Measurement`, oldest first.
         noise: see there.
         gravity: see there.
 
     Returns:
         The estimate, or None if the velocities are too few or too old.
     """
-    inertial = _inertial(imu)
-    time_ns, kinds, values = _seen(inertial, velocities, noise)
-    if not _enough(inertial, time_ns):
+    time_ns, velocities = _taken(imu, velocities, noise)
+    if not _enough(imu, time_ns):
         return None
-    velocity, last_ns = values[:, :3], int(time_ns[-1])
-    body = bool(np.all(kinds == BODY_VELOCITY))
-    if not body:
-        keep = kinds != BODY_VELOCITY
-        time_ns, velocity = time_ns[keep], velocity[keep]
-        if not _enough(inertial, time_ns):
+    in_body = bool(np.all(velocities["kind"] == BODY_VELOCITY))
+    if not in_body:
+        in_world = velocities["kind"] != BODY_VELOCITY
+        time_ns, velocities = time_ns[in_world], velocities[in_world]
+        if not _enough(imu, time_ns):
             return None
-        last_ns = int(time_ns[-1])
-    relative = rotation_matrix(_relative_attitudes(inertial.time_ns, inertial.rates, last_ns))
+    last_ns = int(time_ns[-1])
+    into_last = rotation_matrix(_relative_attitudes(imu, last_ns))
     edges = np.linspace(time_ns[0], last_ns, _BLOCKS + 1).astype(np.int64)
-    pushed = _integrated(inertial, np.einsum("nij,nj->ni", relative, inertial.force), edges)
+    pushed = _integrals(imu, np.einsum("nij,nj->ni", into_last, imu["specific_force"]), edges)
     duration = 1e-9 * np.diff(edges)
-    nearest = np.searchsorted(inertial.time_ns, time_ns).clip(0, len(inertial.time_ns) - 1)
-    if body:
-        velocity = np.einsum("nij,nj->ni", relative[nearest], velocity)
+    velocity = velocities["vector"]
+    if in_body:
+        nearest = np.searchsorted(imu["time_ns"], time_ns).clip(0, len(imu) - 1)
+        velocity = np.einsum("nij,nj->ni", into_last[nearest], velocity)
     at_edges = np.stack([np.interp(edges, time_ns, velocity[:, axis]) for axis in range(3)], axis=1)
     gained = np.diff(at_edges, axis=0)
-    if body:
-        down = (gained - pushed).sum(axis=0) / duration.sum()
-        rotation, heading_std = _level(down), _HEADING_STD_RAD
+    if in_body:
+        # Nothing will ever show this heading: it is a choice, as the origin is.
+        rotation, heading_std = _level((gained - pushed).sum(axis=0) / duration.sum()), _TILT_STD_RAD
         velocity = velocity @ rotation.T
     else:
         gained = gained - gravity * duration[:, None] * [0.0, 0.0, 1.0]
-        rotation, heading_std = _turned_onto(pushed, gained, noise.mocap_velocity_m_s)
-    last = int(np.searchsorted(inertial.time_ns, last_ns, side="right")) - 1
-    acceleration = rotation @ inertial.force[last] + [0.0, 0.0, gravity]
+        rotation, heading_std = _align(pushed, gained, noise.mocap_velocity_m_s)
 
-    variance = np.zeros((ERROR_STATES, ERROR_STATES))
-    std = np.empty(15)
-    std[POSITION] = noise.mocap_position_m
-    std[VELOCITY] = noise.mocap_velocity_m_s
-    std[ATTITUDE] = _TILT_STD_RAD
-    std[GYRO_BIAS] = np.sqrt(2.0) * _GYRO_BIAS_STD_RAD_S
-    std[ACCELEROMETER_BIAS] = _ACCELEROMETER_BIAS_STD_M_S2
-    variance[range(15), range(15)] = std**2
+    covariance = _covariance(
+        position=noise.mocap_position_m,
+        velocity=noise.mocap_velocity_m_s,
+        attitude=_TILT_STD_RAD,
+        gyro_bias=float(np.sqrt(2.0) * _GYRO_BIAS_STD_RAD_S),
+    )
+    if in_body:
+        covariance[VELOCITY, VELOCITY] += _TILT_STD_RAD**2 * float(velocity[-1] @ velocity[-1]) * np.eye(3)
     down = rotation.T[:, 2]
-    if body:
-        # Nothing will ever tell this heading: it is a choice, as the origin is.
-        heading_std = _TILT_STD_RAD
-        variance[VELOCITY, VELOCITY] += _TILT_STD_RAD**2 * float(velocity[-1] @ velocity[-1]) * np.eye(3)
-    variance[ATTITUDE, ATTITUDE] += heading_std**2 * np.outer(down, down)
-    by_delay = np.concatenate((np.zeros(3), acceleration, np.zeros(9), [1.0]))
-    attitude = _quaternion(rotation)
-    start = _Start(np.zeros(3), velocity[-1], attitude, np.zeros(3), variance, by_delay)
-    return _initial(inertial, last_ns, start, noise, acceleration)
+    covariance[ATTITUDE, ATTITUDE] += heading_std**2 * np.outer(down, down)
+    last = _last_before(imu, last_ns)
+    acceleration = rotation @ imu["specific_force"][last] + [0.0, 0.0, gravity]
+    by_delay = np.zeros(ERROR_STATES)
+    by_delay[VELOCITY], by_delay[DELAY] = acceleration, 1.0
+    attitude, zero = rotations.quaternion_of(rotation), np.zeros(3)
+    state = _State(zero, velocity[-1], attitude, zero, covariance, by_delay, acceleration)
+    return _initial(imu, last_ns, state, noise)
 
 
-def _inertial(imu: Sequence[ImuSample]) -> _Inertial:
-    time_ns = np.array([stamp for stamp, _ in imu], dtype=np.int64)
-    samples = np.array([sample for _, sample in imu])
-    return _Inertial(time_ns, np.ascontiguousarray(samples[:, :3]), np.ascontiguousarray(samples[:, 3:]))
+def _covariance(position: float, velocity: float, attitude: float, gyro_bias: float) -> Array:
+    """Covariance (16, 16) of these standard deviations; that of the accelerometer bias is always the same."""
+    std = np.zeros(ERROR_STATES)
+    std[POSITION], std[VELOCITY], std[ATTITUDE], std[GYRO_BIAS] = position, velocity, attitude, gyro_bias
+    std[ACCELEROMETER_BIAS] = _ACCELEROMETER_BIAS_STD_M_S2
+    return np.diag(std**2)
 
 
-def _seen(
-    inertial: _Inertial, measurements: Sequence[Measurement], noise: SensorNoise
-) -> tuple[Stamps, Stamps, Array]:
-    """When each measurement was true as far as known beforehand, its kind and value."""
-    known_ns = round(1e9 * noise.mocap_delay_s)
-    time_ns = np.array([stamp for stamp, _, _ in measurements], dtype=np.int64) - known_ns
-    kinds = np.array([kind for _, kind, _ in measurements], dtype=np.int64)
-    values = np.array([value for _, _, value in measurements]).reshape(len(measurements), -1)
-    keep = (time_ns >= inertial.time_ns[0]) & (time_ns <= inertial.time_ns[-1])
-    return time_ns[keep], kinds[keep], values[keep]
+def _taken(imu: Records, measurements: Records, noise: SensorNoise) -> tuple[Stamps, Records]:
+    """When each measurement was taken, as far as known beforehand; of those within the IMU samples."""
+    time_ns = measurements["time_ns"] - round(1e9 * noise.mocap_delay_s)
+    keep = (time_ns >= imu["time_ns"][0]) & (time_ns <= imu["time_ns"][-1])
+    return time_ns[keep], measurements[keep]
 
 
-def _enough(inertial: _Inertial, time_ns: Stamps) -> bool:
+def _enough(imu: Records, time_ns: Stamps) -> bool:
     """Whether measurements at those stamps are enough and recent enough to start from."""
-    if len(time_ns) < _MIN_SAMPLES or inertial.time_ns[-1] - time_ns[-1] > _LATEST_NS:
+    if len(time_ns) < _MIN_SAMPLES or imu["time_ns"][-1] - time_ns[-1] > _LATEST_NS:
         return False
     recent = time_ns >= time_ns[-1] - _VELOCITY_FIT_NS
     spans = time_ns[0] <= time_ns[-1] - _VELOCITY_FIT_NS
     return bool(spans and np.count_nonzero(recent) >= _MIN_SAMPLES)
 
 
-def _initial(
-    inertial: _Inertial, time_ns: int, start: _Start, noise: SensorNoise, acceleration: Array
-) -> Initial:
-    """The estimate as a row, its covariance that of the start and of what the delay makes of it."""
-    last = int(np.searchsorted(inertial.time_ns, time_ns, side="right")) - 1
+def _last_before(imu: Records, time_ns: int) -> int:
+    """Index of the last IMU sample at or before a stamp."""
+    return int(np.searchsorted(imu["time_ns"], time_ns, side="right")) - 1
+
+
+def _initial(imu: Records, time_ns: int, state: _State, noise: SensorNoise) -> Initial:
+    """The estimate, its covariance including the effect of the delay."""
+    last = imu[_last_before(imu, time_ns)]
     delay_variance = noise.mocap_delay_std_s**2
-    covariance = start.variance + delay_variance * np.outer(start.by_delay, start.by_delay)
+    covariance = state.covariance + delay_variance * np.outer(state.by_delay, state.by_delay)
     # Half the curvature times the squared delay, which the linear model leaves out.
     left_out = 0.5 * delay_variance**2
-    covariance[POSITION, POSITION] += left_out * np.diag(acceleration**2)
+    covariance[POSITION, POSITION] += left_out * np.diag(state.acceleration**2)
     covariance[ATTITUDE, ATTITUDE] += left_out * ANGULAR_ACCELERATION**2 * np.eye(3)
     covariance[DELAY, DELAY] = delay_variance
-    row = np.zeros(Row.WIDTH)
-    row[Row.RATES], row[Row.FORCE] = inertial.rates[last], inertial.force[last]
-    row[Row.POSITION], row[Row.VELOCITY], row[Row.ATTITUDE] = start.position, start.velocity, start.attitude
-    row[Row.GYRO_BIAS] = start.gyro_bias
-    row[Row.DELAY] = noise.mocap_delay_s
-    row[Row.COVARIANCE] = covariance.ravel()
-    return Initial(time_ns, int(inertial.time_ns[last]), row)
+    estimate = np.zeros(1, ESTIMATE)
+    estimate["time_ns"] = time_ns
+    estimate["rates"], estimate["specific_force"] = last["rates"], last["specific_force"]
+    estimate["position"], estimate["velocity"] = state.position, state.velocity
+    estimate["attitude"], estimate["gyro_bias"] = state.attitude, state.gyro_bias
+    estimate["delay"], estimate["covariance"] = noise.mocap_delay_s, covariance
+    return Initial(estimate, int(last["time_ns"]))
 
 
 def _slope(time_ns: Stamps, values: Array) -> Array:
@@ -259,28 +252,31 @@ def _slope(time_ns: Stamps, values: Array) -> Array:
 
 
 @njit(cache=True)
-def _relative_attitudes(time_ns: Stamps, rates: Array, last_ns: int) -> Array:
-    """Attitudes (N, 4) at the stamps relative to the body at `last_ns`, by the gyro alone."""
-    attitude = np.zeros((len(time_ns), 4))
-    last = np.searchsorted(time_ns, last_ns, side="right") - 1
+def _relative_attitudes(imu: Records, last_ns: int) -> Array:
+    """Attitudes (N, 4) at the IMU samples relative to the body at `last_ns`, by the gyro alone."""
+    attitude = np.zeros((len(imu), 4))
     attitude[:, 0] = 1.0
-    for index in range(last - 1, -1, -1):
-        half = 0.5e-9 * (time_ns[index + 1] - time_ns[index])
+    for index in range(len(imu) - 2, -1, -1):
+        sample, following = imu[index], imu[index + 1]
+        if following.time_ns > last_ns:
+            continue
+        half = 0.5e-9 * (following.time_ns - sample.time_ns)
         turn = (
-            -half * (rates[index, 0] + rates[index + 1, 0]),
-            -half * (rates[index, 1] + rates[index + 1, 1]),
-            -half * (rates[index, 2] + rates[index + 1, 2]),
+            -half * (sample.rates[0] + following.rates[0]),
+            -half * (sample.rates[1] + following.rates[1]),
+            -half * (sample.rates[2] + following.rates[2]),
         )
         w, x, y, z = rotations.product(attitude[index + 1], rotations.from_rotation_vector(turn))
         attitude[index, 0], attitude[index, 1], attitude[index, 2], attitude[index, 3] = w, x, y, z
     return attitude
 
 
-def _integrated(inertial: _Inertial, values: Array, edges: Stamps) -> Array:
+def _integrals(imu: Records, values: Array, edges: Stamps) -> Array:
     """Integrals (len(edges) - 1, 3) of values (N, 3) at the IMU's stamps, between consecutive edges."""
-    steps = 0.5e-9 * np.diff(inertial.time_ns)[:, None] * (values[1:] + values[:-1])
+    time_ns = imu["time_ns"]
+    steps = 0.5e-9 * np.diff(time_ns)[:, None] * (values[1:] + values[:-1])
     total = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
-    at_edges = np.stack([np.interp(edges, inertial.time_ns, total[:, axis]) for axis in range(3)], axis=1)
+    at_edges = np.stack([np.interp(edges, time_ns, total[:, axis]) for axis in range(3)], axis=1)
     integrals: Array = np.diff(at_edges, axis=0)
     return integrals
 
@@ -293,28 +289,18 @@ def _level(down: Array) -> Array:
     return np.array([[cp, sr * sp, cr * sp], [0.0, cr, -sr], [-sp, sr * cp, cr * cp]])
 
 
-def _turned_onto(body: Array, world: Array, velocity_std: float) -> tuple[Array, float]:
+def _align(body: Array, world: Array, velocity_std: float) -> tuple[Array, float]:
     """Rotation (3, 3) that best turns vectors (K, 3) of the body onto those of the world; its heading's std.
 
-    Wahba's problem by singular values. Where all vectors are parallel the heading is free: it is zero.
+    Where all vectors are parallel the heading is free: it is zero.
     """
-    u, sizes, vt = np.linalg.svd(world.T @ body)
+    rotation, sizes = best_rotation(body, world)
     turning = np.sqrt(max(sizes[1], 0.0))
     if turning > _LEAST_TURNING:
-        rotation: Array = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
-        return rotation, float(
-            np.clip(2.0 * velocity_std / turning, _HEADING_STD_LEAST_RAD, _HEADING_STD_RAD)
-        )
+        heading_std = 2.0 * velocity_std / turning
+        return rotation, float(np.clip(heading_std, _HEADING_STD_LEAST_RAD, _HEADING_STD_RAD))
     level = _level(-body.sum(axis=0))
     tilted, wanted = level @ body.sum(axis=0), world.sum(axis=0)
     axis = np.cross(tilted, wanted) / (np.linalg.norm(tilted) * np.linalg.norm(wanted))
     turn = np.array(rotations.from_rotation_vector(axis))
     return rotation_matrix(turn[None])[0] @ level, _HEADING_STD_RAD
-
-
-def _quaternion(rotation: Array) -> Array:
-    """Unit quaternion (4,) of a rotation matrix (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    quaternion: Array = np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
-    return quaternion

@@ -5,66 +5,103 @@
 The result is that of Rauch, Tung and Striebel; the form is Bierman's modification of the Bryson-Frazier
 smoother, a recursion of the adjoint state that needs no inverse: G. J. Bierman, "Fixed interval smoothing
 with discrete measurements" (1973). The forward pass repeats the corrections of the causal filter in the order
-of their instants. It is kept at checkpoints only; between two of them it runs again when the backward pass
-comes there, so that memory stays bounded.
+of their instants. It is stored at checkpoints only; between two of them it runs again when the backward pass
+gets there, so that memory stays bounded.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.estimator import corrections
-from quadpi_core.estimator.buffer import step_between
-from quadpi_core.estimator.corrections import KIND, LAG, POSE, SCALAR, VALUE, VALUES, WIDENED
-from quadpi_core.estimator.ekf import Ekf, Estimates, Segment
-from quadpi_core.estimator.filter_memory import noise_of
-from quadpi_core.estimator.propagate import (
-    ERROR_STATES,
-    TRANSITION,
-    Row,
-    back,
-    copy,
-    covariance_of,
-    inject,
+from quadpi_core.estimator.ekf import Ekf, Segment
+from quadpi_core.estimator.filter_run import (
+    ESTIMATED,
+    EstimatedSample,
+    Estimates,
+    copy_nominal,
+    imu_records,
 )
+from quadpi_core.estimator.filter_state import (
+    ERROR_STATES,
+    ESTIMATE,
+    POSE,
+    SCALAR,
+    TRANSITION,
+    Correction,
+    Estimate,
+    ImuSample,
+    Scalar,
+    Transition,
+    interpolate_sample,
+)
+from quadpi_core.estimator.propagate import apply_transposed, inject, propagate_between
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.records import Records, record_dtype
 
-# IMU samples between checkpoints: a second of the usual rate.
+# IMU samples between checkpoints: a second at the usual rate.
 CHUNK = 500
-_WIDTH = Row.WIDTH
-_STATE_BEGIN, _COVARIANCE_BEGIN = Row.NOMINAL.start, Row.COVARIANCE.start
+
+# What happened in a forward pass: a step of the IMU, a scalar correction, an estimate at an IMU stamp.
+STEP, SCALAR_CORRECTION, ESTIMATE_HERE = range(3)
 
 
-class _Inputs(NamedTuple):
-    """What the kernels run over: IMU samples used and corrections, both in the order of their instants."""
-
-    imu_ns: Stamps
-    samples: Array
-    begin_ns: int
-    journal_ns: Stamps
-    journal: Array
-    noise: Array
-
-
-class _Tape(NamedTuple):
-    """What a forward pass over a chunk leaves for the backward pass.
+class Inputs(NamedTuple):
+    """What the forward pass runs over.
 
     Attributes:
-        kinds: (T,) what each entry is: a step, a scalar measurement or an estimate at an IMU stamp.
-        entries: (T, 34) transitions and scalars.
-        rows: (CHUNK, 279) the estimates.
+        imu: (M,) each :class:`ImuSample` that the filter used.
+        journal: (J,) each :class:`Correction`, by its instant.
+        noise: (1,) the :class:`Noise`.
     """
 
-    kinds: Stamps
-    entries: Array
-    rows: Array
+    imu: Records
+    journal: Records
+    noise: Records
 
 
-_STEP, _SCALAR, _ESTIMATE = range(3)
+class Length:
+    """How much of a tape is in use."""
+
+    events: int
+    steps: int
+    scalars: int
+    estimates: int
+
+
+class Tape(NamedTuple):
+    """A forward pass over a chunk, for the backward pass.
+
+    Attributes:
+        length: (1,) see :class:`Length`.
+        events: (T,) what happened, in order; the details are in the next array's order of each kind.
+        steps: each :class:`Transition`.
+        scalars: each :class:`Scalar`.
+        estimates: each :class:`Estimate`.
+    """
+
+    length: Records
+    events: Stamps
+    steps: Records
+    scalars: Records
+    estimates: Records
+
+    @classmethod
+    def empty(cls, samples: int, corrections: int) -> Tape:
+        """Room for a pass over that many IMU samples and corrections; without any, a pass is not recorded."""
+        return cls(
+            np.zeros(1, record_dtype(Length)),
+            np.empty(2 * samples + 7 * corrections, dtype=np.int64),
+            # With room for one more step and correction: a pass works there.
+            np.empty(samples + corrections + 1, TRANSITION),
+            np.empty(6 * corrections + 6, SCALAR),
+            np.empty(samples, ESTIMATE),
+        )
 
 
 def smooth(recording: Recording, ekf: Ekf) -> Estimates:
@@ -77,188 +114,169 @@ def smooth(recording: Recording, ekf: Ekf) -> Estimates:
     Raises:
         SignalError: as :meth:`Ekf.run`.
     """
-    imu = recording.imu
-    samples = np.concatenate((imu.angular_velocity, imu.specific_force), axis=1)
-    noise = np.array(ekf.noise, dtype=np.float64)
-    parts = [_smooth(imu.time_ns, samples, segment, noise) for segment in ekf.segments(recording)]
-    time_ns, nominal, variance = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return Estimates(time_ns, nominal, variance)
+    imu = imu_records(recording.imu)
+    rows = np.concatenate([_smooth(imu, segment) for segment in ekf.segments(recording)])
+    return Estimates(rows["time_ns"].copy(), rows)
 
 
-def _smooth(imu_ns: Stamps, samples: Array, segment: Segment, noise: Array) -> tuple[Stamps, Array, Array]:
-    """Stamps, nominal states (M, 17) and variances (M, 16) of one segment."""
-    used = segment.samples
-    inputs = _Inputs(
-        imu_ns=imu_ns[used],
-        samples=np.ascontiguousarray(samples[used]),
-        begin_ns=segment.initial.time_ns,
-        journal_ns=segment.journal_ns,
-        journal=segment.journal,
-        noise=noise,
-    )
-    count = len(used)
-    chunks = -(-count // CHUNK)
-    checkpoints = np.empty((chunks, _WIDTH))
-    applied = np.zeros(chunks + 1, dtype=np.int64)
-    row = segment.initial.row.copy()
-    no_tape = _tape(0, 0)
-    for chunk in range(chunks):
-        checkpoints[chunk] = row
-        first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, count)
-        applied[chunk + 1], _ = _forward(inputs, row, first, last, int(applied[chunk]), no_tape)
+def _smooth(imu: Records, segment: Segment) -> Records:
+    """Smoothed estimates (M,) of one segment."""
+    inputs = Inputs(imu[segment.samples], segment.journal, segment.noise)
+    bounds = [*range(0, len(inputs.imu), CHUNK), len(inputs.imu)]
+    chunks = list(pairwise(bounds))
+    checkpoints = np.empty(len(chunks), ESTIMATE)
+    applied = np.zeros(len(chunks) + 1, dtype=np.int64)
+    estimate, no_tape = segment.initial.estimate.copy(), Tape.empty(0, 0)
+    for chunk, (first, last) in enumerate(chunks):
+        checkpoints[chunk] = estimate[0]
+        applied[chunk + 1] = forward(inputs, estimate, first, last, int(applied[chunk]), no_tape)
 
-    stamps = inputs.imu_ns
-    nominal, variance = np.empty((count, _COVARIANCE_BEGIN - _STATE_BEGIN)), np.empty((count, ERROR_STATES))
+    smoothed = np.empty(len(inputs.imu), ESTIMATED)
     adjoint, information = np.zeros(ERROR_STATES), np.zeros((ERROR_STATES, ERROR_STATES))
-    tape = _tape(CHUNK, int(np.diff(applied).max(initial=0)))
-    for chunk in reversed(range(chunks)):
-        first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, count)
-        _, entries = _forward(inputs, checkpoints[chunk], first, last, int(applied[chunk]), tape)
-        _backward(
-            tape, entries, adjoint, information, last - first, nominal[first:last], variance[first:last]
-        )
-    live = slice(segment.first, None)
-    return stamps[live], nominal[live], variance[live]
-
-
-def _tape(samples: int, corrected: int) -> _Tape:
-    # A step and an estimate per sample; a step and up to six scalars per correction.
-    entries = 2 * samples + 7 * corrected
-    return _Tape(
-        np.empty(entries, dtype=np.int64),
-        np.empty((entries, max(SCALAR, TRANSITION))),
-        np.empty((samples, _WIDTH)),
-    )
+    tape = Tape.empty(CHUNK, int(np.diff(applied).max(initial=0)))
+    for chunk, (first, last) in reversed(list(enumerate(chunks))):
+        forward(inputs, checkpoints[chunk : chunk + 1], first, last, int(applied[chunk]), tape)
+        _backward(tape, adjoint, information, smoothed[first:last])
+    smoothed["time_ns"] = inputs.imu["time_ns"]
+    return smoothed[segment.first :]
 
 
 @njit(cache=True)
-def _forward(
-    inputs: _Inputs, row: Array, first: int, last: int, applied: int, tape: _Tape
-) -> tuple[int, int]:
-    """Filter from just after IMU sample `first - 1` to IMU sample `last - 1`, in the order of instants.
+def forward(inputs: Inputs, estimates: Records, first: int, last: int, applied: int, tape: Tape) -> int:
+    """Filter up to IMU sample `last - 1`, the corrections in the order of their instants.
 
     Args:
         inputs: of the segment.
-        row: estimate at the beginning, renewed.
-        first: IMU sample that comes next; the one before it is where `row` stands, but for the beginning.
-        last: after the IMU samples to go through.
-        applied: corrections applied so far.
-        tape: to be filled, unless empty.
+        estimates: (1,) at IMU sample `first - 1`, or where the segment begins; updated.
+        first: IMU sample that comes next.
+        last: after the IMU samples of this pass.
+        applied: corrections applied before this pass.
+        tape: filled, if it has room.
 
     Returns:
-        Corrections applied, and entries on the tape.
+        Corrections applied after this pass.
     """
-    noise = noise_of(inputs.noise)
-    transition, scalars = np.empty(TRANSITION), np.empty((6, SCALAR))
-    taped = len(tape.kinds) > 0
-    at = 0
+    estimate, journal, length = estimates[0], inputs.journal, tape.length[0]
+    length.events, length.steps, length.scalars, length.estimates = 0, 0, 0, 0
     for index in range(first, last):
-        begin = max(index - 1, 0)
-        begin_ns, end_ns = inputs.imu_ns[begin], inputs.imu_ns[index]
-        now_ns = max(begin_ns, inputs.begin_ns) if index > 0 else end_ns
-        while now_ns < end_ns or (applied < len(inputs.journal_ns) and inputs.journal_ns[applied] <= end_ns):
-            to_ns = end_ns
-            corrected = applied < len(inputs.journal_ns) and inputs.journal_ns[applied] <= end_ns
-            if corrected:
-                to_ns = max(inputs.journal_ns[applied], now_ns)
-            if to_ns > now_ns:
-                step_between(
-                    row,
-                    noise,
-                    inputs.samples[begin],
-                    inputs.samples[index],
-                    now_ns - begin_ns,
-                    to_ns - begin_ns,
-                    end_ns - begin_ns,
-                    transition,
-                )
-                now_ns = to_ns
-                if taped:
-                    tape.kinds[at] = _STEP
-                    copy(transition, tape.entries[at], 0, TRANSITION)
-                    at += 1
-            if corrected:
-                share = (to_ns - begin_ns) / max(end_ns - begin_ns, 1)
-                for place in range(6):
-                    before, after = inputs.samples[begin, place], inputs.samples[index, place]
-                    row[place] = before + share * (after - before)
-                entry = inputs.journal[applied]
-                kind = int(entry[KIND])
-                corrections.widen(row, entry[WIDENED : WIDENED + 4])
-                corrections.fuse(row, noise, kind, entry[LAG], entry[VALUE : VALUE + VALUES], scalars)
-                applied += 1
-                if taped:
-                    for scalar in range(6 if kind == POSE else 3):
-                        tape.kinds[at] = _SCALAR
-                        copy(scalars[scalar], tape.entries[at], 0, SCALAR)
-                        at += 1
-        if taped:
-            copy(row, tape.rows[index - first], 0, _WIDTH)
-            tape.kinds[at] = _ESTIMATE
-            at += 1
-    return applied, at
+        before, after = inputs.imu[max(index - 1, 0)], inputs.imu[index]
+        while applied < len(journal) and journal[applied].time_ns <= after.time_ns:
+            _advance(inputs, estimate, before, after, journal[applied].time_ns, tape)
+            interpolate_sample(estimate, before, after)
+            _correct(inputs, estimate, journal[applied], tape)
+            applied += 1
+        _advance(inputs, estimate, before, after, after.time_ns, tape)
+        if len(tape.events) > 0:
+            tape.estimates[length.estimates] = estimate
+            length.estimates += 1
+            _note(tape, ESTIMATE_HERE)
+    return applied
 
 
 @njit(cache=True)
-def _backward(
-    tape: _Tape,
-    entries: int,
-    adjoint: Array,
-    information: Array,
-    count: int,
-    nominal: Array,
-    variance: Array,
+def _advance(
+    inputs: Inputs, estimate: Estimate, before: ImuSample, after: ImuSample, to_ns: int, tape: Tape
 ) -> None:
-    """Run the adjoint state (16,) and its information (16, 16) back over a tape; smooth its estimates."""
-    error = np.empty(ERROR_STATES)
-    index = count
-    for at in range(entries - 1, -1, -1):
-        entry = tape.entries[at]
-        if tape.kinds[at] == _STEP:
-            back(entry, adjoint)
-            for column in range(ERROR_STATES):
-                back(entry, information[column])
-            for column in range(ERROR_STATES):
-                for other in range(column):
-                    upper, lower = information[other, column], information[column, other]
-                    information[other, column], information[column, other] = lower, upper
-            for column in range(ERROR_STATES):
-                back(entry, information[column])
-        elif tape.kinds[at] == _SCALAR:
-            _backward_scalar(entry, adjoint, information)
-        else:
-            index -= 1
-            row = tape.rows[index]
-            covariance = covariance_of(row)
-            for i in range(ERROR_STATES):
-                total, spread = 0.0, 0.0
-                for j in range(ERROR_STATES):
-                    total -= covariance[i, j] * adjoint[j]
-                    inner = 0.0
-                    for k in range(ERROR_STATES):
-                        inner += information[j, k] * covariance[k, i]
-                    spread += covariance[i, j] * inner
-                error[i] = total
-                variance[index, i] = max(covariance[i, i] - spread, 0.0)
-            inject(row, error)
-            for place in range(nominal.shape[1]):
-                nominal[index, place] = row[_STATE_BEGIN + place]
+    """Propagate an estimate between two IMU samples."""
+    if to_ns > estimate.time_ns:
+        transition = tape.steps[tape.length[0].steps]
+        propagate_between(estimate, inputs.noise[0], before, after, to_ns, transition)
+        if len(tape.events) > 0:
+            tape.length[0].steps += 1
+            _note(tape, STEP)
 
 
 @njit(cache=True)
-def _backward_scalar(entry: Array, adjoint: Array, information: Array) -> None:
+def _correct(inputs: Inputs, estimate: Estimate, correction: Correction, tape: Tape) -> None:
+    """Apply a correction as the filter did."""
+    length, measurement = tape.length[0], correction.measurement
+    scalars = tape.scalars[length.scalars : length.scalars + 6]
+    corrections.widen(estimate, correction.widening)
+    corrections.fuse(estimate, inputs.noise[0], measurement, correction.lag, scalars)
+    if len(tape.events) > 0:
+        for _ in range(6 if measurement.kind == POSE else 3):
+            length.scalars += 1
+            _note(tape, SCALAR_CORRECTION)
+
+
+@njit(cache=True)
+def _note(tape: Tape, event: int) -> None:
+    """Record what happened."""
+    length = tape.length[0]
+    tape.events[length.events] = event
+    length.events += 1
+
+
+@njit(cache=True)
+def _backward(tape: Tape, adjoint: Array, information: Array, smoothed: Records) -> None:
+    """Run the adjoint state (16,) and its information (16, 16) back over a tape; smooth its estimates."""
+    length = tape.length[0]
+    while length.events > 0:
+        length.events -= 1
+        event = tape.events[length.events]
+        if event == STEP:
+            length.steps -= 1
+            _step_back(tape.steps[length.steps], adjoint, information)
+        elif event == SCALAR_CORRECTION:
+            length.scalars -= 1
+            _scalar_back(tape.scalars[length.scalars], adjoint, information)
+        else:
+            length.estimates -= 1
+            _smooth_estimate(
+                tape.estimates[length.estimates], adjoint, information, smoothed[length.estimates]
+            )
+
+
+@njit(cache=True)
+def _step_back(transition: Transition, adjoint: Array, information: Array) -> None:
+    """λ ← Fᵀ λ and Λ ← Fᵀ Λ F."""
+    apply_transposed(transition, adjoint)
+    for column in range(ERROR_STATES):
+        apply_transposed(transition, information[column])
+    for column in range(ERROR_STATES):
+        for other in range(column):
+            upper, lower = information[other, column], information[column, other]
+            information[other, column], information[column, other] = lower, upper
+    for column in range(ERROR_STATES):
+        apply_transposed(transition, information[column])
+
+
+@njit(cache=True)
+def _scalar_back(scalar: Scalar, adjoint: Array, information: Array) -> None:
     """λ ← (I − k hᵀ)ᵀ λ − h y/s and Λ ← (I − k hᵀ)ᵀ Λ (I − k hᵀ) + h hᵀ/s."""
-    innovation, expected = entry[2 * ERROR_STATES], entry[2 * ERROR_STATES + 1]
+    by, gain = scalar.jacobian, scalar.gain
     turned = np.empty(ERROR_STATES)
-    along, inner = innovation / expected, 1.0 / expected
+    along = scalar.innovation / scalar.innovation_variance
+    inner = 1.0 / scalar.innovation_variance
     for i in range(ERROR_STATES):
         total = 0.0
         for j in range(ERROR_STATES):
-            total += information[i, j] * entry[ERROR_STATES + j]
+            total += information[i, j] * gain[j]
         turned[i] = total
-        along += entry[ERROR_STATES + i] * adjoint[i]
-        inner += entry[ERROR_STATES + i] * total
+        along += gain[i] * adjoint[i]
+        inner += gain[i] * total
     for i in range(ERROR_STATES):
-        adjoint[i] -= entry[i] * along
+        adjoint[i] -= by[i] * along
         for j in range(ERROR_STATES):
-            information[i, j] += entry[i] * entry[j] * inner - entry[i] * turned[j] - turned[i] * entry[j]
+            information[i, j] += by[i] * by[j] * inner - by[i] * turned[j] - turned[i] * by[j]
+
+
+@njit(cache=True)
+def _smooth_estimate(
+    estimate: Estimate, adjoint: Array, information: Array, smoothed: EstimatedSample
+) -> None:
+    """X ← x − P λ, of variance P − P Λ P."""
+    covariance = estimate.covariance
+    error = np.empty(ERROR_STATES)
+    for i in range(ERROR_STATES):
+        total, reduction = 0.0, 0.0
+        for j in range(ERROR_STATES):
+            total -= covariance[i, j] * adjoint[j]
+            inner = 0.0
+            for k in range(ERROR_STATES):
+                inner += information[j, k] * covariance[k, i]
+            reduction += covariance[i, j] * inner
+        error[i] = total
+        smoothed.variance[i] = max(covariance[i, i] - reduction, 0.0)
+    inject(estimate, error)
+    copy_nominal(estimate, smoothed)

@@ -12,9 +12,9 @@ from scipy.signal import correlate
 from quadpi_core.errors import SignalError
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.rotations import body_rates
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.resample import interpolate
-from quadpi_core.signals.rotations import body_rates
 
 MIN_CORRELATION = 0.5
 MIN_OVERLAP_S = 2.0

@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, Stamps, Stream
-from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.signals.resample import interpolate, interpolate_attitude

@@ -23,9 +23,10 @@ from quadpi_core.flight import (
     ValueCheck,
     check_stamps,
 )
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
 from quadpi_core.logs.bags import bag_topics
 from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.consistency import findings as inconsistencies
 from quadpi_core.screening.even_rows import EvenRows
 from quadpi_core.screening.missing import missing

@@ -22,9 +22,9 @@ from quadpi_core.frames import (
     quaternion_body_flu_to_frd,
     quaternion_from_roll_pitch_yaw,
     quaternion_world_enu_to_ned,
-    rotate_world_to_body,
     world_enu_to_ned,
 )
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.units import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.vehicle import ROTORS, Vehicle

@@ -35,12 +35,12 @@ from quadpi_core.frames import (
     quaternion_body_flu_to_frd,
     quaternion_from_roll_pitch_yaw,
     quaternion_world_enu_to_ned,
-    rotate_world_to_body,
     world_enu_to_ned,
 )
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, UNITS, Mapping
 from quadpi_core.logs.parquet_pages import unpacked_bytes
 from quadpi_core.logs.unpacking import require_unpackable
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.units import STANDARD_GRAVITY, stamps_ns, unit_attitude
 from quadpi_core.vehicle import Vehicle
 

@@ -11,8 +11,9 @@ import numpy as np
 from rosbags.serde import SerdeError
 
 from quadpi_core.errors import LogError
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
 from quadpi_core.messages.definitions import typestore
+from quadpi_core.rotations import rotation_matrix
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 TF_TOPIC = "tf_static"

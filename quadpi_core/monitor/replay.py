@@ -19,10 +19,11 @@ import numpy.typing as npt
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
-from quadpi_core.estimator import propagate
-from quadpi_core.estimator.ekf import Ekf, EkfTrace, Spans, never_started
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
+from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus
 from quadpi_core.estimator.imu_rate import ImuRate
-from quadpi_core.estimator.odometry import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.logs import FORMATS, decode_recording, identify_format
@@ -258,7 +259,7 @@ def follow(flight: RecordedFlight, vehicle: Vehicle) -> Iterator[Followed]:
             trace = ekf.take(block)
             imu, states, state_of = _estimator_output(trace, block.imu)
             odometry = states.odometry
-            spans, started = spans.seen(block), started or len(trace) > 0
+            spans, started = spans.extended(block), started or len(trace) > 0
         assert odometry is not None  # RecordedFlight says so
         new = block.imu.time_ns
         for stretch in meeting.take_all(_arriving(block, imu, odometry, state_of)):
@@ -363,9 +364,9 @@ def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, FusedSampl
     """
     specific_force = with_gyro_faults(imu).specific_force
     specific_force[trace.sample] = trace.fused.imu.specific_force
-    handed_over = np.isin(trace.imu_outcomes, propagate.WITHOUT_ESTIMATE)
+    handed_over = np.isin(trace.imu_outcomes, WITHOUT_ESTIMATE)
     handed_over[trace.sample] = True
-    published = trace.status != propagate.EstimatorStatus.LOST
+    published = trace.status != EstimatorStatus.LOST
     states = trace.fused.where(published)
     return _Imu(imu.time_ns, specific_force, np.flatnonzero(handed_over)), states, trace.sample[published]
 

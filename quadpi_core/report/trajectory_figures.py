@@ -11,10 +11,11 @@ import numpy.typing as npt
 import plotly.graph_objects as go
 from plotly.colors import sample_colorscale
 
-from quadpi_core.frames import Array, rotate_body_to_world, world_ned_to_enu
+from quadpi_core.frames import Array, world_ned_to_enu
 from quadpi_core.report.figures import styled
 from quadpi_core.report.flown_figures import REFERENCE
 from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, RULE
+from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.truth import Truth
 
 _SAMPLES = 1500

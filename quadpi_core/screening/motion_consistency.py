@@ -17,7 +17,17 @@ from itertools import permutations, product
 
 import numpy as np
 
-from quadpi_core.frames import Array, rotate_body_to_world, rotation_matrix
+from quadpi_core.frames import Array
+from quadpi_core.rotations import (
+    best_rotation,
+    from_rotation_vectors,
+    inverses,
+    products,
+    quaternion_of,
+    rotate_body_to_world,
+    rotation_matrix,
+    to_rotation_vectors,
+)
 from quadpi_core.screening.excerpt import Excerpt
 from quadpi_core.units import STANDARD_GRAVITY
 
@@ -103,12 +113,14 @@ def innovation(sample: Excerpt) -> Innovation:
     span, half = round(TURN_S / sample.step_s), round(FALL_S / sample.step_s)
     stride = max(1, span // 2)
     begin = np.arange(0, cells + 1 - span, stride)
-    cell_turns = _exponential(sample.rates * sample.step_s)
+    cell_turns = from_rotation_vectors(sample.rates * sample.step_s)
     by_gyro = cell_turns[:, begin]
     for cell in range(1, span):
-        by_gyro = _product(by_gyro, cell_turns[:, begin + cell])
-    by_attitude = _product(_inverse(sample.attitude[:, begin]), sample.attitude[:, begin + span])
-    turned, turned_attitude = (_logarithm(turn) / (span * sample.step_s) for turn in (by_gyro, by_attitude))
+        by_gyro = products(by_gyro, cell_turns[:, begin + cell])
+    by_attitude = products(inverses(sample.attitude[:, begin]), sample.attitude[:, begin + span])
+    turned, turned_attitude = (
+        to_rotation_vectors(turn) / (span * sample.step_s) for turn in (by_gyro, by_attitude)
+    )
     middle = sample.attitude[:, 1:] + sample.attitude[:, :-1]
     middle = middle / np.linalg.norm(middle, axis=2, keepdims=True)
     in_world = rotate_body_to_world(middle.reshape(-1, 4), sample.force.reshape(-1, 3)).reshape(
@@ -142,7 +154,7 @@ def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
     topic = sample.topic
     yield Hypothesis(
         "attitude conjugated",
-        lambda e: replace(e, attitude=_inverse(e.attitude)),
+        lambda e: replace(e, attitude=inverses(e.attitude)),
         f"the attitude of {topic} looks conjugated (world to body)",
         "inverting it",
     )
@@ -242,7 +254,7 @@ def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
         gyro=body.T,
         angle_deg=size,
     )
-    world = _rotation_between(found.force, found.needed, np.ones(len(found.force)))
+    world = best_rotation(found.needed, found.force)[0]
     angle = np.degrees(_logarithm_of(world))
     size = float(np.linalg.norm(angle))
     yield Hypothesis(
@@ -316,25 +328,18 @@ def _size(differences: Array) -> float:
 
 def _body_rotation(found: Innovation) -> Array:
     """Rotation (3, 3) that takes vectors in the state's body axes into the IMU's, by both innovations."""
-    to_body = _inverse(found.attitude)
+    to_body = inverses(found.attitude)
     force, needed = (rotate_body_to_world(to_body, values) for values in (found.force, found.needed))
     of = np.concatenate((found.turned / TURN_RAD_S, force / FALL_M_S2))
     over = np.concatenate((found.turned_attitude / TURN_RAD_S, needed / FALL_M_S2))
     weights = np.ones(len(of))
-    rotation = _rotation_between(of, over, weights)
+    rotation = best_rotation(over, weights[:, np.newaxis] * of)[0]
     for _ in range(3):
         off = np.linalg.norm(of - over @ rotation.T, axis=1)
         for part in (slice(0, len(found.turned)), slice(len(found.turned), None)):
             weights[part] = off[part] <= np.quantile(off[part], _KEPT_SHARE)
-        rotation = _rotation_between(of, over, weights)
+        rotation = best_rotation(over, weights[:, np.newaxis] * of)[0]
     return rotation
-
-
-def _rotation_between(of: Array, over: Array, weights: Array) -> Array:
-    """Rotation C (3, 3) with of ≈ over Cᵀ, by least squares (Wahba's problem, solved as Markley does)."""
-    left, _, right = np.linalg.svd((weights[:, np.newaxis] * of).T @ over)
-    handed = np.sign(np.linalg.det(left @ right))
-    return np.asarray(left @ np.diag([1.0, 1.0, handed]) @ right)
 
 
 def _logarithm_of(rotation: Array) -> Array:
@@ -347,7 +352,7 @@ def _logarithm_of(rotation: Array) -> Array:
 def _about(axis: int, angle: float) -> Array:
     turn = np.zeros(3)
     turn[axis] = angle
-    rotation: Array = rotation_matrix(_exponential(turn[np.newaxis]))[0]
+    rotation: Array = rotation_matrix(from_rotation_vectors(turn[np.newaxis]))[0]
     return rotation
 
 
@@ -360,21 +365,15 @@ def _reordered(sample: Excerpt, shift: int) -> Excerpt:
 
 
 def _of_body(sample: Excerpt, turn: Array) -> Excerpt:
-    return replace(sample, attitude=_product(sample.attitude, _quaternion(turn)))
+    return replace(sample, attitude=products(sample.attitude, quaternion_of(turn)))
 
 
 def _of_world(sample: Excerpt, attitude: Array, position: Array) -> Excerpt:
     return replace(
         sample,
-        attitude=_product(_quaternion(attitude), sample.attitude),
+        attitude=products(quaternion_of(attitude), sample.attitude),
         position=sample.position @ position.T,
     )
-
-
-def _quaternion(rotation: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True))
 
 
 def _signed_permutations() -> Iterator[Array]:
@@ -394,41 +393,6 @@ def _axes(matrix: Array) -> str:
         column = int(np.argmax(np.abs(row)))
         rows.append(("-" if row[column] < 0.0 else "") + "xyz"[column])
     return ", ".join(rows)
-
-
-def _product(first: Array, second: Array) -> Array:
-    """Quaternion product (..., 4)."""
-    w, x, y, z = np.moveaxis(first, -1, 0)
-    a, b, c, d = np.moveaxis(second, -1, 0)
-    products: Array = np.stack(
-        (
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        ),
-        axis=-1,
-    )
-    return products
-
-
-def _inverse(attitude: Array) -> Array:
-    return np.asarray(attitude * [1.0, -1.0, -1.0, -1.0])
-
-
-def _exponential(turn: Array) -> Array:
-    """Quaternions (..., 4) of rotation vectors (..., 3)."""
-    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
-    return np.concatenate((np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * turn), axis=-1)
-
-
-def _logarithm(attitude: Array) -> Array:
-    """Rotation vectors (..., 3) of quaternions (..., 4)."""
-    attitude = np.where(attitude[..., :1] < 0.0, -attitude, attitude)
-    vector = attitude[..., 1:]
-    size = np.linalg.norm(vector, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(size, attitude[..., :1])
-    return np.asarray(vector * np.where(size > 1e-9, angle / np.maximum(size, 1e-12), 2.0))
 
 
 def _continuous_rows(attitude: Array) -> Array:

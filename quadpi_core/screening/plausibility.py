@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording
-from quadpi_core.frames import Array, rotate_body_to_world
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
 from quadpi_core.units import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle

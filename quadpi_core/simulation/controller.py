@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadpi_core import rotations
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.signals import rotations
 from quadpi_core.simulation.linear_algebra import cross, inverse, product3
 from quadpi_core.vehicle import ROTORS
 

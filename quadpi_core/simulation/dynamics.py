@@ -13,8 +13,8 @@ from typing import Any, cast
 import numpy as np
 from numba import from_dtype, types
 
+from quadpi_core import rotations
 from quadpi_core.compiled import njit, once
-from quadpi_core.signals import rotations
 from quadpi_core.simulation.applied_effects import FUNCTION_TYPE
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.linear_algebra import cross, product3

@@ -10,7 +10,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.signals.rotations import inverse, product
+from quadpi_core.rotations import inverse, product
 from quadpi_core.simulation.effect_definition import SHAPE, Wrench
 
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from quadpi_core import rotations
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.signals import rotations
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose
 from quadpi_core.simulation.controller import Controls, Demand
 from quadpi_core.simulation.dynamics import LOGGED, MOTION, flight_kernel

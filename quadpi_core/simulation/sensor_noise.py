@@ -22,7 +22,7 @@ from quadpi_core.config_schema import NotNegative, Section, Share, Vector, Withi
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.signals.rotations import from_rotation_vector, product
+from quadpi_core.rotations import from_rotation_vector, product
 from quadpi_core.vehicle import Vehicle
 
 Rate: TypeAlias = Annotated[float, Within(0.1)]

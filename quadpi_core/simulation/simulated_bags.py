@@ -17,13 +17,13 @@ from quadpi_core.bounded_files import parse_json
 from quadpi_core.compiled import njit
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
-from quadpi_core.frames import Array, rotate_body_to_world, rotation_matrix
+from quadpi_core.frames import Array
 from quadpi_core.logs.bags import TOPIC_TYPES, find_topic, output_topic, unpacked_topic
 from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.signals.rotations import from_rotation_vector
+from quadpi_core.rotations import from_rotation_vector, rotate_body_to_world, rotation_matrix
 from quadpi_core.simulation.sensors import Sensed
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import is_rigid_body

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadpi_core import rotations
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
-from quadpi_core.signals import rotations
 from quadpi_core.simulation.linear_algebra import inverse, matrix_times
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.vehicle import ROTORS

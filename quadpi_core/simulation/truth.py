@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadpi_core.flight import Flight, Stamps
-from quadpi_core.frames import Array, rotate_body_to_world
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.vehicle import Vehicle
 

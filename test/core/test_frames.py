@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core import frames
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body, rotation_matrix
 
 FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -45,12 +46,12 @@ def test_vectors_return_unchanged(vectors: np.ndarray):
 
 
 def test_rotation_matrix_is_scipys(quaternions: np.ndarray):
-    np.testing.assert_allclose(frames.rotation_matrix(quaternions), matrices(quaternions), atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix(quaternions), matrices(quaternions), atol=1e-12)
 
 
 def test_rotations_invert_each_other(quaternions: np.ndarray, vectors: np.ndarray):
-    world = frames.rotate_body_to_world(quaternions, vectors)
-    np.testing.assert_allclose(frames.rotate_world_to_body(quaternions, world), vectors, atol=1e-12)
+    world = rotate_body_to_world(quaternions, vectors)
+    np.testing.assert_allclose(rotate_world_to_body(quaternions, world), vectors, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -65,7 +66,7 @@ def test_rotations_invert_each_other(quaternions: np.ndarray, vectors: np.ndarra
 def test_quaternions_change_both_frames(quaternions: np.ndarray, convert, world, body):
     """Each change of frame is its own inverse, so the matrix is world @ R @ body either way."""
     expected = world @ matrices(quaternions) @ body
-    np.testing.assert_allclose(frames.rotation_matrix(convert(quaternions)), expected, atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix(convert(quaternions)), expected, atol=1e-12)
 
 
 def test_both_quaternion_paths_agree(quaternions: np.ndarray):
@@ -91,7 +92,7 @@ def test_roll_pitch_yaw_and_back():
 def test_roll_pitch_yaw_is_scipys():
     angles = np.random.default_rng(13).uniform(-3.0, 3.0, size=(100, 3))
     expected = Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()
-    found = frames.rotation_matrix(frames.quaternion_from_roll_pitch_yaw(angles))
+    found = rotation_matrix(frames.quaternion_from_roll_pitch_yaw(angles))
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 

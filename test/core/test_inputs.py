@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array
 from quadpi_core.inputs import (
     INPUT_INDEX,
     INPUT_NAMES,
@@ -18,6 +18,7 @@ from quadpi_core.inputs import (
     flight_inputs,
     induced_velocity,
 )
+from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
 HOVER = 4.6  # m/s, the scale of the induced velocity of a small quadrotor

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
-from quadpi_core.estimator.propagate import EstimatorStatus
+from quadpi_core.estimator.filter_state import EstimatorStatus
 from quadpi_core.flight import OdometryStream, WindStream
 from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights

@@ -12,8 +12,8 @@ import numpy as np
 
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.odometry import fused_sample, with_gyro_faults
-from quadpi_core.estimator.propagate import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
+from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
+from quadpi_core.estimator.output import with_gyro_faults
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads
@@ -123,7 +123,6 @@ class Onboard:
     """The nodes `estimator` and `monitor` of one process, with `rate_hz` as their parameter imu_rate_hz."""
 
     def __init__(self, vehicle: Vehicle, model: AerodynamicModel, rate_hz: float = 0.0) -> None:
-        self._gyro_noise = vehicle.noise.gyro_noise_rad_s
         self.ekf = Ekf(vehicle, rate_hz or None)
         self.pairing = Pairing(rate_hz=rate_hz)
         self.monitors = Monitors({"model": Monitor(model, vehicle, None)})
@@ -177,14 +176,14 @@ class Onboard:
         return flown
 
     def _take_imu(self, imu: Any) -> None:
-        outcome = self.ekf.predict(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
+        outcome = self.ekf.step(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             self._health["imu"].refuse(outcome.name)
         if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self.ekf.initialised:
             if outcome in WITHOUT_ESTIMATE:
                 self._hand_over(with_gyro_faults(imu))
             return
-        fused = fused_sample(self.ekf.state, self._gyro_noise)
+        fused = self.ekf.fused
         if self.ekf.status == EstimatorStatus.LOST:
             self._hand_over(fused.imu)
             return

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.propagate import EstimatorStatus, Outcome
+from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
 from quadpi_core.results import BAD_DATA
 from test.faults.onboard import deviation
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.propagate import EstimatorStatus, Outcome
+from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
 from quadpi_core.flight import WindStream
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import codec

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.propagate import EstimatorStatus
+from quadpi_core.estimator.filter_state import EstimatorStatus
 from quadpi_core.flight import Recording
 from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.monitor.replay import replay

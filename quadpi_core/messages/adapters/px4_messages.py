@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream
-from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.messages.cdr import Columns
 from quadpi_core.messages.message_stamps import microsecond_stamps
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.units import NORM_TOLERANCE
 
 _NED, _FRD, _BODY = 1, 2, 3

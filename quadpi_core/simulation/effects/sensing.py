@@ -15,7 +15,7 @@ import numpy as np
 from quadpi_core.compiled import njit
 from quadpi_core.flight import Recording, Stamps, Stream
 from quadpi_core.frames import Array
-from quadpi_core.signals.rotations import from_rotation_vector, matrix
+from quadpi_core.rotations import from_rotation_vector, matrix
 from quadpi_core.simulation.effect_definition import STRENGTH_OF_ONE_ROTOR, Parameter, effect, three
 from quadpi_core.vehicle import ROTORS, Vehicle
 

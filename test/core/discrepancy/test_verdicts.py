@@ -15,7 +15,7 @@ from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import Accepted, without_idle
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.frames import rotate_world_to_body
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
 
 ALIKE = ("payload", "thrust_coefficient", "body_drag")

@@ -12,11 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from quadpi_core.estimator.corrections import NIS
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.propagate import ACCELEROMETER_BIAS, DELAY, GYRO_BIAS, Outcome
+from quadpi_core.estimator.filter_state import ACCELEROMETER_BIAS, DELAY, GYRO_BIAS, Outcome
 from quadpi_core.estimator.smoother import smooth
-from quadpi_core.frames import rotate_body_to_world
+from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.scenario import load_scenario
@@ -174,8 +173,8 @@ def flights(dash):
             begin_ns = end_ns
         nees.append(row)
         (segment,) = Ekf(dash.vehicle, RATE).segments(recording)
-        first = np.searchsorted(segment.journal_ns, edges)
-        nis.append(segment.journal[np.minimum(first, len(segment.journal) - 1), NIS])
+        first = np.searchsorted(segment.journal["time_ns"], edges)
+        nis.append(segment.journal["nis"][np.minimum(first, len(segment.journal) - 1)])
         rejected += ekf.pose_counts[Outcome.REJECTED]
         used += ekf.pose_counts[Outcome.USED]
     mean = np.concatenate(squares).mean(axis=0)

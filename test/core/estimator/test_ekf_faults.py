@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadpi_core.estimator.ekf import Ekf, EkfTrace
-from quadpi_core.estimator.propagate import EstimatorStatus, Outcome
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import EkfTrace
+from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
 from quadpi_core.flight import PoseStream, TwistStream
-from quadpi_core.frames import rotate_world_to_body
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 RATE = 500.0
@@ -152,13 +153,13 @@ def test_an_odometry_is_both_and_better_than_its_pose(noisy_vehicle, simulated):
 
 def test_measurements_out_of_order_or_not_a_measurement_are_refused(noisy_vehicle, simulated):
     ekf, _ = run(noisy_vehicle, simulated, simulated.recording.pose)
-    last_ns = int(ekf.state.time_ns[0])
-    before = ekf.state.row.copy()
+    last_ns = ekf.state.time_ns
+    before = ekf.state.estimate.copy()
     assert ekf.update_velocity(last_ns, np.array([0.0, np.nan, 0.0]), True) == Outcome.UNUSABLE
     assert ekf.update_velocity(last_ns, np.array([0.0, 1e6, 0.0]), False) == Outcome.UNUSABLE
     assert ekf.update_velocity(last_ns, np.zeros(3), True) == Outcome.COLLECTED
     assert ekf.update_velocity(last_ns, np.zeros(3), True) == Outcome.STAMP_NOT_ADVANCING
     assert ekf.update_velocity(last_ns - 500_000_000, np.zeros(3), True) == Outcome.STAMP_NOT_ADVANCING
     assert ekf.update_velocity(last_ns + 365 * 86400 * SECOND, np.zeros(3), True) == Outcome.TOO_EARLY
-    assert np.array_equal(before, ekf.state.row)
+    assert np.array_equal(before, ekf.state.estimate)
     assert ekf.velocity_counts[Outcome.UNUSABLE] == 2

@@ -7,23 +7,20 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from quadpi_core.estimator import smoother
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.propagate import (
+from quadpi_core.estimator.filter_run import imu_records
+from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
-    BY_ACCELEROMETER_BIAS,
-    BY_ATTITUDE,
+    DELAY,
     ERROR_STATES,
     GYRO_BIAS,
     POSITION,
-    TURN_BACK,
     VELOCITY,
-    Row,
 )
-from quadpi_core.estimator.smoother import smooth
+from quadpi_core.estimator.smoother import SCALAR_CORRECTION, STEP, Inputs, Tape, forward, smooth
 from quadpi_core.flight import Recording
-from quadpi_core.frames import rotate_world_to_body
+from quadpi_core.rotations import rotate_world_to_body
 
 RATE = 500.0
 
@@ -31,38 +28,38 @@ RATE = 500.0
 def dense(transition):
     """The matrix (16, 16) that a transition stands for."""
     matrix = np.eye(ERROR_STATES)
-    dt = transition[0]
+    dt = transition["dt"]
     matrix[POSITION, VELOCITY] = dt * np.eye(3)
-    matrix[VELOCITY, ATTITUDE] = transition[BY_ATTITUDE : BY_ATTITUDE + 9].reshape(3, 3)
-    matrix[VELOCITY, ACCELEROMETER_BIAS] = transition[
-        BY_ACCELEROMETER_BIAS : BY_ACCELEROMETER_BIAS + 9
-    ].reshape(3, 3)
-    matrix[ATTITUDE, ATTITUDE] = transition[TURN_BACK : TURN_BACK + 9].reshape(3, 3)
+    matrix[VELOCITY, ATTITUDE] = transition["velocity_by_attitude"]
+    matrix[VELOCITY, ACCELEROMETER_BIAS] = transition["velocity_by_accelerometer_bias"]
+    matrix[ATTITUDE, ATTITUDE] = transition["attitude_by_attitude"]
     matrix[ATTITUDE, GYRO_BIAS] = -dt * np.eye(3)
     return matrix
 
 
 def process_noise(noise, dt):
     growth = np.zeros(ERROR_STATES)
-    growth[VELOCITY], growth[ATTITUDE] = noise.accelerometer, noise.gyro
-    growth[GYRO_BIAS], growth[ACCELEROMETER_BIAS] = noise.gyro_bias, noise.accelerometer_bias
-    growth[15] = noise.delay
+    growth[VELOCITY], growth[ATTITUDE] = noise["accelerometer"], noise["gyro"]
+    growth[GYRO_BIAS], growth[ACCELEROMETER_BIAS] = noise["gyro_bias"], noise["accelerometer_bias"]
+    growth[15] = noise["delay"]
     return dt * np.diag(growth)
 
 
-def textbook(kinds, entries, covariance, noise):
+def textbook(tape, covariance, noise):
     """Rauch, Tung and Striebel with dense matrices: smoothed errors and variances at the estimates."""
-    steps = []
-    for kind, entry in zip(kinds, entries, strict=True):
-        if kind == smoother._STEP:
-            f = dense(entry)
-            predicted = f @ covariance @ f.T + process_noise(noise, entry[0])
+    steps, transitions, scalars = [], iter(tape.steps), iter(tape.scalars)
+    for event in tape.events[: tape.length["events"][0]]:
+        if event == STEP:
+            transition = next(transitions)
+            f = dense(transition)
+            predicted = f @ covariance @ f.T + process_noise(noise, transition["dt"])
             steps.append(("step", covariance @ f.T @ np.linalg.inv(predicted), covariance, predicted))
             covariance = predicted
-        elif kind == smoother._SCALAR:
-            h, innovation, expected = entry[:16], entry[32], entry[33]
-            gain = covariance @ h / expected
-            np.testing.assert_allclose(gain, entry[16:32], rtol=1e-5, atol=1e-9)
+        elif event == SCALAR_CORRECTION:
+            scalar = next(scalars)
+            innovation, expected = scalar["innovation"], scalar["innovation_variance"]
+            gain = covariance @ scalar["jacobian"] / expected
+            np.testing.assert_allclose(gain, scalar["gain"], rtol=1e-5, atol=1e-9)
             covariance = covariance - np.outer(gain, gain) * expected
             steps.append(("scalar", gain * innovation, None, None))
         else:
@@ -86,35 +83,19 @@ def brief(simulate_flight) -> Recording:
 
 
 def test_it_is_the_smoother_of_the_textbook(noisy_vehicle, brief):
-    ekf = Ekf(noisy_vehicle, RATE)
-    (segment,) = ekf.segments(brief)
-    samples = np.concatenate((brief.imu.angular_velocity, brief.imu.specific_force), axis=1)
-    inputs = smoother._Inputs(
-        brief.imu.time_ns[segment.samples],
-        samples[segment.samples],
-        segment.initial.time_ns,
-        segment.journal_ns,
-        segment.journal,
-        np.array(ekf.noise),
-    )
+    (segment,) = Ekf(noisy_vehicle, RATE).segments(brief)
+    inputs = Inputs(imu_records(brief.imu)[segment.samples], segment.journal, segment.noise)
     count = len(segment.samples)
-    tape = smoother._tape(count, len(segment.journal))
-    row = segment.initial.row.copy()
-    applied, entries = smoother._forward(inputs, row, 0, count, 0, tape)
-    assert applied == len(segment.journal)
-    covariance = segment.initial.row[Row.COVARIANCE].reshape(ERROR_STATES, ERROR_STATES)
-    errors, variances = textbook(tape.kinds[:entries], tape.entries[:entries], covariance, ekf.noise)
+    tape = Tape.empty(count, len(segment.journal))
+    assert forward(inputs, segment.initial.estimate.copy(), 0, count, 0, tape) == len(segment.journal)
+    errors, variances = textbook(tape, segment.initial.estimate["covariance"][0], segment.noise[0])
 
     smoothed = smooth(brief, Ekf(noisy_vehicle, RATE))
     live = slice(segment.first, None)
-    expected = tape.rows[live]
-    np.testing.assert_allclose(
-        smoothed.velocity, expected[:, Row.VELOCITY] + errors[live, VELOCITY], atol=1e-6
-    )
-    np.testing.assert_allclose(
-        smoothed.gyro_bias, expected[:, Row.GYRO_BIAS] + errors[live, GYRO_BIAS], atol=1e-7
-    )
-    np.testing.assert_allclose(smoothed.delay_s, expected[:, Row.DELAY] + errors[live, 15], atol=1e-7)
+    expected, errors = tape.estimates[live], errors[live]
+    np.testing.assert_allclose(smoothed.velocity, expected["velocity"] + errors[:, VELOCITY], atol=1e-6)
+    np.testing.assert_allclose(smoothed.gyro_bias, expected["gyro_bias"] + errors[:, GYRO_BIAS], atol=1e-7)
+    np.testing.assert_allclose(smoothed.delay_s, expected["delay"] + errors[:, DELAY], atol=1e-7)
     np.testing.assert_allclose(smoothed.variance, variances[live], rtol=1e-4)
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
-from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs import read_recording
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 INERTIAL = ["gyro.x(f)", "gyro.y(f)", "gyro.z(f)", "acc.x(f)", "acc.y(f)", "acc.z(f)", "pm.vbatMV(H)"]

@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording
-from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.mapping import UNITS, Mapping
 from quadpi_core.paths import config_directory
+from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 
 GRAVITY = 9.80665

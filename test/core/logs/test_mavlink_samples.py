@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
-from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder
 from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4, MavlinkSamples, Sample, stream_of
+from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 

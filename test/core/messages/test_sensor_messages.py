@@ -15,7 +15,7 @@ from quadpi_core.flight import (
     TwistStream,
     WindStream,
 )
-from quadpi_core.frames import rotation_matrix, world_ned_to_enu
+from quadpi_core.frames import world_ned_to_enu
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import typestore
@@ -23,6 +23,7 @@ from quadpi_core.messages.payloads import Payloads
 from quadpi_core.monitor.alarm_log import reasons, reasons_by_row
 from quadpi_core.monitor.data_quality import GYRO_FROZEN
 from quadpi_core.results import AlarmEvent, Alarms, Predictions
+from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
 N = 7

@@ -14,7 +14,6 @@ from benchmarks.swings import write_long_bag
 from quadpi_core import recording_blocks
 from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.odometry import fused_sample
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.logs import mcap
 from quadpi_core.logs.bags import read_bag, read_outputs, recording_topics, write_bag
@@ -278,9 +277,9 @@ def test_replay_equals_the_live_path_sample_by_sample(
     live = []
     for time_ns, kind, i in order:
         if kind == 0:
-            ekf.predict(int(time_ns), imu.angular_velocity[i], imu.specific_force[i])
+            ekf.step(int(time_ns), imu.angular_velocity[i], imu.specific_force[i])
             if ekf.initialised:
-                estimate = fused_sample(ekf.state, vehicle.noise.gyro_noise_rad_s)
+                estimate = ekf.fused
                 state = estimate.odometry
                 pairing.add_imu(int(time_ns), estimate.imu.specific_force[0])
                 pairing.add_state(int(time_ns), state.velocity[0], state.attitude[0], state.rates[0])

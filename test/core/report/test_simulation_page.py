@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from quadpi_core.frames import quaternion_from_roll_pitch_yaw, rotate_world_to_body
+from quadpi_core.frames import quaternion_from_roll_pitch_yaw
 from quadpi_core.report.flight_summary import effects_text, faults_text, flight_table, summarise
 from quadpi_core.report.flown_figures import effort_figure, rotor_names, tracking_figure
 from quadpi_core.report.simulation_page import write_simulation_page
 from quadpi_core.report.trajectory_figures import trajectory_figure
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import Vehicle

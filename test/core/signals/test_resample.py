@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.rotations import from_rotation_vector
 from quadpi_core.signals.resample import (
     first_gap,
     interpolate,
@@ -12,7 +13,6 @@ from quadpi_core.signals.resample import (
     nominal_rate,
     uniform_stamps,
 )
-from quadpi_core.signals.rotations import from_rotation_vector
 
 STAMPS = np.array([100, 200, 300, 700, 800], dtype=np.int64)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import SimulationError
-from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body, rotation_matrix
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects

@@ -7,8 +7,15 @@ import pytest
 
 from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import SimulationError
-from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
-from quadpi_core.signals.rotations import from_rotation_vector, inverse, matrix, product, to_rotation_vector
+from quadpi_core.rotations import (
+    from_rotation_vector,
+    inverse,
+    matrix,
+    product,
+    rotate_body_to_world,
+    rotate_world_to_body,
+    to_rotation_vector,
+)
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.simulation.sensor_noise import (

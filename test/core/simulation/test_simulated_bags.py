@@ -8,10 +8,10 @@ import pytest
 
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
-from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import TOPIC_TYPES, bag_topics, has_topic, read_bag, write_bag
 from quadpi_core.logs.mcap import Bag
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.failures import read_faults
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import simulate_flight

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.signals.rotations import matrix
+from quadpi_core.rotations import matrix
 
 NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 # Of parameters in the block of a formula; what follows them is its memory.

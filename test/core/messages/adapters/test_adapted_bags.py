@@ -12,11 +12,11 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadpi_core.errors import LogError
-from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.paths import config_directory
+from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 
 from .test_poses import frame

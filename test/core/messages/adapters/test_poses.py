@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.errors import LogError
-from quadpi_core.frames import rotation_matrix, world_enu_to_ned
+from quadpi_core.frames import world_enu_to_ned
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
 from quadpi_core.messages.adapters.adapter_settings import (
@@ -16,6 +16,7 @@ from quadpi_core.messages.adapters.adapter_settings import (
     StateSettings,
 )
 from quadpi_core.messages.payloads import Payloads
+from quadpi_core.rotations import rotation_matrix
 
 N = 6
 START_NS = 1_700_000_000_123_456_000

@@ -4,29 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadpi_core import rotations
 from quadpi_core.estimator.ekf import State
-from quadpi_core.estimator.odometry import fused_sample, with_gyro_faults
-from quadpi_core.estimator.propagate import ATTITUDE, ERROR_STATES, GYRO_BIAS, POSITION, VELOCITY, Row
+from quadpi_core.estimator.filter_state import ATTITUDE, ERROR_STATES, ESTIMATE, GYRO_BIAS, POSITION, VELOCITY
+from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused, with_gyro_faults
 from quadpi_core.flight import ImuStream
-from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.sample_limits import SPECIFIC_FORCE_MAX_M_S2
-from quadpi_core.signals import rotations
 
 GYRO_NOISE = 0.02
 
 
 def make_state(rng: np.random.Generator) -> State:
     root = 0.02 * rng.standard_normal((ERROR_STATES, ERROR_STATES))
-    row = rng.standard_normal(Row.WIDTH)
-    row[Row.VELOCITY] *= 10.0
-    row[Row.ATTITUDE] /= np.linalg.norm(row[Row.ATTITUDE])
-    row[Row.COVARIANCE] = (root @ root.T).ravel()
-    return State(np.array([7]), row)
+    estimate = np.zeros(1, ESTIMATE)
+    for name in ("rates", "specific_force", "position", "velocity", "attitude"):
+        estimate[name] = rng.standard_normal(estimate[name].shape)
+    estimate["gyro_bias"], estimate["accelerometer_bias"] = rng.standard_normal((2, 1, 3))
+    estimate["velocity"] *= 10.0
+    estimate["attitude"] /= np.linalg.norm(estimate["attitude"])
+    estimate["covariance"] = root @ root.T
+    return State(estimate)
+
+
+def fused(state: State) -> FusedSamples:
+    sample = np.empty(1, FUSED)
+    fill_fused(state.estimate[0], GYRO_NOISE**2, sample[0])
+    return FusedSamples(sample["time_ns"], sample)
 
 
 def test_imu_is_corrected_and_velocity_in_body_axes() -> None:
     state = make_state(np.random.default_rng(3))
-    sample = fused_sample(state, GYRO_NOISE)
+    sample = fused(state)
     np.testing.assert_allclose(sample.imu.angular_velocity[0], state.rates - state.gyro_bias)
     np.testing.assert_allclose(sample.imu.specific_force[0], state.specific_force - state.accelerometer_bias)
     np.testing.assert_allclose(
@@ -48,7 +58,7 @@ def test_covariances_match_the_spread_of_perturbed_states() -> None:
         pose[row] = *error[POSITION], *rotations.to_rotation_vector(world_turn)
         twist[row, :3] = rotate_world_to_body(turned, state.velocity + error[VELOCITY])
         twist[row, 3:] = gyro_error - error[GYRO_BIAS]
-    sample = fused_sample(state, GYRO_NOISE)
+    sample = fused(state)
     assert_close(sample.pose_covariance[0], np.cov(pose.T))
     assert_close(sample.twist_covariance[0], np.cov(twist.T))
 

@@ -1,35 +1,44 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the EKF gives to the outside after an IMU sample: odometry with covariances, and the corrected IMU."""
+"""The output of the EKF after an IMU sample: odometry with covariances, and the corrected IMU."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core import rotations
 from quadpi_core.compiled import njit
-from quadpi_core.estimator.propagate import Row, covariance_of
-from quadpi_core.flight import (
-    ImuStream,
-    OdometryStream,
-    Stamps,
-)
+from quadpi_core.estimator.filter_state import Estimate
+from quadpi_core.flight import ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
 from quadpi_core.sample_limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
-from quadpi_core.signals import rotations
 
-if TYPE_CHECKING:
-    from quadpi_core.estimator.ekf import State
 
-_RATES, _FORCE, _POSITION, _VELOCITY = Row.RATES, Row.FORCE, Row.POSITION, Row.VELOCITY
-_ATTITUDE, _GYRO_BIAS, _ACCELEROMETER_BIAS = Row.ATTITUDE, Row.GYRO_BIAS, Row.ACCELEROMETER_BIAS
-# Where the numbers of a fused sample lie: one array, filled by one kernel.
-_OUT_POSITION, _OUT_ATTITUDE, _OUT_VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
-_OUT_RATES, _OUT_FORCE = slice(10, 13), slice(13, 16)
-_OUT_POSE, _OUT_TWIST = slice(16, 52), slice(52, 88)
-FUSED = 88
+class Motion:
+    """What the monitor needs of an estimate; velocity over ground, rates and specific force in body axes."""
+
+    attitude: Quaternion4
+    velocity: Vector3
+    rates: Vector3
+    specific_force: Vector3
+
+
+class FusedSample:
+    """One estimate: odometry, and the IMU sample less its biases."""
+
+    time_ns: int
+    position: Vector3
+    motion: Motion
+    pose_covariance: Annotated[Array, 6, 6]
+    twist_covariance: Annotated[Array, 6, 6]
+
+
+FUSED = record_dtype(FusedSample)
+_MOTION = np.dtype((np.float64, record_dtype(Motion).itemsize // 8))
 
 
 class FusedSamples(NamedTuple):
@@ -37,43 +46,40 @@ class FusedSamples(NamedTuple):
 
     Attributes:
         time_ns: (K,) stamps of IMU samples.
-        rows: (K, 88) all of them; the properties are views.
+        rows: (K,) each :class:`FusedSample`; the properties are views.
     """
 
     time_ns: Stamps
-    rows: Array
+    rows: Records
 
     @property
     def odometry(self) -> OdometryStream:
         """The states at those stamps."""
-        rows = self.rows
+        motion = self.rows["motion"]
         return OdometryStream(
-            self.time_ns,
-            rows[:, _OUT_POSITION],
-            rows[:, _OUT_ATTITUDE],
-            rows[:, _OUT_VELOCITY],
-            rows[:, _OUT_RATES],
+            self.time_ns, self.rows["position"], motion["attitude"], motion["velocity"], motion["rates"]
         )
 
     @property
     def imu(self) -> ImuStream:
         """The IMU samples less the estimated biases."""
-        return ImuStream(self.time_ns, self.rows[:, _OUT_RATES], self.rows[:, _OUT_FORCE])
+        motion = self.rows["motion"]
+        return ImuStream(self.time_ns, motion["rates"], motion["specific_force"])
 
     @property
     def motion(self) -> Array:
-        """(K, 13) attitude, velocity and rates in body axes, specific force."""
-        return self.rows[:, _OUT_ATTITUDE.start : _OUT_FORCE.stop]
+        """(K, 13) each :class:`Motion` as a row of numbers."""
+        return self.rows["motion"].view(_MOTION)
 
     @property
     def pose_covariance(self) -> Array:
         """(K, 6, 6) of position and of rotations about the world's axes, m² and rad²."""
-        return self.rows[:, _OUT_POSE].reshape(-1, 6, 6)
+        return self.rows["pose_covariance"]
 
     @property
     def twist_covariance(self) -> Array:
         """(K, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)²."""
-        return self.rows[:, _OUT_TWIST].reshape(-1, 6, 6)
+        return self.rows["twist_covariance"]
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> FusedSamples:
         """Those that a mask (K,) chooses; not copied where it chooses all."""
@@ -84,20 +90,8 @@ class FusedSamples(NamedTuple):
         return FusedSamples(self.time_ns[rows], self.rows[rows])
 
 
-def fused_sample(state: State, gyro_noise_rad_s: float) -> FusedSamples:
-    """The filter's state as odometry and corrected IMU; copies, so the state may go on.
-
-    Args:
-        state: of the filter, as :meth:`Ekf.predict` left it.
-        gyro_noise_rad_s: standard deviation of a gyro sample, which adds to the covariance of the rates.
-    """
-    out = np.empty((1, FUSED))
-    fill_fused(state.row, gyro_noise_rad_s**2, out[0])
-    return FusedSamples(state.time_ns.copy(), out)
-
-
 def with_gyro_faults(imu: ImuStream) -> ImuStream:
-    """IMU samples (K) whose specific force shows a gyro that cannot be: not finite or too large, as that is.
+    """IMU samples (K) whose specific force shows an impossible gyro sample: not finite, or too large.
 
     The monitor takes the specific force from the IMU and the rates from the state, which a sample that the
     filter refuses does not change: by itself it would interpolate over a gyro that fails.
@@ -109,26 +103,35 @@ def with_gyro_faults(imu: ImuStream) -> ImuStream:
 
 
 @njit(cache=True)
-def fill_fused(row: Array, gyro_variance: float, out: Array) -> None:
-    """Fill `out` (88,): state, and first-order propagation of the error state into pose and twist.
+def fill_newest(memories: Records, ring: Records, out: Records) -> None:
+    """Fill a :class:`FusedSample` (1,) from the newest estimate of a filter."""
+    memory = memories[0]
+    fill_fused(ring[memory.newest], memory.noise.rates, out[0])
+
+
+@njit(cache=True)
+def fill_fused(estimate: Estimate, gyro_variance: float, out: FusedSample) -> None:
+    """Fill state and covariances: first-order propagation of the error state into pose and twist.
 
     With attitude error δθ in body axes, rotations about the world's axes are R δθ, and the velocity in body
-    axes errs by Rᵀ δv + v × δθ.
+    axes errs by Rᵀ δv + v × δθ. The rates err by the gyro's bias and by its noise, of that variance.
     """
-    to_world = rotations.matrix(row[_ATTITUDE])
-    velocity = row[_VELOCITY]
-    out[_OUT_POSITION] = row[_POSITION]
-    out[_OUT_ATTITUDE] = row[_ATTITUDE]
+    to_world = rotations.matrix(estimate.attitude)
+    motion, velocity = out.motion, estimate.velocity
+    out.time_ns = estimate.time_ns
+    for component in range(4):
+        motion.attitude[component] = estimate.attitude[component]
     for axis in range(3):
+        out.position[axis] = estimate.position[axis]
         in_body = 0.0
         for other in range(3):
             in_body += to_world[other, axis] * velocity[other]
-        out[_OUT_VELOCITY.start + axis] = in_body
-        out[_OUT_RATES.start + axis] = row[_RATES.start + axis] - row[_GYRO_BIAS.start + axis]
-        out[_OUT_FORCE.start + axis] = row[_FORCE.start + axis] - row[_ACCELEROMETER_BIAS.start + axis]
-    u, v, w = out[_OUT_VELOCITY.start], out[_OUT_VELOCITY.start + 1], out[_OUT_VELOCITY.start + 2]
+        motion.velocity[axis] = in_body
+        motion.rates[axis] = estimate.rates[axis] - estimate.gyro_bias[axis]
+        motion.specific_force[axis] = estimate.specific_force[axis] - estimate.accelerometer_bias[axis]
+    u, v, w = motion.velocity[0], motion.velocity[1], motion.velocity[2]
 
-    # Rows of the two Jacobians over position, velocity, attitude and gyro bias.
+    # Jacobians over position, velocity, attitude and gyro bias.
     pose, twist = np.zeros((6, 12)), np.zeros((6, 12))
     for axis in range(3):
         pose[axis, axis] = 1.0
@@ -139,16 +142,15 @@ def fill_fused(row: Array, gyro_variance: float, out: Array) -> None:
     twist[0, 7], twist[0, 8] = -w, v
     twist[1, 6], twist[1, 8] = w, -u
     twist[2, 6], twist[2, 7] = -v, u
-    covariance = covariance_of(row)
-    _sandwich(pose, covariance, out[_OUT_POSE])
-    _sandwich(twist, covariance, out[_OUT_TWIST])
+    _sandwich(pose, estimate.covariance, out.pose_covariance)
+    _sandwich(twist, estimate.covariance, out.twist_covariance)
     for axis in range(3, 6):
-        out[_OUT_TWIST.start + 7 * axis] += gyro_variance
+        out.twist_covariance[axis, axis] += gyro_variance
 
 
 @njit(cache=True)
 def _sandwich(by: Array, covariance: Array, out: Array) -> None:
-    """J P Jᵀ into `out` (36,), of the first columns of P."""
+    """J P Jᵀ into `out` (6, 6), of the first columns of P."""
     columns = by.shape[1]
     projected = np.zeros((6, columns))
     for row in range(6):
@@ -162,5 +164,5 @@ def _sandwich(by: Array, covariance: Array, out: Array) -> None:
             total = 0.0
             for column in range(columns):
                 total += projected[row, column] * by[other, column]
-            out[6 * row + other] = total
-            out[6 * other + row] = total
+            out[row, other] = total
+            out[other, row] = total

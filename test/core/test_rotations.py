@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadpi_core.frames import rotation_matrix
-from quadpi_core.signals import rotations
+from quadpi_core import rotations
+from quadpi_core.rotations import rotation_matrix
 
 
 def random_quaternions(count=20, seed=6):

@@ -1,0 +1,293 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The state of the Kalman filter: an estimate, the samples that change it, and all that the filter remembers.
+
+Error state, 16 numbers: position and velocity in the world, attitude as a rotation vector in body axes
+(true = estimated ⊗ exp(error)), gyro bias, accelerometer bias, and the delay of motion capture: what it
+stamps s was true at s less the delay.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.compiled import njit
+from quadpi_core.flight import NO_STAMP
+from quadpi_core.frames import Array
+from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
+from quadpi_core.signals.resample import RATE_SPAN
+from quadpi_core.vehicle import Vehicle
+
+# Where the error state, and so a covariance, holds what.
+ERROR_STATES = 16
+POSITION = slice(0, 3)
+VELOCITY = slice(3, 6)
+ATTITUDE = slice(6, 9)
+GYRO_BIAS = slice(9, 12)
+ACCELEROMETER_BIAS = slice(12, 15)
+DELAY = 15
+
+# Kinds of measurement.
+POSE, WORLD_VELOCITY, BODY_VELOCITY = 0, 1, 2
+
+# How far back estimates are kept: the latest motion capture that can be fused.
+BUFFER_S = 0.5
+# Measurements that wait for their time; more than motion capture sends while it may be early.
+_HELD = 256
+# The drift of unrelated clocks, 0.5 ms in half a minute, as a random walk of the delay [s/√s].
+_DELAY_WALK_S = 1e-4
+
+
+class Outcome(IntEnum):
+    """What became of one sample."""
+
+    USED = 0
+    COLLECTED = 1  # kept: for the initialisation, or until it is time to fuse it
+    UNUSABLE = 2  # a value is not finite or impossible, or an attitude is no rotation
+    STAMP_NOT_ADVANCING = 3
+    TOO_LATE = 4
+    TOO_EARLY = 5
+    RESET = 6  # the IMU paused too long, its clock jumped back or its rate changed: the filter starts again
+    REJECTED = 7  # contradicts the estimate by more than both uncertainties allow
+    FROZEN = 8  # repeats the previous value bit for bit: no new measurement
+    STAMP_JUMPED = 9  # an IMU sample far from the previous one: RESET if the next one agrees with it
+
+
+# IMU samples without an estimate at their stamps that the monitor is given all the same: it reports the gap.
+WITHOUT_ESTIMATE = (Outcome.UNUSABLE, Outcome.COLLECTED, Outcome.RESET)
+
+
+class EstimatorStatus(IntEnum):
+    """How far the estimate can be used."""
+
+    INITIALISING = 0
+    OK = 1
+    DEGRADED = 2  # not settled, no correction for a while, or corrections are being rejected
+    LOST = 3  # no correction for so long, or a velocity so uncertain, that there is no usable state
+
+
+class ImuSample:
+    """One IMU sample as it came, in body axes."""
+
+    time_ns: int
+    rates: Vector3  # rad/s
+    specific_force: Vector3  # m/s²
+
+
+class Measurement:
+    """One pose or velocity of motion capture."""
+
+    time_ns: int
+    kind: int  # POSE, WORLD_VELOCITY or BODY_VELOCITY
+    vector: Vector3  # position [m] in the world, or velocity over ground [m/s] in the axes of its kind
+    attitude: Quaternion4  # body to world, of any norm and sign; zeros for a velocity
+
+
+class Estimate(ImuSample):
+    """The state at one instant, with the IMU sample of that instant."""
+
+    position: Vector3  # m, world
+    velocity: Vector3  # m/s over ground, world
+    attitude: Quaternion4  # body to world
+    gyro_bias: Vector3  # rad/s
+    accelerometer_bias: Vector3  # m/s²
+    delay: float  # s, of motion capture
+    covariance: Annotated[Array, ERROR_STATES, ERROR_STATES]  # of the error state
+
+
+class Noise:
+    """What the filter assumes of the sensors."""
+
+    gyro: float  # density, (rad/s)²/Hz
+    accelerometer: float  # density, (m/s²)²/Hz
+    gyro_bias: float  # growth of the variance per second
+    accelerometer_bias: float  # growth of the variance per second
+    delay: float  # growth of the variance per second
+    position: float  # variance of a pose, m²
+    attitude: float  # variance of a pose, rad²
+    velocity: float  # variance of a velocity, (m/s)²
+    delay_prior: float  # variance of the delay before anything is known of it, s²; 0: stamps are trusted
+    rates: float  # variance of one gyro sample, (rad/s)²
+    specific_force: float  # variance of one accelerometer sample, (m/s²)²
+    gravity: float  # m/s², along the world's third axis
+
+
+class Transition:
+    """The blocks of the matrix F that a step of the IMU applies to the error state."""
+
+    dt: float
+    velocity_by_attitude: Annotated[Array, 3, 3]
+    velocity_by_accelerometer_bias: Annotated[Array, 3, 3]
+    attitude_by_attitude: Annotated[Array, 3, 3]
+    world_force: Vector3  # specific force [m/s²] in the world
+
+
+class Scalar:
+    """One scalar component of a measurement, and how it corrected the error state."""
+
+    jacobian: Annotated[Array, ERROR_STATES]  # h
+    residual: float  # measured less estimated, before the other components
+    variance: float  # of the component, with what the linear model leaves out
+    gain: Annotated[Array, ERROR_STATES]  # k
+    innovation: float
+    innovation_variance: float
+
+
+class Widening:
+    """Variances added to an estimate before a measurement beyond its gate is believed."""
+
+    position: float
+    velocity: float
+    attitude: float
+    delay: float
+
+
+class Correction:
+    """A measurement as it was fused."""
+
+    time_ns: int  # of the estimate that it corrected
+    lag: float  # from that instant to the measurement's own, s
+    nis: float  # squared innovation in units of its covariance
+    measurement: Measurement
+    widening: Widening
+
+
+class Source:
+    """What is remembered of one source of measurements: poses or velocities."""
+
+    arrived_ns: int  # stamp of the last measurement that was held
+    last: Measurement  # the last one whose value was new
+    repeats: int  # of that value
+    changes: int  # of the value, up to where repeating is known to be no habit of this source
+    refused: Measurement  # the last one rejected
+    refused_since_ns: int
+    refusals: int  # in a row that agree among themselves
+
+
+class Filter:
+    """All that the filter remembers beside its ring of estimates."""
+
+    noise: Noise
+    newest: int  # place of the newest estimate in the ring
+    filled: int  # places in use
+    status: int  # see EstimatorStatus
+    counts: Annotated[npt.NDArray[np.int64], 3, len(Outcome)]  # of IMU samples, poses and velocities
+    accepted_ns: int  # stamp of the IMU sample at which a correction was last accepted
+    jumped_ns: int  # stamp of the previous IMU sample, where that was far from all before it
+    rate_span_ns: int  # usual time of RATE_SPAN steps of the IMU; 0 where its rate is given
+    rate_off_ns: int  # for how long nearly all such spans have differed from that
+    sources: Annotated[Records, Source, 2]  # poses and velocities
+    held: Annotated[Records, Measurement, _HELD]  # a ring of measurements that wait for their time, by stamp
+    held_first: int
+    held_count: int
+    journalled: int  # corrections written to the journal
+    corrected: Estimate  # after the last correction, at its instant
+    # Room to work.
+    prior: Estimate
+    trial: Estimate
+    correction: Correction
+    transition: Transition
+    scalars: Annotated[Records, Scalar, 6]
+
+
+IMU_SAMPLE, MEASUREMENT, ESTIMATE = (record_dtype(kind) for kind in (ImuSample, Measurement, Estimate))
+NOISE, TRANSITION, SCALAR = (record_dtype(kind) for kind in (Noise, Transition, Scalar))
+CORRECTION, FILTER = record_dtype(Correction), record_dtype(Filter)
+
+
+class Memory(NamedTuple):
+    """The filter's memory, which kernels change in place.
+
+    Attributes:
+        filter: (1,) a :class:`Filter`.
+        ring: (N,) an :class:`Estimate` at the stamp of each IMU sample of the last half second.
+    """
+
+    filter: Records
+    ring: Records
+
+
+def allocate(vehicle: Vehicle, rate_hz: float) -> Memory:
+    """An empty memory for a vehicle whose IMU has this rate."""
+    length = max(int(np.ceil(BUFFER_S * rate_hz)), RATE_SPAN) + 3
+    memory = Memory(np.zeros(1, FILTER), np.zeros(length, ESTIMATE))
+    memory.filter["noise"] = assumed_noise(vehicle, rate_hz)
+    forget(memory)
+    return memory
+
+
+def forget(memory: Memory) -> None:
+    """Empty the memory, but for the noise and the counts."""
+    noise, counts = memory.filter["noise"].copy(), memory.filter["counts"].copy()
+    memory.filter[:] = np.zeros(1, FILTER)
+    memory.filter["noise"], memory.filter["counts"] = noise, counts
+    memory.filter["jumped_ns"] = memory.filter["sources"]["arrived_ns"] = NO_STAMP
+
+
+def begin(memory: Memory, estimate: Records, imu_ns: int) -> None:
+    """Begin with an estimate (1,) whose instant is at or after an IMU sample stamped `imu_ns`."""
+    forget(memory)
+    memory.filter["corrected"] = memory.ring[0] = estimate[0]
+    memory.ring["time_ns"][0] = imu_ns
+    memory.filter["filled"] = 1
+    memory.filter["accepted_ns"] = imu_ns
+
+
+def assumed_noise(vehicle: Vehicle, rate_hz: float) -> Records:
+    """The :class:`Noise` (1,) that the filter assumes of a vehicle whose IMU has this rate."""
+    sensors = vehicle.noise
+    noise = np.zeros(1, NOISE)
+    noise["gyro"] = sensors.gyro_noise_rad_s**2 / rate_hz
+    noise["accelerometer"] = sensors.accelerometer_noise_m_s2**2 / rate_hz
+    noise["gyro_bias"] = sensors.gyro_bias_walk**2
+    noise["accelerometer_bias"] = sensors.accelerometer_bias_walk**2
+    noise["delay"] = _DELAY_WALK_S**2 if sensors.mocap_delay_std_s > 0.0 else 0.0
+    noise["position"] = sensors.mocap_position_m**2
+    noise["attitude"] = sensors.mocap_attitude_rad**2
+    noise["velocity"] = sensors.mocap_velocity_m_s**2
+    noise["delay_prior"] = sensors.mocap_delay_std_s**2
+    noise["rates"] = sensors.gyro_noise_rad_s**2
+    noise["specific_force"] = sensors.accelerometer_noise_m_s2**2
+    noise["gravity"] = vehicle.gravity_m_s2
+    return noise
+
+
+@njit(cache=True)
+def copy_state(source: Estimate, target: Estimate) -> None:
+    """Copy the state and its covariance; the stamp and the IMU sample of `target` stay."""
+    for axis in range(3):
+        target.position[axis] = source.position[axis]
+        target.velocity[axis] = source.velocity[axis]
+        target.gyro_bias[axis] = source.gyro_bias[axis]
+        target.accelerometer_bias[axis] = source.accelerometer_bias[axis]
+    for component in range(4):
+        target.attitude[component] = source.attitude[component]
+    target.delay = source.delay
+    for row in range(ERROR_STATES):
+        for column in range(ERROR_STATES):
+            target.covariance[row, column] = source.covariance[row, column]
+
+
+@njit(cache=True)
+def copy_sample(source: ImuSample, target: ImuSample) -> None:
+    """Copy an IMU sample with its stamp."""
+    target.time_ns = source.time_ns
+    for axis in range(3):
+        target.rates[axis] = source.rates[axis]
+        target.specific_force[axis] = source.specific_force[axis]
+
+
+@njit(cache=True)
+def interpolate_sample(estimate: Estimate, first: ImuSample, second: ImuSample) -> None:
+    """Give an estimate the IMU sample of its instant, on the line between two samples around it."""
+    share = 0.0
+    if estimate.time_ns > first.time_ns:
+        share = (estimate.time_ns - first.time_ns) / (second.time_ns - first.time_ns)
+    for axis in range(3):
+        rate, force = first.rates[axis], first.specific_force[axis]
+        estimate.rates[axis] = rate + share * (second.rates[axis] - rate)
+        estimate.specific_force[axis] = force + share * (second.specific_force[axis] - force)
