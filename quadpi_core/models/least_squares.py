@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ from scipy.linalg import solve_triangular
 from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, rows_kernel
+from quadpi_core.models.regressors import BASE_ROWS, Records, RegressorProgram, rows_kernel
 
 # Samples per block: the regressors of one block stay in the cache of a core.
 _BLOCK = 192
@@ -125,13 +124,13 @@ def flight_grams(
 
 def _accumulate(program: RegressorProgram, inputs: Array, target: Array) -> Gram:
     """The Gram of some samples: the target goes along as one more regressor."""
-    target_row = BASE_ROWS + len(program.first)
+    target_row = BASE_ROWS + len(program.operations)
     factors = np.append(program.outputs, target_row)
     size = len(factors)
     factors = np.pad(factors, (0, -size % _TILE_ROWS), mode="edge")
     sums = np.zeros((len(factors), len(factors)))
     rows = _aligned_zeros(target_row + 1, _BLOCK)
-    _accumulate_kernel(inputs, target, program.first, program.second, program.weights, factors, rows, sums)
+    _accumulate_kernel(inputs, target, program.operations, factors, rows, sums)
     lower = np.tril(sums[:size, :size])
     sums = lower + np.tril(lower, -1).T
     return Gram(sums[:-1, :-1], sums[:-1, -1], float(sums[-1, -1]), len(target))
@@ -146,12 +145,17 @@ def _aligned_zeros(rows: int, columns: int) -> Array:
 
 @njit(cache=True, nogil=True)
 def _accumulate_kernel(
-    inputs: Any, target: Any, first: Any, second: Any, weights: Any, factors: Any, rows: Any, sums: Any
+    inputs: Array,
+    target: Array,
+    operations: Records,
+    factors: npt.NDArray[np.int64],
+    rows: Array,
+    sums: Array,
 ) -> None:
     """Add up the lower triangle of `sums` (m, m) for the rows `factors` (m,) of program and target."""
     for start in range(0, inputs.shape[0], _BLOCK):
         count = min(_BLOCK, inputs.shape[0] - start)
-        rows_kernel(inputs[start : start + count], first, second, weights, rows)
+        rows_kernel(inputs[start : start + count], operations, rows)
         for i in range(count):
             rows[-1, i] = target[start + i]
         rows[:, count:] = 0.0
@@ -160,7 +164,7 @@ def _accumulate_kernel(
 
 # Sums may be reordered for vector registers: no bit of a replay depends on them.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _add_products(rows: Any, factors: Any, sums: Any) -> None:
+def _add_products(rows: Array, factors: npt.NDArray[np.int64], sums: Array) -> None:
     """Add the products of rows to the lower triangle of `sums`, 4 x 2 of them at a time in registers.
 
     The sums of squares and products are where identification spends its time. BLAS takes twice as long for

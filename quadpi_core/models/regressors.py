@@ -25,6 +25,9 @@ from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 # Powers by input, in the order of INPUT_NAMES: (input, power of it, power 0 or 1 of its absolute value).
 Monomial: TypeAlias = tuple[tuple[str, int, int], ...]
 
+# A structured array; kernels reach its fields as attributes of an element.
+Records: TypeAlias = npt.NDArray[Any]
+
 CONSTANT: Monomial = ()
 # Samples evaluated at a time, so that the rows in between stay in the cache.
 _BLOCK = 1024
@@ -134,17 +137,24 @@ def _first_factor(monomial: Monomial) -> tuple[int, Monomial]:
     return row, monomial[:-1] + tail
 
 
+# One row of a program: the product of rows `first` and `second`, or their weighted sum where a weight is set.
+OPERATION = np.dtype(
+    [("first", np.int64), ("second", np.int64), ("first_weight", np.float64), ("second_weight", np.float64)],
+    align=True,
+)
+
+
 @dataclass(frozen=True)
 class RegressorProgram:
     """Evaluates regressors row by row: a row is the product or the weighted sum of two earlier rows.
 
-    Rows start with the constant 1, the inputs and their absolute values; `first`, `second` name the
-    earlier rows, `weights` (n, 2) are zero for a product; `outputs` are the rows of the regressors.
+    Attributes:
+        operations: (n,) of :data:`OPERATION`. Rows begin with the constant 1, the inputs and their absolute
+            values; operation k gives row BASE_ROWS + k.
+        outputs: (p,) rows of the regressors.
     """
 
-    first: npt.NDArray[np.int64]
-    second: npt.NDArray[np.int64]
-    weights: Array
+    operations: Records
     outputs: npt.NDArray[np.int64]
 
     @classmethod
@@ -174,23 +184,17 @@ class RegressorProgram:
             return row
 
         outputs = [output_of(regressor) for regressor in regressors]
-        table = np.array(operations, dtype=float).reshape(-1, 4)
-        return cls(
-            first=table[:, 0].astype(np.int64),
-            second=table[:, 1].astype(np.int64),
-            weights=np.ascontiguousarray(table[:, 2:]),
-            outputs=np.array(outputs, dtype=np.int64),
-        )
+        return cls(np.array(operations, dtype=OPERATION), np.array(outputs, dtype=np.int64))
 
     def evaluate(self, inputs: Array) -> Array:
         """Regressors (N, p) of input vectors (N, 19); memory N × p, so meant for selected terms."""
         check_inputs(inputs)
         inputs = np.ascontiguousarray(inputs)
         values = np.empty((len(inputs), len(self.outputs)))
-        rows = np.empty((BASE_ROWS + len(self.first), _BLOCK))
+        rows = np.empty((BASE_ROWS + len(self.operations), _BLOCK))
         for start in range(0, len(inputs), _BLOCK):
             block = inputs[start : start + _BLOCK]
-            rows_kernel(block, self.first, self.second, self.weights, rows)
+            rows_kernel(block, self.operations, rows)
             values[start : start + _BLOCK] = rows[self.outputs, : len(block)].T
         return values
 
@@ -199,7 +203,7 @@ BASE_ROWS = 1 + 2 * len(INPUT_NAMES)
 
 
 @njit(cache=True)
-def rows_kernel(inputs: Any, first: Any, second: Any, weights: Any, rows: Any) -> None:
+def rows_kernel(inputs: Array, operations: Records, rows: Array) -> None:
     """Fill the first N columns of `rows` (BASE_ROWS + n, ≥ N) of a program for inputs (N, 19)."""
     count = inputs.shape[0]
     n_inputs = inputs.shape[1]
@@ -210,10 +214,10 @@ def rows_kernel(inputs: Any, first: Any, second: Any, weights: Any, rows: Any) -
             rows[1 + j, i] = inputs[i, j]
             rows[1 + n_inputs + j, i] = abs(inputs[i, j])
     base = 1 + 2 * n_inputs
-    for k in range(first.shape[0]):
-        a, b = rows[first[k]], rows[second[k]]
-        out = rows[base + k]
-        wa, wb = weights[k, 0], weights[k, 1]
+    for k in range(operations.shape[0]):
+        operation = operations[k]
+        a, b, out = rows[operation.first], rows[operation.second], rows[base + k]
+        wa, wb = operation.first_weight, operation.second_weight
         if wa == 0.0:
             for i in range(count):
                 out[i] = a[i] * b[i]

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
+from quadpi_core.models.methods import Evaluation
 from quadpi_core.paper.validation_case import Samples, ValidationCase
 from quadpi_core.parallel import map_tasks
 from quadpi_core.paths import whole_output
@@ -130,52 +131,48 @@ def _widened(extremes: Array | None, values: Array) -> Array:
     return np.stack((np.minimum(extremes[LOWEST], values), np.maximum(extremes[HIGHEST], values)))
 
 
+class _Bounds(NamedTuple):
+    """Interval (N, 6) of a model."""
+
+    lower: Array
+    upper: Array
+
+
+class _Counted(NamedTuple):
+    """Counts and extremes of one realisation, model and flight, (6,) each; see :class:`Tally`."""
+
+    model: Counts
+    measurement: Counts
+    combined: Counts
+    width: Array
+    predicted: Array
+
+
 def _count(
     tally: Tally, where: tuple[int, int, int], case: ValidationCase, name: str, noisy: Samples
 ) -> None:
     reference = case.references[name][where[-1]]
     said = case.models[name].evaluate(noisy.inputs, case.confidence)
-    _count_kernel(
-        reference.lower,
-        reference.upper,
-        noisy.wrench,
-        said.predicted,
-        said.lower,
-        said.upper,
-        tally.model[where],
-        tally.measurement[where],
-        tally.combined[where],
-        tally.width[where],
-        tally.predicted[where],
-    )
+    counted = _Counted(*(getattr(tally, name)[where] for name in _Counted._fields))
+    _count_kernel(_Bounds(reference.lower, reference.upper), noisy.wrench, said, counted)
 
 
 @njit(cache=True, nogil=True)
-def _count_kernel(
-    reference_lower: Any,
-    reference_upper: Any,
-    measured: Any,
-    predicted: Any,
-    lower: Any,
-    upper: Any,
-    inside_model: Any,
-    inside_measurement: Any,
-    inside_combined: Any,
-    width: Any,
-    extremes: Any,
-) -> None:
+def _count_kernel(reference: _Bounds, measured: Array, noisy: Evaluation, counted: _Counted) -> None:
+    """Add up `counted`, from the interval at the noise-free inputs and the evaluation at the noisy ones."""
+    extremes = counted.predicted
     extremes[:, LOWEST] = np.inf
     extremes[:, HIGHEST] = -np.inf
     for i in range(measured.shape[0]):
         for axis in range(measured.shape[1]):
-            y, said = measured[i, axis], predicted[i, axis]
-            low, high = reference_lower[i, axis], reference_upper[i, axis]
-            inside_model[axis] += low <= said <= high
-            inside_measurement[axis] += low <= y <= high
-            inside_combined[axis] += lower[i, axis] <= y <= upper[i, axis]
-            width[axis] += upper[i, axis] - lower[i, axis]
-            extremes[axis, LOWEST] = min(extremes[axis, LOWEST], said)
-            extremes[axis, HIGHEST] = max(extremes[axis, HIGHEST], said)
+            y, predicted = measured[i, axis], noisy.predicted[i, axis]
+            low, high = reference.lower[i, axis], reference.upper[i, axis]
+            counted.model[axis] += low <= predicted <= high
+            counted.measurement[axis] += low <= y <= high
+            counted.combined[axis] += noisy.lower[i, axis] <= y <= noisy.upper[i, axis]
+            counted.width[axis] += noisy.upper[i, axis] - noisy.lower[i, axis]
+            extremes[axis, LOWEST] = min(extremes[axis, LOWEST], predicted)
+            extremes[axis, HIGHEST] = max(extremes[axis, HIGHEST], predicted)
 
 
 # Seconds of work, so that an interruption loses little and the last chunks keep all workers busy.

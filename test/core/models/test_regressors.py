@@ -93,7 +93,7 @@ def test_sums(text: str) -> None:
 def test_shared_products_are_computed_once() -> None:
     pool = load_pools("hdbeetle")["Fx"]
     program = RegressorProgram.compile(pool.candidates)
-    assert len(program.first) < 1.1 * len(pool.candidates)
+    assert len(program.operations) < 1.1 * len(pool.candidates)
 
 
 def test_program_without_products() -> None:
