@@ -19,9 +19,10 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
 from quadpi_core.paths import bags_directory, write_json
-from quadpi_core.report.evaluation_page import write_report
+from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page
 from quadpi_core.report.live_figure import LiveReplay
-from quadpi_core.report.terminal_tables import evaluation_table, held_out_table
+from quadpi_core.report.model_tables import held_out_table
+from quadpi_core.report.table import terminal_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import AlarmChange
 from quadpi_ros.live_session import SessionResult, run_session
@@ -127,14 +128,15 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
         console.print(Text.assemble((axis, "bold"), f"  R² {chosen[-1]['r2']:.3f}  {terms}"))
 
     console.print(model.calibration())
-    console.print(held_out_table(model))
+    if held_out := held_out_table(model):
+        console.print(terminal_table(held_out))
 
     console.rule("3  Evaluate: does the interval cover?")
     others = [bag for bags in list(flights.groups.values())[1:] for bag in bags]
     prepared += prepare_flights(others, vehicle, CUTOFF_HZ["default"])
     groups = {name: [bag.stem for bag in bags] for name, bags in flights.groups.items()}
     results, evaluation = judge(model, prepared, groups, CONFIDENCE)
-    console.print(evaluation_table(evaluation))
+    console.print(evaluation_summary(evaluation))
 
     console.rule(f"4  Live: {flights.replayed.name} through the ROS 2 nodes at {rate:g} x real time")
     console.print(
@@ -158,7 +160,7 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
     summary = evaluation.to_json() | {"live": live}
     write_json(output / "summary.json", summary)
     replay = _replay(flights.replayed.stem, session, live)
-    write_report(output / "report.html", evaluation, results, model, replay)
+    write_evaluation_page(output / "report.html", evaluation, results, model, replay)
     console.print(f"Open {output / 'report.html'}; figures in {output / 'summary.json'}")
 
 

@@ -41,7 +41,7 @@ from paper_tables import replaced, stamp  # noqa: E402
 
 from quadpi_core.parallel import map_tasks  # noqa: E402
 from quadpi_core.paths import whole_output  # noqa: E402
-from quadpi_core.report.markdown import table  # noqa: E402
+from quadpi_core.report.table import Column, Table, markdown_table  # noqa: E402
 
 _SOURCES = ("quadpi_core/**/*.py", "config/**/*.yaml", "test/discovery/blind/*.py")
 
@@ -88,7 +88,8 @@ def figures_table(answers: Sequence[Answer]) -> str:
         interval = f"{100 * low:.1f} – {100 * high:.1f}" if figure.of else "–"
         reached = "–" if not figure.of else "yes" if figure.reached else "**no**"
         rows.append([figure.name, f"{figure.hits} / {figure.of}", share, interval, goal, reached])
-    return table(["", "cases", "%", "95 % interval", "goal", "reached"], rows)
+    headings = ("cases", "%", "95 % interval", "goal", "reached")
+    return markdown_table(Table([Column("", is_text=True), *map(Column, headings)], rows))
 
 
 def confusion_table(answers: Sequence[Answer]) -> str:
@@ -102,7 +103,8 @@ def confusion_table(answers: Sequence[Answer]) -> str:
             for size in SIZES
         ]
         rows.append([f"`{name}`", *cells])
-    return table(["hidden", "full size", "half", "quarter"], rows, texts=range(4))
+    headings = ("hidden", "full size", "half", "quarter")
+    return markdown_table(Table([Column(heading, is_text=True) for heading in headings], rows))
 
 
 def failures_table(answers: Sequence[Answer]) -> str:
@@ -114,7 +116,8 @@ def failures_table(answers: Sequence[Answer]) -> str:
         rows.append(
             [hidden.kind, " + ".join(hidden.effects) or "nothing", size, str(hidden.seed), answer.words]
         )
-    return table(["kind", "hidden", "size", "seed", "found"], rows, texts=(0, 1, 4))
+    kind, effects, words = (Column(heading, is_text=True) for heading in ("kind", "hidden", "found"))
+    return markdown_table(Table([kind, effects, Column("size"), Column("seed"), words], rows))
 
 
 def summary(results: Sequence[dict[str, Any]]) -> str:

@@ -36,7 +36,7 @@ from quadpi_core.flight import AXES, Flight  # noqa: E402
 from quadpi_core.identification.identify import CUTOFF_HZ  # noqa: E402
 from quadpi_core.logs import read_recording  # noqa: E402
 from quadpi_core.paths import data_directory, whole_output  # noqa: E402
-from quadpi_core.report.markdown import table  # noqa: E402
+from quadpi_core.report.table import Column, Table, markdown_table  # noqa: E402
 from quadpi_core.vehicle import Vehicle  # noqa: E402
 
 # A simulation of a few numbers knows them less well than one that was identified.
@@ -188,7 +188,9 @@ def told(case: Case, number: int, found: Discovery) -> str:
         for place, p in enumerate(effect.parameters)
     ]
     if rows:
-        lines.append(table(("effect", "parameter", "value", "95 %", ""), rows, texts=(0, 1, 4)))
+        name, parameter, unit = (Column(heading, is_text=True) for heading in ("effect", "parameter", ""))
+        columns = [name, parameter, Column("value"), Column("95 %"), unit]
+        lines.append(markdown_table(Table(columns, rows)))
     for effect in found.effects:
         if effect.rivals:
             lines.append(f"`{effect.name}` cannot be told from {', '.join(f'`{r}`' for r in effect.rivals)}.")
@@ -198,7 +200,7 @@ def told(case: Case, number: int, found: Discovery) -> str:
         for i, axis in enumerate(AXES)
     ]
     headings = ("axis [N, Nm]", "before", "after", "floor", *(["published"] if published else []))
-    lines.append(table(headings, rows))
+    lines.append(markdown_table(Table([Column(headings[0], is_text=True), *map(Column, headings[1:])], rows)))
     if published and number == 1:
         lines.append(f"Published: {case.source}, over all frequencies.")
     return "\n\n".join(lines)

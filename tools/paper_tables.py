@@ -28,7 +28,11 @@ from quadpi_core.models import AerodynamicModel
 from quadpi_core.paper.published import METHODS
 from quadpi_core.paper.validation_result import Validation
 from quadpi_core.paths import data_directory, whole_output
-from quadpi_core.report import markdown
+from quadpi_core.report.comparison_page import comparison_table
+from quadpi_core.report.left_out_tables import left_out_summary, left_out_table
+from quadpi_core.report.model_tables import structure_table
+from quadpi_core.report.table import markdown_table
+from quadpi_core.report.validation_page import validation_table
 
 Result = TypeVar("Result")
 
@@ -113,7 +117,7 @@ def validation(job: Job) -> str:
         [
             f"Realisations of the noise: {job.realisations}, on each of {flights} flights.",
             *(
-                f"**{title}**\n\n{markdown.validation(results, axes)}"
+                f"**{title}**\n\n{markdown_table(validation_table(results, axes, with_settings=True))}"
                 for title, axes in (("Forces", AXES[:3]), ("Moments", AXES[3:]))
             ),
         ]
@@ -124,7 +128,7 @@ def tunnel(job: Job) -> str:
     """The table of the wind tunnel, simulated."""
     folder = job.work / "tunnel"
     job.quadpi("evaluate", "-o", folder, "--json", folder / "result.json")
-    return markdown.comparison(_read(Comparison, folder / "result.json"))
+    return markdown_table(comparison_table(_read(Comparison, folder / "result.json")))
 
 
 def simulation_structures(job: Job) -> str:
@@ -144,7 +148,7 @@ def _structures(folders: dict[str, Path]) -> str:
         model = AerodynamicModel.load(folder)
         tables = [model.axes[start : start + 3] for start in range(0, len(model.axes), 3)]
         parts += [f"**{settings} settings**"]
-        parts += [markdown.structures(model.selection, axes) for axes in tables]
+        parts += [markdown_table(structure_table(model.selection, axes)) for axes in tables]
     return "\n\n".join(parts)
 
 
@@ -164,7 +168,7 @@ def neurobem(job: Job) -> str:
     ]
     found = job.work / "neurobem" / "groups.json"
     job.quadpi("evaluate", *folders.values(), *groups, "--json", found)
-    return markdown.comparison(_read(Comparison, found))
+    return markdown_table(comparison_table(_read(Comparison, found)))
 
 
 def left_out(job: Job) -> str:
@@ -184,9 +188,9 @@ def left_out(job: Job) -> str:
             job.quadpi("evaluate", *(folders[speed, m] for m in METHODS), bag, *options, "--json", found)
             of_flight[kind] = _read(Comparison, found)
     *slower, fastest = results
-    inside = markdown.left_out_summary({flight: results[flight] for flight in slower})
+    inside = markdown_table(left_out_summary({flight: results[flight] for flight in slower}))
     return (
-        f"{markdown.left_out(results)}\n\n"
+        f"{markdown_table(left_out_table(results))}\n\n"
         f"Without {fastest}, which no other flight comes near: least / mean coverage of the others · largest "
         "width."
         f"\n\n{inside}"

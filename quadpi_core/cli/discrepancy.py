@@ -16,8 +16,7 @@ from quadpi_core.discrepancy.effect_sets import write_addition
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.study import read_flights, study
 from quadpi_core.paths import whole_outputs, write_json
-from quadpi_core.report.discrepancy_page import write_discrepancy_page
-from quadpi_core.report.discrepancy_tables import discrepancy_tables
+from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
 from quadpi_core.report.progress import counting
 
 DATA, PAGE = "discrepancy.json", "discrepancy.html"
@@ -72,5 +71,5 @@ def run(
             write_json(json_file, data)
         if html_file is not None:
             write_discrepancy_page(html_file, found)
-    console.print(discrepancy_tables(found))
+    console.print(discrepancy_summary(found))
     console.print(f"{output}: {', '.join([PAGE, DATA, *added])}", soft_wrap=True)

@@ -68,8 +68,9 @@ def identify(
     from quadpi_core.identification.prepared_flights import prepare_flights
     from quadpi_core.models.candidate_pool import load_pools, select_axes
     from quadpi_core.models.model_folder import require_replaceable
+    from quadpi_core.report.model_tables import held_out_table, selection_table
     from quadpi_core.report.progress import counting, identifying
-    from quadpi_core.report.terminal_tables import held_out_table, selection_table
+    from quadpi_core.report.table import terminal_table
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(bags, json_file, html_file, folders=[output])
@@ -104,7 +105,7 @@ def identify(
         ).save(output)
     for axis in model.axes:
         if model.selection[axis]:
-            console.print(selection_table(model.selection[axis], axis))
+            console.print(terminal_table(selection_table(model.selection[axis], axis)))
     names = ", ".join(flight.name for flight in model.flights)
     console.print(
         f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
@@ -112,7 +113,7 @@ def identify(
     console.print(model.calibration(), soft_wrap=True)
     console.print(model.alarm_limits.sentence(), soft_wrap=True)
     if held_out := held_out_table(model):
-        console.print(held_out)
+        console.print(terminal_table(held_out))
     if json_file or html_file:
         groups = {"identification": [flight.name for flight in flights]}
         _report(model, flights, groups, confidence, json_file, html_file)
@@ -145,8 +146,8 @@ def evaluate(
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
     from quadpi_core.evaluation.compare import compare, given_comparison, is_model_folder
-    from quadpi_core.report.comparison_page import comparison_table, write_comparison_page
-    from quadpi_core.report.terminal_tables import evaluation_table
+    from quadpi_core.report.comparison_page import comparison_summary, write_comparison_page
+    from quadpi_core.report.evaluation_page import evaluation_summary
 
     console = open_console()
     if paths or group:
@@ -193,10 +194,10 @@ def evaluate(
         evaluation = _report(
             model, flights, comparison.groups, level, json_file, html_file, adaptive=adaptive
         )
-        console.print(evaluation_table(evaluation))
+        console.print(evaluation_summary(evaluation))
         return
     results, compared = compare(comparison, adaptive=adaptive)
-    console.print(comparison_table(compared))
+    console.print(comparison_summary(compared))
     write_result(json_file, compared.to_json())
     if html_file is not None:
         write_comparison_page(html_file, compared, results, models)
@@ -231,10 +232,10 @@ def _report(
     adaptive: bool = False,
 ) -> Any:
     from quadpi_core.evaluation.evaluate import judge
-    from quadpi_core.report.evaluation_page import write_report
+    from quadpi_core.report.evaluation_page import write_evaluation_page
 
     results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)
     write_result(json_file, evaluation.to_json())
     if html_file is not None:
-        write_report(html_file, evaluation, results, model)
+        write_evaluation_page(html_file, evaluation, results, model)
     return evaluation

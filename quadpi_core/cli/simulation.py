@@ -28,11 +28,12 @@ from quadpi_core.errors import QuadpiError
 
 def _print_catalogue(wanted: bool) -> None:
     if wanted:
-        from quadpi_core.report.catalogue import catalogue
+        from quadpi_core.report.simulation_page import catalogue_tables
+        from quadpi_core.report.table import terminal_table
 
         console = open_console()
-        for table in catalogue():
-            console.print(table)
+        for table in catalogue_tables():
+            console.print(terminal_table(table))
         raise typer.Exit
 
 
@@ -67,8 +68,9 @@ def simulate(
 ) -> None:
     """Fly a scenario in the rotor-local simulation: a bag per flight, with its truth on /truth/…."""
     from quadpi_core.config import is_config_path
-    from quadpi_core.report.flight_summary import flight_json, flight_table, summarise
     from quadpi_core.report.progress import flying
+    from quadpi_core.report.simulation_page import flight_json, flight_table, summarise, write_simulation_page
+    from quadpi_core.report.table import terminal_table
     from quadpi_core.simulation.run import simulate as fly
     from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
 
@@ -88,11 +90,9 @@ def simulate(
         flights = fly(plans, output, workers=workers, progress=progress)
     summaries = [summarise(flown.plan, flown.truth) for flown in flights]
     bags = [flown.bag for flown in flights]
-    console.print(flight_table(summaries, bags))
+    console.print(terminal_table(flight_table(summaries, bags)))
     write_result(json_file, flight_json(the_scenario.name, summaries, bags))
     if html_file is not None:
-        from quadpi_core.report.simulation_page import write_simulation_page
-
         write_simulation_page(html_file, [(flown.plan, flown.truth) for flown in flights])
 
 
@@ -129,7 +129,7 @@ def validate(
     from quadpi_core.paper.validation_case import given_case
     from quadpi_core.paper.validation_result import summarise
     from quadpi_core.report.progress import counting
-    from quadpi_core.report.validation_page import validation_tables
+    from quadpi_core.report.validation_page import validation_summary
 
     kept = (None, None) if output is None else (output / "models", output / "realisations")
     check_outputs(paths or [], json_file, html_file, folders=kept)
@@ -166,13 +166,12 @@ def validate(
             interruption.args = ("what is finished is kept, and the next run goes on from there",)
         raise
     result = summarise(case, tally, training=training, published=published)
-    console.print(validation_tables(result))
+    console.print(validation_summary(result))
     write_result(json_file, result.to_json())
     if html_file is not None:
         from quadpi_core.paper.realisations import spread
         from quadpi_core.parallel import map_tasks
-        from quadpi_core.report.band_figure import SHOWN
-        from quadpi_core.report.validation_page import write_validation_page
+        from quadpi_core.report.validation_page import SHOWN, write_validation_page
 
         names = [flight.name for flight in case.flights]
         spreads = map_tasks(

@@ -1,153 +1,172 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several models on the same flights, as the paper's wind-tunnel table: for the terminal, and as a page."""
+"""Several models on the same flights, as the paper's wind-tunnel table: tables, figures and a page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
+from typing import Literal
 
-from rich import box
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
-from quadpi_core.evaluation.evaluation_result import (
-    AxisMetrics,
-    Comparison,
-    Evaluation,
-    GroupEvaluation,
-    PublishedMetrics,
-)
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison, Evaluation, PublishedMetrics
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.report import evaluation_sections
-from quadpi_core.report.decimation import bins_within
-from quadpi_core.report.group_figures import group_figure, interval_figure, lines_drawn
-from quadpi_core.report.holding import in_cells, of_axes
-from quadpi_core.report.page import (
-    figure,
-    figure_of_flight,
-    flight_menu,
-    heading,
-    section,
-    table,
-    write_page,
+from quadpi_core.report.coverage_verdict import axis_coverages, count_verdicts
+from quadpi_core.report.evaluation_page import (
+    alarm_sentence,
+    axis_cell,
+    coverage_cell,
+    metric_definitions,
+    metrics_table,
+    short_coverage_note,
 )
-from quadpi_core.report.style import hundredths, number, percent, unit
-from quadpi_core.report.terminal_tables import alarm_sentence
+from quadpi_core.report.model_tables import structure_table
+from quadpi_core.report.page import Page
+from quadpi_core.report.plots import bins_within, extreme_samples, series, styled
+from quadpi_core.report.style import (
+    INK,
+    MEASURED,
+    error_bar,
+    hundredths,
+    method_colours,
+    nominal,
+    number,
+    percent,
+    percent_range,
+    unit,
+)
+from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, terminal_table
 
 PUBLISHED = "published"
 # All intervals together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 300_000
+# Settings of one method share its colour.
+_MARKERS = {"default": "circle", "paper": "circle-open"}
+_DASHES = {"default": "solid", "paper": "dot"}
 
 
 @dataclass(frozen=True)
-class Row:
-    """A row of the table.
+class ComparisonRow:
+    """The metrics of one axis by one model, or as published on its method.
 
     Attributes:
         axis: of the wrench.
         model: its name; None for what was published on the method of the rows before.
-        groups: by group the metrics, of a published row `picp` and `mpiw` alone.
+        groups: metrics by group.
     """
 
     axis: str
     model: str | None
-    groups: Mapping[str, AxisMetrics | PublishedMetrics]
-
-    def short(self, group: str, confidence: float) -> bool:
-        """Whether the coverage is too low beyond chance; of published numbers nobody knows."""
-        metrics = self.groups[group]
-        return isinstance(metrics, AxisMetrics) and metrics.covers_too_little(confidence)
-
-    def coverage(self, group: str, confidence: float) -> str:
-        """PICP in percent with the two decimals of the paper, marked where it is too low."""
-        mark = "▼ " if self.short(group, confidence) else ""
-        return mark + hundredths(self.groups[group].picp)
-
-    def width(self, group: str) -> str:
-        """MPIW in the unit of the axis; published ones have two decimals."""
-        width = self.groups[group].mpiw
-        return number(width) if self.model else f"{width:.2f}"
+    groups: Mapping[str, AxisMetrics] | Mapping[str, PublishedMetrics]
 
 
-def rows(comparison: Comparison) -> Iterator[Row]:
-    """Rows by axis, then model in its order; after the models of one method what was published on it.
-
-    Args:
-        comparison: what was found.
-    """
+def comparison_rows(comparison: Comparison) -> Iterator[ComparisonRow]:
+    """Rows by axis, then by model; the models of one method are followed by what was published on it."""
     models, published = comparison.models, comparison.published or {}
-    for axis in held_axes(comparison):
-        names = [name for name in models if axis in _group(models[name], comparison).axes]
+    for axis in modelled_axes(comparison):
+        names = [name for name, model in models.items() if axis in _axes_of(model)]
         for place, name in enumerate(names):
-            parts = models[name].groups
-            yield Row(axis, name, {group: part.axes[axis] for group, part in parts.items()})
+            groups = models[name].groups
+            yield ComparisonRow(axis, name, {group: part.axes[axis] for group, part in groups.items()})
             method = models[name].method
             is_last = place + 1 == len(names) or models[names[place + 1]].method != method
             known = published.get(method, {}).get(axis)
             if is_last and known is not None:
-                yield Row(axis, None, known)
+                yield ComparisonRow(axis, None, known)
 
 
-def held_axes(comparison: Comparison) -> list[str]:
+def modelled_axes(comparison: Comparison) -> list[str]:
     """Axes that some model holds."""
-    parts = [_group(model, comparison) for model in comparison.models.values()]
-    return [axis for axis in AXES if any(axis in part.axes for part in parts)]
+    held = {axis for model in comparison.models.values() for axis in _axes_of(model)}
+    return [axis for axis in AXES if axis in held]
 
 
-def _group(model: Evaluation, comparison: Comparison) -> GroupEvaluation:
-    """Any of its groups: all hold the same axes."""
-    return model.groups[next(iter(comparison.groups))]
+def _axes_of(model: Evaluation) -> Collection[str]:
+    """The axes that a model holds: those of any of its groups."""
+    return next(iter(model.groups.values())).axes
 
 
-def comparison_table(comparison: Comparison) -> Group:
-    """Coverage and width of each axis, model and group, with the paper's numbers where there are some."""
-    confidence, groups = comparison.confidence, list(comparison.groups)
-    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    shown.add_column("model", vertical="bottom")
-    for group in groups:
-        shown.add_column(Text(f"{group}\n{'PICP %':>7} {'MPIW':>8}"), justify="right", overflow="fold")
-    axis = ""
-    for row in rows(comparison):
-        if row.axis != axis:
-            axis = row.axis
-            shown.add_section()
-            shown.add_row(Text(f"{axis} [{unit(axis)}]", style="bold"))
-        cells = []
-        for group in groups:
-            style = "bold red" if row.short(group, confidence) else ""
-            cells.append(
-                Text.assemble((f"{row.coverage(group, confidence):>7}", style), f" {row.width(group):>8}")
-            )
-        shown.add_row(Text(row.model or PUBLISHED), *cells, style="" if row.model else "dim")
-    nominal = percent(confidence)
+def comparison_table(comparison: Comparison, by: Literal["metric", "group"] = "metric") -> Table:
+    """Coverage and width of each axis, model and group, with the paper's numbers where there are some.
+
+    Args:
+        comparison: of the models.
+        by: what the columns are ordered by; those of a group, or of a metric, share a heading.
+    """
+    groups, confidence = list(comparison.groups), comparison.confidence
+    metrics = {"PICP %": hundredths, "MPIW": number}
+    columns = [Column("axis", is_text=True, is_section=True), Column("model", is_text=True)]
+    if by == "metric":
+        pairs = [(metric, group) for metric in metrics for group in groups]
+        columns += [Column(group, metrics[metric], group=metric) for metric, group in pairs]
+    else:
+        pairs = [(metric, group) for group in groups for metric in metrics]
+        columns += [Column(metric, metrics[metric], group=group) for metric, group in pairs]
+    rows = []
+    for row in comparison_rows(comparison):
+        cells = [_metric_cell(row, metric, group, confidence) for metric, group in pairs]
+        name: list[Cell | Value] = [row.model] if row.model else soft(PUBLISHED)
+        rows.append([axis_cell(row.axis), *name, *cells])
+    return Table(columns, rows)
+
+
+def _metric_cell(row: ComparisonRow, metric: str, group: str, confidence: float) -> Cell:
+    found = row.groups[group]
+    if isinstance(found, PublishedMetrics):
+        # Two decimals, as in the paper.
+        return Cell(found.picp if metric == "PICP %" else f"{found.mpiw:.2f}", Mark.SOFT)
+    return coverage_cell(found, confidence) if metric == "PICP %" else Cell(found.mpiw)
+
+
+def comparison_summary(comparison: Comparison) -> Group:
+    """Coverage and width of each axis, model and group, for the terminal."""
+    confidence = comparison.confidence
     kind = "adaptive prediction intervals" if comparison.adaptive else "prediction intervals"
-    notes = [f"▼ the confidence interval of the coverage lies below {nominal}"] * _any_short(comparison)
-    notes += list(_alarm_notes(comparison))
-    notes += [f"{PUBLISHED}: van Beers and de Visser, on the real vehicle"] * bool(comparison.published)
+    marked = any(
+        isinstance(metrics, AxisMetrics) and metrics.covers_too_little(confidence)
+        for row in comparison_rows(comparison)
+        for metrics in row.groups.values()
+    )
+    notes = [
+        *([short_coverage_note(confidence)] if marked else []),
+        *_alarm_notes(comparison),
+        *([f"{PUBLISHED}: van Beers and de Visser, on the real vehicle"] if comparison.published else []),
+    ]
     return Group(
-        Text(f"{comparison.vehicle}: {nominal} {kind}", style="bold"),
-        shown,
+        Text(f"{comparison.vehicle}: {percent(confidence)} {kind}", style="bold"),
+        terminal_table(comparison_table(comparison, by="group")),
         *(Text(note, style="dim") for note in notes),
     )
 
 
 def _alarm_notes(comparison: Comparison) -> Iterator[str]:
-    """What each model's alarm did on each group."""
+    """How well each model's alarm did on each group."""
     for name, model in comparison.models.items():
         for group, part in model.groups.items():
             if part.alarm is not None:
                 yield f"alarm of {name} on {group}: {alarm_sentence(part.alarm)}"
 
 
-def _any_short(comparison: Comparison) -> bool:
-    confidence = comparison.confidence
-    return any(row.short(group, confidence) for row in rows(comparison) for group in row.groups)
+def comparison_verdict(comparison: Comparison) -> str:
+    """In how many axes of all models the intervals hold on each group, and where they do not."""
+    coverages = {
+        group: [
+            replace(coverage, subject=f"{name} {coverage.subject}")
+            for name, model in comparison.models.items()
+            for coverage in axis_coverages(model.groups[group].axes)
+        ]
+        for group in comparison.groups
+    }
+    found = count_verdicts(coverages, comparison.confidence)
+    return f"{nominal(comparison.confidence)} prediction intervals {found} (axes of all models)."
 
 
 def write_comparison_page(
@@ -160,8 +179,8 @@ def write_comparison_page(
 
     Args:
         path: of the HTML file.
-        comparison: what was found, of at least one group.
-        results: what each model says of each flight, from there.
+        comparison: of the models, on at least one group.
+        results: predictions of each model on each flight.
         models: that were compared.
 
     Raises:
@@ -173,33 +192,6 @@ def write_comparison_page(
     for place, flight in enumerate(flights):
         of_flight = {name: model_results[place] for name, model_results in results.items()}
         figures[f"intervals {flight}"] = interval_figure(comparison, of_flight, bins)
-    parts = [
-        _header(comparison),
-        _table(comparison),
-        _groups(comparison),
-        _intervals(comparison, bins),
-        _structures(models),
-        evaluation_sections.definitions(next(iter(comparison.models.values()))),
-    ]
-    write_page(path, f"quadpi: {len(models)} models compared", parts, figures)
-
-
-def verdict(comparison: Comparison) -> str:
-    """One sentence: in how many axes of all models the intervals hold on each group, and where not."""
-    cells = {
-        group: [
-            replace(coverage, what=f"{name} {coverage.what}")
-            for name, model in comparison.models.items()
-            for coverage in of_axes(model.groups[group].axes)
-        ]
-        for group in comparison.groups
-    }
-    confidence = comparison.confidence
-    found = in_cells(cells, confidence)
-    return f"{100 * confidence:g}\u00a0% prediction intervals {found} (axes of all models)."
-
-
-def _header(comparison: Comparison) -> str:
     cutoffs = sorted({model.cutoff_hz for model in comparison.models.values()})
     facts = {
         "vehicle": comparison.vehicle,
@@ -207,95 +199,177 @@ def _header(comparison: Comparison) -> str:
         "flights": str(len({name for names in comparison.groups.values() for name in names})),
         "low-pass": " and ".join(f"{cutoff:g} Hz" for cutoff in cutoffs),
     }
-    if comparison.adaptive:
-        facts["intervals"] = "adaptive"
-    return heading("how far can these models be trusted?", verdict(comparison), facts)
-
-
-def _table(comparison: Comparison) -> str:
-    nominal = f"{100 * comparison.confidence:g} %"
-    paper = (
-        " Grey: what van Beers and de Visser found with each method on the real vehicle."
-        if comparison.published
-        else ""
-    )
-    details = "".join(
-        f"<h3>{escape(name)}</h3>{evaluation_sections.metrics_table(model, 'groups')}"
-        for name, model in comparison.models.items()
-    )
-    return section(
-        "Coverage and width",
-        f"PICP: share of measurements inside the {nominal} prediction interval. MPIW: mean width of the "
-        f"interval. Marked ▼ where the confidence interval of the coverage lies below {nominal}.{paper}",
-        _html_table(comparison) + f"<details><summary>All metrics by group</summary>{details}</details>",
-    )
-
-
-def _html_table(comparison: Comparison) -> str:
-    confidence, groups = comparison.confidence, list(comparison.groups)
-    names = "".join(
-        f"<th{_start(place)}>{escape(group)}</th>" for _ in "pw" for place, group in enumerate(groups)
-    )
-    head = (
-        f'<tr><th></th><th></th><th colspan="{len(groups)}" class="group">PICP [%]</th>'
-        f'<th colspan="{len(groups)}" class="group">MPIW</th></tr>'
-        f'<tr><th>axis</th><th class="text">model</th>{names}</tr>'
-    )
-    body, axis = [], ""
-    for row in rows(comparison):
-        soft = "" if row.model else " unit"
-        coverage = "".join(
-            f'<td class="{"start" * (not place)}{soft}{" short" * row.short(group, confidence)}">'
-            f"{row.coverage(group, confidence)}</td>"
-            for place, group in enumerate(groups)
-        )
-        width = "".join(
-            f'<td class="{"start" * (not place)}{soft}">{row.width(group)}</td>'
-            for place, group in enumerate(groups)
-        )
-        first = "" if row.axis == axis else f'{row.axis} <span class="unit">[{unit(row.axis)}]</span>'
-        axis = row.axis
-        body.append(
-            f'<td>{first}</td><td class="text{soft}">{escape(row.model or PUBLISHED)}</td>{coverage}{width}'
-        )
-    return table(head, body)
-
-
-def _start(place: int) -> str:
-    return "" if place else ' class="start"'
-
-
-def _groups(comparison: Comparison) -> str:
-    first = next(iter(comparison.groups))
-    return section(
-        "From group to group",
-        "Above, coverage with its 95 % confidence interval, against the nominal one (dashed). Below, mean "
-        f"width over that on {escape(first)}: an interval that knows when its model extrapolates widens "
-        "where coverage would fall.",
-        figure("groups"),
+    Page(
+        title=f"quadpi: {len(models)} models compared",
+        about="how far can these models be trusted?",
+        verdict=comparison_verdict(comparison),
+        facts=facts | ({"intervals": "adaptive"} if comparison.adaptive else {}),
+        definitions=metric_definitions(next(iter(comparison.models.values()))),
+        figures=figures,
+    ).write(
+        path,
+        "comparison.html",
+        nominal=nominal(comparison.confidence),
+        bins=bins,
+        published=comparison.published,
+        coverage=comparison_table(comparison),
+        by_model={
+            name: metrics_table(model.groups, comparison.confidence, "group")
+            for name, model in comparison.models.items()
+        },
+        flights=comparison.groups,
+        structures={
+            name: structure_table(model.selection, [axis for axis in model.axes if model.selection[axis]])
+            for name, model in models.items()
+            if any(model.selection.values())
+        },
     )
 
 
-def _intervals(comparison: Comparison, bins: int) -> str:
-    return section(
-        "Intervals over time",
-        "Bounds of each model (lines) around the measured wrench (grey), a column for each low-pass. Of each "
-        f"of {bins} equal parts of a flight the extremes are drawn. Drag to zoom, double-click to reset.",
-        flight_menu(comparison.groups) + figure_of_flight("intervals"),
+def group_figure(comparison: Comparison) -> go.Figure:
+    """A column per axis: coverage of each group by each model, and below its width over that on the first."""
+    models, groups = comparison.models, list(comparison.groups)
+    axes = modelled_axes(comparison)
+    colours = _colours(comparison)
+    figure = make_subplots(
+        rows=2,
+        cols=len(axes),
+        shared_xaxes="columns",
+        shared_yaxes="rows",
+        column_titles=axes,
+        horizontal_spacing=0.03,
+        vertical_spacing=0.06,
     )
+    for column, axis in enumerate(axes, start=1):
+        for place, (name, model) in enumerate(models.items()):
+            if axis not in _axes_of(model):
+                continue
+            found = [model.groups[group].axes[axis] for group in groups]
+            coverage = 100.0 * np.array([metrics.picp for metrics in found])
+            interval = 100.0 * np.array([metrics.picp_ci for metrics in found])
+            width = np.array([metrics.mpiw for metrics in found])
+            style = {
+                "x": np.arange(len(groups)) + 0.5 * ((place + 0.5) / len(models) - 0.5),
+                "mode": "lines+markers",
+                "marker": {"color": colours[name], "size": 9, "symbol": _MARKERS[model.settings]},
+                "line": {"color": colours[name], "width": 1, "dash": _DASHES[model.settings]},
+                "name": name,
+                "legendgroup": name,
+            }
+            figure.add_scatter(
+                y=coverage,
+                error_y=error_bar(coverage, interval, 1.5),
+                text=[f"{name}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for m in found],
+                hovertemplate="%{text}<extra></extra>",
+                showlegend=column == 1,
+                row=1,
+                col=column,
+                **style,
+            )
+            figure.add_scatter(
+                y=width / width[0],
+                text=[f"{name}: {w:.3g} {unit(axis)}" for w in width],
+                hovertemplate="%{text}<extra></extra>",
+                showlegend=False,
+                row=2,
+                col=column,
+                **style,
+            )
+    nominal = 100.0 * comparison.confidence
+    figure.add_hline(y=nominal, line={"color": INK, "width": 1, "dash": "dash"}, row=1, col="all")
+    figure.update_xaxes(tickvals=list(range(len(groups))), ticktext=groups, showgrid=False)
+    figure.update_yaxes(title_text="PICP [%]", row=1, col=1)
+    figure.update_yaxes(title_text=f"MPIW over {groups[0]}", row=2, col=1, rangemode="tozero")
+    return _with_legend_below(figure, height=620)
 
 
-def _structures(models: Mapping[str, AerodynamicModel]) -> str:
-    tables = "".join(
-        f'<h3>{escape(name)}</h3><div class="dense">{evaluation_sections.structure_table(model)}</div>'
+def interval_figure(comparison: Comparison, results: Mapping[str, FlightResult], bins: int) -> go.Figure:
+    """A row per axis and a column per low-pass: bounds of the models around what was measured.
+
+    Args:
+        comparison: as :func:`quadpi_core.evaluation.compare.compare` gives it.
+        results: what each model says of one flight.
+        bins: parts that the flight is cut into; of each the extremes are drawn.
+    """
+    models, axes, colours = comparison.models, modelled_axes(comparison), _colours(comparison)
+    # Models that share a colour share an entry of the legend.
+    labels = {
+        name: model.method if list(colours.values()).count(colours[name]) > 1 else name
         for name, model in models.items()
-        if any(model.selection.values())
+    }
+    shown: set[str] = set()
+    cutoffs = list(dict.fromkeys(model.cutoff_hz for model in models.values()))
+    figure = make_subplots(
+        rows=len(axes),
+        cols=len(cutoffs),
+        shared_xaxes="all",
+        shared_yaxes="rows",
+        column_titles=[_column_title(comparison, cutoff) for cutoff in cutoffs],
+        horizontal_spacing=0.03,
+        vertical_spacing=0.06 / max(1, len(axes) - 2),
     )
-    if not tables:
-        return ""
-    return section(
-        "Identified polynomials",
-        "Terms in the order of their selection, coefficients in SI units, R² of the fit up to the term; "
-        "fixed terms are grey.",
-        tables,
+    for column, cutoff in enumerate(cutoffs, start=1):
+        names = [name for name, model in models.items() if model.cutoff_hz == cutoff]
+        for row, axis in enumerate(axes, start=1):
+            cell = {"row": row, "col": column}
+            first = results[names[0]]
+            measured = first.column("measured", axis)
+            drawn = extreme_samples(measured, measured, bins)
+            figure.add_scatter(
+                **series(first.time[drawn], measured[drawn]),
+                line={"color": MEASURED, "width": 1},
+                name="measured",
+                legendgroup="measured",
+                showlegend=row == column == 1,
+                **cell,
+            )
+            for name in names:
+                if axis not in results[name].axes:
+                    continue
+                result = results[name]
+                for bound in ("lower", "upper"):
+                    values = result.column(bound, axis)
+                    drawn = extreme_samples(values, values, bins)
+                    figure.add_scatter(
+                        **series(result.time[drawn], values[drawn]),
+                        line={"color": colours[name], "width": 1.4},
+                        name=labels[name],
+                        legendgroup=labels[name],
+                        showlegend=row == 1 and bound == "lower" and labels[name] not in shown,
+                        **cell,
+                    )
+                shown.add(labels[name])
+    for row, axis in enumerate(axes, start=1):
+        figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
+    figure.update_xaxes(title_text="time [s]", row=len(axes))
+    return _with_legend_below(figure, height=130 + 230 * len(axes))
+
+
+def _with_legend_below(figure: go.Figure, height: int) -> go.Figure:
+    """Many entries above would lie under the buttons."""
+    styled(figure, height).update_layout(showlegend=True, margin_b=96)
+    return figure.update_layout(legend={"y": 0, "yanchor": "bottom"})
+
+
+def lines_drawn(comparison: Comparison) -> int:
+    """Lines in the figure of one flight."""
+    models = comparison.models.values()
+    bounds = 2 * sum(len(_axes_of(model)) for model in models)
+    return bounds + len(modelled_axes(comparison)) * len({model.cutoff_hz for model in models})
+
+
+def _colours(comparison: Comparison) -> dict[str, str]:
+    """A colour per method where settings tell its models apart, else one per model."""
+    methods = {name: model.method for name, model in comparison.models.items()}
+    kinds = {(model.method, model.settings) for model in comparison.models.values()}
+    if len(kinds) < len(methods):
+        return method_colours(methods)
+    of_method = method_colours(methods.values())
+    return {name: of_method[method] for name, method in methods.items()}
+
+
+def _column_title(comparison: Comparison, cutoff: float) -> str:
+    settings = dict.fromkeys(
+        model.settings for model in comparison.models.values() if model.cutoff_hz == cutoff
     )
+    return f"{' and '.join(settings)} settings, low-pass {cutoff:g} Hz"

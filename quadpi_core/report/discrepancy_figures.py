@@ -16,8 +16,7 @@ from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.report.decimation import extreme_samples
-from quadpi_core.report.figures import series, styled
+from quadpi_core.report.plots import extreme_samples, series, styled
 from quadpi_core.report.style import GROUPS, MEASURED, translucent, unit
 
 BEFORE, AFTER = GROUPS[1], GROUPS[0]

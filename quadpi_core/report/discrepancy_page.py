@@ -1,22 +1,30 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a simulation and flights disagree, what is missing and how far it closes the gap, as one page."""
+"""Where a simulation and flights disagree, which effect is missing, and how far it closes the gap.
+
+The same tables and sentences are shown on the terminal and on a self-contained page.
+"""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
-from html import escape
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from latex2mathml.converter import convert as mathml
+from rich.console import Group, RenderableType
+from rich.text import Text
 
-from quadpi_core.discrepancy.by_condition import Segment
-from quadpi_core.discrepancy.discrepancy_result import FoundEffect, Study
+from quadpi_core.discrepancy.discrepancy_result import (
+    BeforeAfter,
+    Discovery,
+    FoundEffect,
+    FoundParameter,
+    Study,
+)
 from quadpi_core.flight import AXES
-from quadpi_core.report import discrepancy_text as text
-from quadpi_core.report.decimation import bins_within
+from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.discrepancy_figures import (
     LINES,
     gap_figure,
@@ -24,23 +32,47 @@ from quadpi_core.report.discrepancy_figures import (
     profile_figure,
     residual_figure,
 )
-from quadpi_core.report.page import (
-    cells,
-    figure,
-    figure_of_flight,
-    flight_menu,
-    footer,
-    heading,
-    section,
-    table,
-    write_page,
-)
-from quadpi_core.report.style import number, percent, unit
+from quadpi_core.report.evaluation_page import axis_cell
+from quadpi_core.report.page import Page
+from quadpi_core.report.plots import bins_within
+from quadpi_core.report.style import number, percent
+from quadpi_core.report.table import Column, Row, Table, terminal_table
 from quadpi_core.simulation.effect_registry import EFFECTS
 
 # All time histories together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 300_000
-_MOST_RANGES, _MOST_SEGMENTS = 12, 12
+# Rows of the tables of conditions and of times; the terminal shows fewer.
+_MOST_RANGES, _MOST_ON_TERMINAL, _MOST_SEGMENTS = 12, 8, 12
+_FLOWN = {
+    "position_m": "position [m]",
+    "velocity_m_s": "velocity [m/s]",
+    "attitude_deg": "attitude [deg]",
+    "rates_rad_s": "rates [rad/s]",
+}
+
+
+def discrepancy_summary(study: Study) -> Group:
+    """Verdict, where, what, the gap before and after, and what is left to do; fits 80 characters."""
+    discovery = study.discovery
+    parts: list[RenderableType] = [Text(discrepancy_verdict(study), style="bold")]
+    if study.simulation.code:
+        parts.append(Text(f"Code that ran: {study.simulation.code}.", style="dim"))
+    parts.append(Text())
+    if study.where.telling:
+        parts.append(terminal_table(_range_table(study, _MOST_ON_TERMINAL)))
+    else:
+        parts += [Text(f"Where: {no_range_sentence(study)}"), Text()]
+    if discovery.effects:
+        parts.append(terminal_table(_effect_table(study)))
+    parts.append(terminal_table(_gap_table(discovery)))
+    if study.flown_again:
+        parts += [terminal_table(_flown_again_table(study)), Text(flown_again_note(study), style="dim")]
+    parts += [Text(ambiguity_sentence(effect)) for effect in discovery.effects if effect.rivals]
+    if discovery.verdict != "none":
+        parts.append(Text(unexplained_sentence(discovery)))
+    if study.not_flown:
+        parts.append(Text(f"Not flown: {', '.join(study.not_flown)}.", style="dim"))
+    return Group(*parts)
 
 
 def write_discrepancy_page(path: Path, study: Study) -> None:
@@ -61,18 +93,42 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         figures["maps"] = map_figure(where.residuals, loud)
     for flight in where.residuals:
         figures[f"residual {flight.flight}"] = residual_figure(flight, discovery.gap.floor, bins)
-    parts = [
-        heading("simulation against flights", text.verdict(study), _facts(study)),
-        _where(study, loud),
-        _what(study),
-        _gap(study),
-        *([_flown(study)] if study.flown_again else []),
-        _left(study),
-        f"<nav>{flight_menu({'': _loudest_first(study)})}</nav>",
-        _histories(study, bins),
-        _definitions(),
-    ]
-    write_page(path, f"quadpi: {study.simulation.name} against flights", parts, figures)
+    to_tell_apart = [item for effect in discovery.effects if effect.rivals for item in effect.shown_by]
+    Page(
+        title=f"quadpi: {study.simulation.name} against flights",
+        about="simulation against flights",
+        verdict=discrepancy_verdict(study),
+        facts=_facts(study),
+        definitions=_DEFINITIONS,
+        figures=figures,
+    ).write(
+        path,
+        "discrepancy.html",
+        bins=bins,
+        ranges=_range_table(study, _MOST_RANGES) if where.telling else None,
+        no_range=no_range_sentence(study),
+        maps=bool(loud),
+        effects=[EffectSection.of(effect) for effect in discovery.effects],
+        reduction=percent(discovery.gap.reduction),
+        gap=_gap_table(discovery),
+        flown_again=_flown_again_table(study) if study.flown_again else None,
+        flown_note=flown_again_note(study),
+        unexplained=unexplained_sentence(discovery),
+        fly_next=list(dict.fromkeys([*to_tell_apart, *study.not_flown])),
+        flights=_loudest_first(study),
+        segments=_segment_table(study) if where.segments else None,
+    )
+
+
+_DEFINITIONS = {
+    "Residual": "Measured wrench less what the simulation gives for the measured state and rotor speeds.",
+    "Residual energy": "Sum of squares of the residual of an axis, less what noise and tolerances account "
+    "for on average. A range has at least twice the root mean square that they allow; the chance that any is "
+    "named on flights in which no effect is found is 5 %.",
+    "Closed": "Share of the squares above the floor that is gone.",
+    "Probability": "Against all other effects of the library in its place, all thought equally likely "
+    "beforehand.",
+}
 
 
 def _loudest_first(study: Study) -> list[str]:
@@ -92,167 +148,228 @@ def _facts(study: Study) -> dict[str, str]:
     }
 
 
-def _where(study: Study, loud: Sequence[str]) -> str:
-    content = figure("profiles")
-    telling = study.where.telling
-    if telling:
-        head = f'<tr><th>axis</th><th class="text">at</th>{cells("th", ("energy", "time"))}</tr>'
-        rows = [
-            f'<td>{part.axis}</td><td class="text">{escape(part.conditions)}</td>'
-            + cells("td", (percent(part.share), percent(part.time_share)))
-            for part in telling[:_MOST_RANGES]
+def _range_table(study: Study, most: int) -> Table:
+    """Conditions that hold most of the residual energy."""
+    columns = [
+        Column("axis", is_text=True),
+        Column("at", is_text=True, wraps=True),
+        Column("residual energy", percent),
+        Column("time", percent),
+    ]
+    ranges = study.where.telling[:most]
+    rows: list[Row] = [[part.axis, part.conditions, part.share, part.time_share] for part in ranges]
+    return Table(columns, rows, title="Where")
+
+
+def _effect_table(study: Study) -> Table:
+    """The effects that were found, with their parameters."""
+    columns = [
+        Column("effect", is_text=True),
+        Column("prob.", percent),
+        Column("axes", is_text=True, wraps=True),
+        Column("parameters, 95 % interval", is_text=True, wraps=True),
+    ]
+    rows: list[Row] = []
+    for effect in study.discovery.effects:
+        whole = {parameter.name for parameter in EFFECTS[effect.name].parameters if parameter.whole}
+        lines = [f"{p.name} {parameter_text(p, whole=p.name in whole)}" for p in effect.parameters]
+        if effect.shape:
+            lines.append("its law shaped by these flights")
+        rows.append([effect.name, effect.probability, " ".join(effect.axes), "\n".join(lines)])
+    return Table(columns, rows, title="What")
+
+
+@dataclass(frozen=True)
+class EffectSection:
+    """What the page says about one effect; an empty text is left out."""
+
+    title: str
+    description: str
+    formula: str
+    latex: str
+    shape: str
+    parameters: Table
+    ambiguity: str
+
+    @classmethod
+    def of(cls, found: FoundEffect) -> EffectSection:
+        """The section of an effect."""
+        effect = EFFECTS[found.name]
+        summary, _, rest = inspect.cleandoc(effect.function.__doc__ or "").partition("\n\n")
+        columns = [
+            Column("parameter", is_text=True),
+            Column("value", number),
+            Column("95 % interval"),
+            Column("unit"),
         ]
-        content = table(head, rows) + content
-    else:
-        content = f"<p>{escape(text.silent(study))}</p>" + content
-    if loud:
-        content += (
-            '<h3>Maps</h3><p class="caption">Mean of measured − simulated: red where more was measured than '
-            "simulated, blue where less. Cells in which next to nothing was flown are left out.</p>"
-            + figure("maps")
+        rows: list[Row] = [
+            [p.name, f"{p.value:.0f}" if known.whole else p.value, interval_text(p, known.whole), p.unit]
+            for p, known in zip(found.parameters, effect.parameters, strict=True)
+        ]
+        shape = (f"{name.removeprefix('shape_')} {value:.2f}" for name, value in found.shape.items())
+        return cls(
+            title=f"{words(found.name)} · {percent(found.probability)}",
+            description=f"{summary} Shows in {', '.join(found.axes)}. {rest}",
+            formula=mathml(effect.formula, display="block") if effect.formula else "",
+            latex=effect.formula,
+            shape=", ".join(shape),
+            parameters=Table(columns, rows),
+            ambiguity=ambiguity_sentence(found) if found.rivals else "",
         )
-    return section(
-        "Where",
-        "Conditions that hold most of the residual energy of an axis beyond what noise and tolerances allow, "
-        "in the least time. Below, the root mean square of the residual over the quantity that tells most of "
-        "each axis.",
-        content,
-    )
 
 
-def _what(study: Study) -> str:
-    effects = study.discovery.effects
-    if not effects:
-        content = "<p>No effect of the library is named.</p>"
-    else:
-        content = "".join(_effect(effect) for effect in effects)
-    return section(
-        "What",
-        "Each effect with its probability against every other in its place, and the 95 % intervals of its "
-        "parameters. Coefficients of the simulation were free within their tolerances throughout.",
-        content,
-    )
-
-
-def _effect(found: FoundEffect) -> str:
-    effect = EFFECTS[found.name]
-    summary, _, rest = inspect.cleandoc(effect.function.__doc__ or "").partition("\n\n")
-    rows = [
-        f'<td class="text">{escape(p.name)}</td>'
-        + cells(
-            "td",
-            (
-                f"{p.value:.0f}" if declared.whole else number(p.value),
-                "" if declared.whole else f"{number(p.lower)} … {number(p.upper)}",
-                escape(p.unit),
-            ),
-        )
-        for p, declared in zip(found.parameters, effect.parameters, strict=True)
+def _gap_table(discovery: Discovery) -> Table:
+    """Root mean square error of each axis before and after, and the share that is closed."""
+    gap = discovery.gap
+    columns = [
+        Column("axis", is_text=True),
+        Column("RMSE before", number),
+        Column("after", number),
+        Column("floor", number),
+        Column("closed", percent),
     ]
-    head = f'<tr><th class="text">parameter</th>{cells("th", ("value", "95 % interval", "unit"))}</tr>'
-    formula = (
-        f"{mathml(effect.formula, display='block')}"
-        f"<details><summary>LaTeX</summary><code>{escape(effect.formula)}</code></details>"
-        if effect.formula
-        else ""
-    )
-    if found.shape:
-        shape = ", ".join(f"{name.removeprefix('shape_')} {value:.2f}" for name, value in found.shape.items())
-        formula += f"<p>Shaped by these flights (effects.md tells how): {escape(shape)}.</p>"
-    apart = f"<p>{escape(text.ambiguity(found))}</p>" if found.rivals else ""
-    return (
-        f"<h3>{escape(text.words(found.name))} · {percent(found.probability)}</h3>"
-        f'<p class="caption">{escape(summary)} Shows in {", ".join(found.axes)}. {escape(rest)}</p>'
-        f"{formula}{table(head, rows)}{apart}"
-    )
-
-
-def _gap(study: Study) -> str:
-    gap = study.discovery.gap
-    head = f"<tr>{cells('th', ('axis', '', 'before', 'after', 'floor', 'closed'))}</tr>"
-    rows = []
-    for k, (axis, share) in enumerate(zip(AXES, text.removable(study.discovery), strict=True)):
-        rows.append(
-            f'<td>{axis}</td><td class="unit">{unit(axis)}</td>'
-            + cells("td", (number(float(values[k])) for values in (gap.before, gap.after, gap.floor)))
-            + f"<td>{'–' if share is None else percent(share)}</td>"
-        )
-    return section(
-        f"Before and after: {percent(gap.reduction)} of the gap is closed",
-        "Root mean square of measured − simulated on flights left out in turn, each with what the others "
-        "found, up to 20 Hz. The floor is the noise of the measurement, which no simulation can close.",
-        f'<div class="pair">{table(head, rows)}{figure("gap")}</div>',
-    )
-
-
-def _flown(study: Study) -> str:
-    head = f'<tr><th></th><th class="text"></th>{cells("th", ("before", "after", "floor"))}</tr>'
-    rows = [
-        f'<td>{escape(kind)}</td><td class="text">{escape(name)}</td>'
-        + cells("td", (number(own) for own in (error.before, error.after, error.floor)))
-        for kind, name, error in text.flown_again(study)
+    rows: list[Row] = [
+        [axis_cell(axis), float(gap.before[k]), float(gap.after[k]), float(gap.floor[k]), closed]
+        for k, (axis, closed) in enumerate(zip(AXES, closed_shares(discovery), strict=True))
     ]
-    note = text.flown_note(study)
-    return section(
-        "Flown again",
-        "Roll-out: from many measured states the simulation goes on alone with the measured rotor speeds; "
-        "root mean square of the error at the end. Closed loop: the same references flown again; root mean "
-        "square distance from the flight. Each flight with what the others found. The floor has the measured "
-        "wrench, or the true path, in the place of the simulation.",
-        table(head, rows) + (f"<p>{escape(note)}</p>" if note else ""),
-    )
+    return Table(columns, rows, title=f"Gap, flights left out in turn: {percent(gap.reduction)} closed")
 
 
-def _left(study: Study) -> str:
-    sentences = [text.unexplained(study.discovery)]
-    fly = list(dict.fromkeys(m for e in study.discovery.effects if e.rivals for m in e.shown_by))
-    items = [*fly, *(name for name in study.not_flown if name not in fly)]
-    if items:
-        sentences.append("What to fly next, because these flights do not hold it or cannot tell it:")
-    listed = "".join(f"<li>{escape(item)}</li>" for item in items)
-    return section(
-        "What is left, and what to fly next",
-        "Left is what functions of motion, rotors, place, heading and time predict from flight to flight.",
-        "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
-        + (f"<ul>{listed}</ul>" if listed else ""),
-    )
+def _flown_again_table(study: Study) -> Table:
+    """Errors of flights that were flown again."""
+    columns = [
+        Column("", is_text=True),
+        Column("", is_text=True),
+        *(Column(when, number) for when in ("before", "after", "floor")),
+    ]
+    rows: list[Row] = [
+        [kind, name, error.before, error.after, error.floor] for kind, name, error in flown_again_rows(study)
+    ]
+    return Table(columns, rows, title="Flown again, error RMS")
 
 
-def _histories(study: Study, bins: int) -> str:
+def _segment_table(study: Study) -> Table:
+    """Times that hold most of the residual energy."""
+    columns = [
+        Column("flight", is_text=True, chooses_flight=True),
+        Column("axis", is_text=True),
+        Column("from [s]", "{:.0f}".format),
+        Column("to [s]", "{:.0f}".format),
+        Column("energy", percent),
+    ]
     segments = study.where.segments[:_MOST_SEGMENTS]
-    listed = ""
-    if segments:
-        columns = cells("th", ("from [s]", "to [s]", "energy"))
-        head = f'<tr><th>flight</th><th class="text">axis</th>{columns}</tr>'
-        listed = (
-            "<details><summary>Times that hold most of the residual energy</summary>"
-            + table(head, (_segment(segment) for segment in segments))
-            + "</details>"
+    rows: list[Row] = [[part.flight, part.axis, part.start_s, part.end_s, part.share] for part in segments]
+    return Table(columns, rows)
+
+
+def discrepancy_verdict(study: Study) -> str:
+    """The result in a sentence or two."""
+    discovery, flights = study.discovery, f"{len(study.flights)} flights"
+    named = listing([effect_name(effect) for effect in discovery.effects])
+    closed = f"{percent(discovery.gap.reduction)} of the gap that noise does not explain"
+    if discovery.verdict == "none":
+        return (
+            f"Nothing is missing: what separates {study.simulation.name} and {flights} is within its stated "
+            "tolerances and the noise."
         )
-    return section(
-        "Residuals over time",
-        "Measured − simulated, up to 20 Hz, and the same with what the other flights found. Band: twice the "
-        f"noise. Of each of {bins} equal parts of a flight the lowest and highest samples are drawn.",
-        listed + figure_of_flight("residual"),
+    if discovery.verdict == "effects":
+        return f"{study.simulation.name} lacks {named}. Adding it closes {closed}, on flights left out."
+    share = percent(discovery.unexplained)
+    unknown = f"{study.simulation.name} lacks something that no effect of the library explains."
+    if not discovery.effects:
+        return unknown
+    return (
+        f"{unknown} {named.capitalize()} comes closest, but {share} of the discrepancy that can be predicted "
+        "has no name."
     )
 
 
-def _segment(segment: Segment) -> str:
-    name = escape(segment.flight)
-    times = cells("td", (f"{segment.start_s:.0f}", f"{segment.end_s:.0f}", percent(segment.share)))
-    return f'<td><button data-flight="{name}">{name}</button></td><td class="text">{segment.axis}</td>{times}'
+def effect_name(effect: FoundEffect) -> str:
+    """In words, with those that it cannot be told from."""
+    name = words(effect.name)
+    if not effect.rivals:
+        return name
+    return f"{name} (or {', or '.join(words(rival) for rival in effect.rivals)})"
 
 
-def _definitions() -> str:
-    return footer(
-        {
-            "Residual": "Measured wrench less what the simulation gives for the measured state and rotor "
-            "speeds.",
-            "Residual energy": "Sum of squares of the residual of an axis, less what noise and tolerances "
-            "account for on average. A range has at least twice the root mean square that they allow; the "
-            "chance that any is named on flights in which no effect is found is 5 %.",
-            "Closed": "Share of the squares above the floor that is gone.",
-            "Probability": "Against all other effects of the library in its place, all thought equally "
-            "likely beforehand.",
-        }
+def words(name: str) -> str:
+    """The name of an effect as people say it."""
+    return name.replace("_", " ")
+
+
+def parameter_text(parameter: FoundParameter, *, whole: bool) -> str:
+    """Value, interval and unit of a parameter; a whole number has no interval."""
+    if whole:
+        return f"{parameter.value:.0f}"
+    return f"{number(parameter.value)} ({interval_text(parameter, whole)}) {parameter.unit}".rstrip()
+
+
+def interval_text(parameter: FoundParameter, whole: bool) -> str:
+    """The 95 % interval of a parameter; a whole number has none."""
+    return "" if whole else f"{number(parameter.lower)} … {number(parameter.upper)}"
+
+
+def ambiguity_sentence(effect: FoundEffect) -> str:
+    """What an effect cannot be told from, and what to fly."""
+    return (
+        f"{words(effect.name).capitalize()} explains these flights as well as "
+        f"{listing([words(rival) for rival in effect.rivals], 'or')} would. To tell them apart, fly "
+        f"{listing(effect.shown_by)}."
     )
+
+
+def unexplained_sentence(discovery: Discovery) -> str:
+    """What is left once the effects are there."""
+    if not discovery.unexplained_by:
+        return "Nothing that one flight tells of another is left: the rest is noise."
+    axes = "; ".join(f"{axis} with {', '.join(by)}" for axis, by in discovery.unexplained_by.items())
+    share = percent(discovery.unexplained)
+    return f"{share} of the discrepancy that can be predicted is left, and goes with: {axes}."
+
+
+def no_range_sentence(study: Study) -> str:
+    """Why no place is named."""
+    if study.discovery.effects:
+        return (
+            "No bin stands out by its size: coefficients within their tolerances could hide as much. It is "
+            "the form of the residual that tells the effect."
+        )
+    return "No axis exceeds what noise and tolerances allow, in any condition."
+
+
+def closed_shares(discovery: Discovery) -> list[float | None]:
+    """Per axis of `AXES` the share of the squares above the floor that is closed; None where few are."""
+    shares: list[float | None] = []
+    for before, after, floor in zip(
+        discovery.gap.before, discovery.gap.after, discovery.gap.floor, strict=True
+    ):
+        above = before**2 - floor**2
+        shares.append(float(1.0 - max(after**2 - floor**2, 0.0) / above) if above > 0.05 * floor**2 else None)
+    assert len(shares) == len(AXES)
+    return shares
+
+
+def flown_again_rows(study: Study) -> list[tuple[str, str, BeforeAfter]]:
+    """What was flown again: kind of flight, quantity with its unit, errors before, after and floor."""
+    if study.flown_again is None:
+        return []
+    rollout, loop = study.flown_again.rollout, study.flown_again.closed_loop
+    kinds = ((f"roll-out, {rollout.horizon_s:g} s", rollout.errors), ("closed loop", loop.errors))
+    return [
+        (kind, name, errors[key]) for kind, errors in kinds for key, name in _FLOWN.items() if key in errors
+    ]
+
+
+def flown_again_note(study: Study) -> str:
+    """What could not be flown again, and how often intervals hold the measurement; empty for nothing."""
+    if study.flown_again is None:
+        return ""
+    loop, coverage = study.flown_again.closed_loop, study.flown_again.coverage
+    notes = [f"Closed loop: {loop.missing}."] if loop.missing else []
+    notes += [f"Lost: {text}." for text in loop.lost]
+    if coverage:
+        shares = ", ".join(
+            f"{axis} {percent(own.before)} → {percent(own.after)}" for axis, own in coverage.items()
+        )
+        notes.append(f"Coverage of the model's intervals: {shares}.")
+    return " ".join(notes)

@@ -1,33 +1,180 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""An evaluation as one self-contained page."""
+"""The evaluation of one model: tables for the terminal, and a self-contained page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import plotly.graph_objects as go
+from rich.console import Group, RenderableType
+from rich.text import Text
 
-from quadpi_core.evaluation.evaluation_result import Evaluation
+from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
+from quadpi_core.evaluation.evaluation_result import (
+    AxisMetrics,
+    Evaluation,
+    FlightEvaluation,
+    GroupEvaluation,
+)
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.report import evaluation_sections
-from quadpi_core.report.decimation import bins_within
-from quadpi_core.report.distribution_figures import envelope_figure, residual_figure
-from quadpi_core.report.figures import coverage_figure, time_history_figure
+from quadpi_core.report.coverage_verdict import Holding, axis_coverages, joint_verdict, listing
+from quadpi_core.report.evaluation_figures import (
+    coverage_figure,
+    envelope_figure,
+    residual_figure,
+    time_history_figure,
+)
 from quadpi_core.report.live_figure import LiveReplay, alarm_figure
-from quadpi_core.report.page import write_page
-from quadpi_core.report.style import group_colours
+from quadpi_core.report.model_tables import held_out_table, selection_table
+from quadpi_core.report.page import Page
+from quadpi_core.report.plots import bins_within
+from quadpi_core.report.style import (
+    count,
+    determination,
+    group_colours,
+    nominal,
+    number,
+    percent,
+    percent_range,
+    unit,
+)
+from quadpi_core.report.table import Cell, Column, Mark, Table, Value, terminal_table
 
 # All time histories together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 240_000
 _LINES_PER_AXIS = 4
 _UNGROUPED = "flights in no group"
+# Metrics that a terminal of 80 characters has no room for.
+_NOT_ON_TERMINAL = ("Winkler", "n")
 
 
-def write_report(
+def metrics_table(
+    parts: Mapping[str, GroupEvaluation] | Mapping[str, FlightEvaluation], confidence: float, kind: str
+) -> Table:
+    """All metrics by axis of groups or flights.
+
+    Args:
+        parts: by name.
+        confidence: nominal coverage; an axis that covers less beyond chance is marked.
+        kind: what the parts are, as the heading of their column.
+    """
+    columns = [
+        Column(kind, is_text=True),
+        Column("axis", is_text=True),
+        Column("PICP", percent),
+        Column("95 % CI", is_soft=True),
+        Column("MPIW", number),
+        Column("NMPIW", percent),
+        Column("RMSE", number),
+        Column("R²", determination),
+        Column("Winkler", number),
+        Column("n", count),
+        Column("n_eff", number),
+    ]
+    rows = [
+        [
+            name,
+            axis_cell(axis),
+            coverage_cell(metrics, confidence),
+            percent_range(metrics.picp_ci),
+            *(metrics.mpiw, metrics.nmpiw, metrics.rmse, metrics.r2),
+            *(metrics.winkler, metrics.n, metrics.n_eff),
+        ]
+        for name, part in parts.items()
+        for axis, metrics in part.axes.items()
+    ]
+    return Table(columns, rows)
+
+
+def axis_cell(axis: str) -> Cell:
+    """An axis of the wrench with its unit."""
+    return Cell(axis, unit=unit(axis))
+
+
+def coverage_cell(metrics: AxisMetrics, confidence: float) -> Cell:
+    """The coverage of an axis, marked where it is too low beyond chance."""
+    return Cell(metrics.picp, Mark.SHORT if metrics.covers_too_little(confidence) else None)
+
+
+def evaluation_summary(evaluation: Evaluation) -> Group:
+    """Coverage and width per axis for the terminal, a table per group.
+
+    The columns fit a terminal of 80 characters; the JSON and the page hold every metric.
+    """
+    confidence = evaluation.confidence
+    intervals = "adaptive prediction intervals" if evaluation.adaptive else "prediction intervals"
+    shown: list[RenderableType] = [
+        Text(f"{evaluation.model}: {percent(confidence)} {intervals}", style="bold")
+    ]
+    for name, part in evaluation.groups.items():
+        table = metrics_table({name: part}, confidence, "group")
+        shown.append(terminal_table(table.without("group", *_NOT_ON_TERMINAL, title=name)))
+        if part.alarm is not None:
+            shown.append(Text(f"alarm: {alarm_sentence(part.alarm)}", style="dim"))
+    parts = evaluation.groups.values()
+    if any(metrics.covers_too_little(confidence) for part in parts for metrics in part.axes.values()):
+        shown.append(Text(short_coverage_note(confidence), style="dim"))
+    return Group(*shown)
+
+
+def short_coverage_note(confidence: float) -> str:
+    """What the mark at a coverage means."""
+    return f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
+
+
+def alarm_sentence(alarm: AlarmAssessment) -> str:
+    """False alarms, detection, and how well each signal separates misses, in one sentence."""
+    parts = []
+    if alarm.hours_inside > 0.0:
+        rate = alarm.false_alarms_per_hour
+        stated = "–, too short to state a rate" if rate is None else f"{number(rate)} per hour"
+        minutes = _minutes(alarm.hours_inside)
+        parts.append(f"{alarm.false_alarms} false in {minutes} inside the envelope ({stated})")
+    if alarm.hours_outside > 0.0:
+        plural = "" if alarm.alarms_outside == 1 else "s"
+        minutes = _minutes(alarm.hours_outside)
+        parts.append(f"{alarm.alarms_outside} alarm{plural} in {minutes} outside the envelope")
+    if alarm.flights_off:
+        found = alarm.flights_off - alarm.flights_undetected
+        late = "" if alarm.detection_delay_s is None else f", {alarm.detection_delay_s:.2f} s late"
+        parts.append(f"{found} of {alarm.flights_off} flights with the model off detected{late}")
+    known = [f"{name} {area:.2f}" for name, area in alarm.auroc.items() if area is not None]
+    if known:
+        parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
+    return "; ".join(parts)
+
+
+def _minutes(hours: float) -> str:
+    return f"{number(60.0 * hours)} min"
+
+
+def evaluation_verdict(evaluation: Evaluation, training: Collection[str]) -> str:
+    """On which groups the intervals hold, on which that is not shown, and on which they do not.
+
+    A group of `training` flights alone is marked: there the intervals hold by construction. The axis that
+    covers least of those that the clause is about is named with its numbers, unless all cover enough.
+    """
+    confidence = evaluation.confidence
+    groups: dict[Holding, list[str]] = {}
+    for group, part in evaluation.groups.items():
+        holding, axes = joint_verdict(axis_coverages(part.axes), confidence)
+        remarks = ["in sample"] if set(part.flights) <= set(training) else []
+        if holding is not Holding.HOLDS:
+            remarks.append(f"{len(axes)} of {len(part.axes)} axes")
+        if holding is not Holding.HOLDS or axes[0].estimate < confidence:
+            remarks.append(axes[0].sentence())
+        groups.setdefault(holding, []).append(f"{group} ({'; '.join(remarks)})" if remarks else group)
+    if not groups:
+        return f"{nominal(confidence)} prediction intervals, flight by flight."
+    clauses = [f"{holding.value} on {listing(groups[holding])}" for holding in Holding if holding in groups]
+    return f"{nominal(confidence)} prediction intervals {', and '.join(clauses)}."
+
+
+def write_evaluation_page(
     path: Path,
     evaluation: Evaluation,
     results: Sequence[FlightResult],
@@ -38,37 +185,66 @@ def write_report(
 
     Args:
         path: of the HTML file.
-        evaluation: as :func:`quadpi_core.evaluation.flight_results.evaluate_flights` gives it.
+        evaluation: of the model.
         results: the flights that were evaluated, at least one.
         model: that was evaluated; gives training flights, envelope and selection log.
-        live: what the live nodes said of one of the flights.
+        live: what the live nodes said about one of the flights.
+
+    Raises:
+        OutputError: if `path` cannot be written.
     """
+    confidence = evaluation.confidence
     by_name = {result.name: result for result in results}
     groups = {name: [by_name[flight] for flight in part.flights] for name, part in evaluation.groups.items()}
     grouped = {flight.name for flights in groups.values() for flight in flights}
-    rest = [result for result in results if result.name not in grouped]
-    if rest:
+    if rest := [result for result in results if result.name not in grouped]:
         groups[_UNGROUPED] = rest
     bins = bins_within(_DRAWN_SAMPLES, _LINES_PER_AXIS * sum(len(result.axes) for result in results))
-
-    parts = [evaluation_sections.header(evaluation, model), evaluation_sections.coverage(evaluation)]
-    figures = {"coverage": coverage_figure(evaluation)} if evaluation.groups else {}
+    training = [flight.name for flight in model.flights]
+    axes = [axis for axis in AXES if all(axis in result.axes for result in results)]
+    figures = {
+        "envelope": envelope_figure(groups, model.envelope, training),
+        "residuals": residual_figure(groups, axes, confidence),
+        **_histories(groups, evaluation, bins),
+    }
+    if evaluation.groups:
+        figures["coverage"] = coverage_figure(evaluation)
     if live is not None:
         figures["alarm"] = alarm_figure(live, by_name.get(live.flight))
-        parts.append(evaluation_sections.live(live))
-    figures |= _histories(groups, evaluation, bins)
-    figures["envelope"] = envelope_figure(groups, model.envelope, [flight.name for flight in model.flights])
-    figures["residuals"] = residual_figure(groups, _common_axes(results), evaluation.confidence)
-    parts += [
-        evaluation_sections.histories(
-            {group: [f.name for f in flights] for group, flights in groups.items()}, bins
-        ),
-        evaluation_sections.envelope(),
-        evaluation_sections.residuals(evaluation.confidence),
-        evaluation_sections.model(model),
-        evaluation_sections.definitions(evaluation),
-    ]
-    write_page(path, f"quadpi: {evaluation.model}", parts, figures)
+    Page(
+        title=f"quadpi: {evaluation.model}",
+        about="how far can this model be trusted?",
+        verdict=evaluation_verdict(evaluation, training),
+        facts={
+            "model": evaluation.model,
+            "vehicle": evaluation.vehicle,
+            "settings": model.settings,
+            "low-pass": f"{model.cutoff_hz:g} Hz",
+            "identified on": f"{len(model.flights)} flights",
+            "evaluated on": f"{len(evaluation.flights)} flights",
+        },
+        definitions=metric_definitions(evaluation),
+        figures=figures,
+    ).write(
+        path,
+        "evaluation.html",
+        nominal=nominal(confidence),
+        bins=bins,
+        coverage=_coverage_table(evaluation) if evaluation.groups else None,
+        alarms={
+            name: alarm_sentence(part.alarm)
+            for name, part in evaluation.groups.items()
+            if part.alarm is not None
+        },
+        by_group=metrics_table(evaluation.groups, confidence, "group"),
+        by_flight=metrics_table(evaluation.flights, confidence, "flight"),
+        live=live,
+        flights={group: [flight.name for flight in flights] for group, flights in groups.items()},
+        training=", ".join(f"{flight.name} ({flight.samples} samples)" for flight in model.flights),
+        calibration=f"{model.calibration().capitalize()}; {model.alarm_limits.sentence()}",
+        held_out=held_out_table(model),
+        terms=_terms(model),
+    )
 
 
 def _histories(
@@ -78,12 +254,62 @@ def _histories(
     figures: dict[str, go.Figure] = {}
     for (_, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
         for flight in flights:
-            name = f"{evaluation_sections.HISTORY} {flight.name}"
+            name = f"history {flight.name}"
             if name not in figures:
                 metrics = evaluation.flights[flight.name].axes
                 figures[name] = time_history_figure(flight, metrics, colour, bins)
     return figures
 
 
-def _common_axes(results: Sequence[FlightResult]) -> list[str]:
-    return [axis for axis in AXES if all(axis in result.axes for result in results)]
+def _coverage_table(evaluation: Evaluation) -> Table:
+    """Coverage and width of each axis, the groups side by side."""
+    groups = evaluation.groups
+    columns = [Column("axis", is_text=True)]
+    for group, colour in group_colours(groups).items():
+        columns += [
+            Column("PICP", percent, group=group, colour=colour),
+            Column("95 % CI", group=group, is_soft=True),
+            Column("MPIW", number, group=group),
+        ]
+    rows = []
+    for axis in (axis for axis in AXES if any(axis in part.axes for part in groups.values())):
+        row: list[Cell | Value] = [axis_cell(axis)]
+        for part in groups.values():
+            metrics = part.axes.get(axis)
+            if metrics is None:
+                row += [None, "", ""]
+            else:
+                row += [
+                    coverage_cell(metrics, evaluation.confidence),
+                    percent_range(metrics.picp_ci),
+                    metrics.mpiw,
+                ]
+        rows.append(row)
+    return Table(columns, rows)
+
+
+def _terms(model: AerodynamicModel) -> dict[str, Table | str]:
+    """What each axis depends on, below a heading that counts it."""
+    terms: dict[str, Table | str] = {}
+    for axis in model.axes:
+        names = model.fitted[axis].terms
+        if log := model.selection[axis]:
+            terms[f"{axis}: {len(names)} terms"] = selection_table(log)
+        else:
+            terms[f"{axis}: {model.method} ensemble"] = ", ".join(names)
+    return terms
+
+
+def metric_definitions(evaluation: Evaluation) -> dict[str, str]:
+    """What the metrics mean."""
+    alpha = f"{1 - evaluation.confidence:.3g}"
+    ranges = ", ".join(
+        f"{axis} {number(extent)} {unit(axis)}" for axis, extent in evaluation.training_range.items()
+    )
+    return {
+        "PICP and its interval": "Clopper–Pearson at the effective sample size that a block bootstrap within "
+        "flights gives. It holds for these flights; flights to come differ more than samples do.",
+        "NMPIW": f"MPIW over the range of the measured training data: {ranges}.",
+        "Winkler score": f"Mean of width + 2/α · distance outside, α = {alpha}; lower is better.",
+        "n_eff": "Number of independent samples that the autocorrelated prediction errors are worth.",
+    }

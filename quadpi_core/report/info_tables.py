@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `quadpi info` shows of a log, a bag or a model."""
+"""What `quadpi info` shows about a log, a bag or a model."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich import box
+from rich.columns import Columns
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from quadpi_core.errors import VehicleError
@@ -31,8 +30,9 @@ from quadpi_core.logs.inspect import (
 from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
+from quadpi_core.report.model_tables import term_tables
 from quadpi_core.report.style import number, percent
-from quadpi_core.report.terminal_tables import structure_tables
+from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table
 from quadpi_core.vehicle import Vehicle
 
 
@@ -49,17 +49,18 @@ def describe(
     """
     if (path / MODEL_FILE).is_file():
         model = AerodynamicModel.load(path)
-        return model_tables(model), _model_json(model)
+        return model_summary(model), _model_json(model)
     is_bag = identify_format(path) is FORMATS["bag"]
     if is_bag and mapping is None and not has_topic(path, "imu"):
         inspection = inspect_topics(path)
-        return [_topic_table(inspection), _finding_table(inspection)], _inspection_json(inspection)
+        tables = [_topic_table(inspection), _finding_table(inspection)]
+        return list(map(terminal_table, tables)), _inspection_json(inspection)
     known = Vehicle.load(vehicle) if vehicle else _named_vehicle(bag_vehicle(path) if is_bag else "")
     if is_bag:
         inspection = _inspect_bag(path, known, mapping)
     else:
         inspection = inspect_recording(decode_recording(path, known, mapping), known)
-    return inspection_tables(inspection), _inspection_json(inspection)
+    return list(map(terminal_table, inspection_tables(inspection))), _inspection_json(inspection)
 
 
 def _inspect_bag(path: Path, vehicle: Vehicle | None, mapping: str | None) -> Inspection:
@@ -92,81 +93,72 @@ def inspection_tables(inspection: Inspection) -> list[Table]:
 
 def _topic_table(inspection: Inspection) -> Table:
     vehicle = inspection.vehicle or "not given"
-    table = Table(title=f"{inspection.name} · vehicle {vehicle}", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("topic", overflow="fold")
-    for heading in ("samples", "s", "Hz", "±ms", "gaps", "max ms", "unsorted", "NaN"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for topic in inspection.topics:
-        table.add_row(
-            topic.topic,
-            str(topic.count),
-            number(topic.duration_s),
-            number(topic.rate_hz),
-            number(topic.jitter_ms),
-            _count(topic.gaps),
-            number(topic.longest_gap_s * 1e3),
-            _count(topic.repeated + topic.backward),
-            _count(topic.not_finite),
-        )
-    table.caption = "±ms: jitter of the intervals; max ms: the longest; unsorted: repeated or backward stamps"
-    return table
+    columns = [
+        Column("topic", is_text=True, wraps=True),
+        Column("samples"),
+        *(Column(heading, number) for heading in ("s", "Hz", "±ms")),
+        Column("gaps"),
+        Column("max ms", number),
+        Column("unsorted"),
+        Column("NaN"),
+    ]
+    rows: list[Row] = [
+        [
+            *(topic.topic, topic.count, topic.duration_s, topic.rate_hz, topic.jitter_ms),
+            _fault_count(topic.gaps),
+            topic.longest_gap_s * 1e3,
+            _fault_count(topic.repeated + topic.backward),
+            _fault_count(topic.not_finite),
+        ]
+        for topic in inspection.topics
+    ]
+    note = "±ms: jitter of the intervals; max ms: the longest; unsorted: repeated or backward stamps"
+    return Table(columns, rows, title=f"{inspection.name} · vehicle {vehicle}", note=note)
 
 
-def _count(value: int) -> Text:
-    return Text(str(value), style="bold red" if value else "dim")
+def _fault_count(value: int) -> Cell:
+    return Cell(value, Mark.FAULT if value else Mark.SOFT)
 
 
 def _envelope_table(inspection: Inspection) -> Table:
-    table = Table(title="envelope", box=box.SIMPLE_HEAD)
-    table.add_column("quantity")
-    table.add_column("unit")
-    for heading in ("lowest", "median", "highest"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in inspection.envelope:
-        table.add_row(row.quantity, row.unit, number(row.lowest), number(row.median), number(row.highest))
-    return table
+    columns = [
+        Column("quantity", is_text=True),
+        Column("unit", is_text=True),
+        *(Column(heading, number) for heading in ("lowest", "median", "highest")),
+    ]
+    rows: list[Row] = [
+        [row.quantity, row.unit, row.lowest, row.median, row.highest] for row in inspection.envelope
+    ]
+    return Table(columns, rows, title="envelope")
 
 
 def _finding_table(inspection: Inspection) -> Table:
-    table = Table(title="findings", box=box.SIMPLE_HEAD, show_header=False)
-    table.add_column("finding")
-    for finding in inspection.findings:
-        table.add_row(Text(f"▲ {finding}", style="yellow"))
-    if not inspection.findings:
-        table.add_row(Text("nothing suspicious", style="green"))
-    return table
+    rows = [[Cell(finding, Mark.WARNING)] for finding in inspection.findings]
+    rows = rows or [[Cell("nothing suspicious", Mark.GOOD)]]
+    return Table([Column("", is_text=True, wraps=True)], rows, title="findings")
 
 
-def model_tables(model: AerodynamicModel) -> list[RenderableType]:
-    """What a model is, its terms or inputs, training flights and envelope."""
+def model_summary(model: AerodynamicModel) -> list[RenderableType]:
+    """A model's settings, terms or inputs, training flights and envelope, for the terminal."""
     heading = Text(
         f"{model.identity or model.name} · vehicle {model.vehicle} · {model.method}, {model.settings} "
         f"settings · {percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
         style="bold",
     )
     calibration = Text(f"{model.calibration()}; {model.alarm_limits.sentence()}", style="dim")
-    flights = Table(title="identified on", box=box.SIMPLE_HEAD)
-    flights.add_column("flight")
-    flights.add_column("samples", justify="right")
-    flights.add_column("sha256")
-    for flight in model.flights:
-        flights.add_row(flight.name, str(flight.samples), flight.sha256[:12])
-    envelope = Table(title="training envelope", box=box.SIMPLE_HEAD)
-    envelope.add_column("input")
-    envelope.add_column("lowest", justify="right")
-    envelope.add_column("highest", justify="right")
-    for name, lower, upper in zip(INPUT_NAMES, model.envelope.lower, model.envelope.upper, strict=True):
-        envelope.add_row(name, number(float(lower)), number(float(upper)))
-    return [heading, calibration, structure_tables(model) or _input_table(model), flights, envelope]
-
-
-def _input_table(model: AerodynamicModel) -> Table:
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("axis")
-    table.add_column("inputs")
-    for axis in model.axes:
-        table.add_row(axis, Text(", ".join(model.fitted[axis].terms)))
-    return table
+    flights = Table(
+        [Column("flight", is_text=True), Column("samples"), Column("sha256", is_text=True)],
+        [[flight.name, flight.samples, flight.sha256[:12]] for flight in model.flights],
+        title="identified on",
+    )
+    bounds = zip(INPUT_NAMES, model.envelope.lower, model.envelope.upper, strict=True)
+    envelope = Table(
+        [Column("input", is_text=True), Column("lowest", number), Column("highest", number)],
+        [[name, float(lower), float(upper)] for name, lower, upper in bounds],
+        title="training envelope",
+    )
+    terms = Columns(map(terminal_table, term_tables(model)), padding=(0, 3))
+    return [heading, calibration, terms, terminal_table(flights), terminal_table(envelope)]
 
 
 def _model_json(model: AerodynamicModel) -> dict[str, Any]:

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the live nodes said of a replayed flight, and its figure: speed, alarm, evidence, named inputs."""
+"""The alarms that the live nodes published for a replayed flight, and their timeline as a figure."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,9 +16,8 @@ from plotly.subplots import make_subplots
 
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
-from quadpi_core.report.decimation import extreme_samples
-from quadpi_core.report.figures import series, styled
-from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, LEVELS
+from quadpi_core.report.plots import extreme_samples, series, styled
+from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, LEVELS, count, percent
 
 _SPEED_BINS = 800
 _EVIDENCE_FLOOR = 0.05
@@ -46,6 +45,27 @@ class LiveReplay:
     leverage: Array
     width: Array
     inputs_outside: Sequence[tuple[str, ...]]
+
+    @property
+    def tiles(self) -> dict[str, str]:
+        """The statistics as text, by name."""
+        found = self.statistics
+        formats: dict[str, tuple[str, Callable[[float], str]]] = {
+            "first warning": ("warning_first_s", "{:.2f} s".format),
+            "first alarm": ("alarm_first_s", "{:.2f} s".format),
+            "time in alarm": ("alarm_fraction", percent),
+            "samples in": ("samples_in", count),
+            "predictions out": ("predictions_out", count),
+            "dropped": ("dropped", count),
+            "latency, median": ("latency_ms_p50", "{:.2f} ms".format),
+            "latency, 99 %": ("latency_ms_p99", "{:.2f} ms".format),
+        }
+        tiles = {}
+        for name, (key, text) in formats.items():
+            value = found[key]
+            undefined = "none" if name.startswith("first") else "–"
+            tiles[name] = undefined if value is None else text(value)
+        return tiles
 
 
 def alarm_figure(live: LiveReplay, result: FlightResult | None) -> go.Figure:

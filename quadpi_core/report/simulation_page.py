@@ -1,29 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The flights of a simulation as one self-contained page."""
+"""The flights of a simulation in numbers: for the terminal, as JSON, and as a self-contained page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from quadpi_core.report.decimation import bins_within
-from quadpi_core.report.flight_summary import FlightSummary, effects_text, faults_text, summarise
-from quadpi_core.report.flown_figures import LINES, effort_figure, tracking_figure
-from quadpi_core.report.page import (
-    cells,
-    figure_of_flight,
-    flight_menu,
-    footer,
-    heading,
-    section,
-    table,
-    write_page,
-)
+import numpy as np
+
+from quadpi_core import __version__
+from quadpi_core.paths import config_directory
+from quadpi_core.report.page import Page
+from quadpi_core.report.plots import bins_within
+from quadpi_core.report.simulation_figures import LINES, effort_figure, tracking_figure, trajectory_figure
 from quadpi_core.report.style import number, percent
-from quadpi_core.report.trajectory_figures import trajectory_figure
+from quadpi_core.report.table import Cell, Column, Row, Table
+from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import Truth
 
 if TYPE_CHECKING:
@@ -31,6 +27,135 @@ if TYPE_CHECKING:
 
 # All time histories together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 370_000
+# A rotor within this share of its range from either end of it is at its limit.
+_AT_LIMIT = 0.001
+
+
+@dataclass(frozen=True)
+class FlightSummary:
+    """One simulated flight; the names are the keys of the JSON file.
+
+    Attributes:
+        effects: parameters by the name of the effect.
+        faults: of the sensors, as the scenario gives them.
+        head_wind_m_s: from the north, as an anemometer measures it; None where there is none.
+        tracking_rms_m, tracking_max_m: of the distance from the reference position.
+        tilt_max_deg: greatest angle between the thrust axis and the vertical.
+        rotor_speed_range_rad_s: lowest and highest of all rotors.
+        saturated_fraction: share of the time in which a rotor stands still or turns as fast as it can.
+    """
+
+    name: str
+    duration_s: float
+    seed: int
+    vehicle: str
+    noise: str
+    effects: Mapping[str, Mapping[str, float]]
+    faults: Sequence[Mapping[str, Any]]
+    head_wind_m_s: float | None
+    airspeed_max_m_s: float
+    tracking_rms_m: float
+    tracking_max_m: float
+    tilt_max_deg: float
+    rotor_speed_range_rad_s: Sequence[float]
+    saturated_fraction: float
+
+
+def summarise(plan: FlightPlan, truth: Truth) -> FlightSummary:
+    """What was planned and what was flown, in numbers."""
+    error, speeds = truth.position_error, truth.rotor_speeds
+    highest = truth.vehicle.rotor_speed_max_rad_s
+    margin = _AT_LIMIT * highest
+    saturated = ((speeds < margin) | (speeds > highest - margin)).any(axis=1)
+    _, x, y, _ = truth.attitude.T
+    planned = plan.as_dict()
+    return FlightSummary(
+        name=plan.name,
+        duration_s=float(truth.time[-1]),
+        seed=plan.seed,
+        vehicle=truth.vehicle.name,
+        noise=plan.noise,
+        effects=planned["effects"],
+        faults=planned["faults"],
+        head_wind_m_s=plan.head_wind_m_s,
+        airspeed_max_m_s=float(truth.speed.max()),
+        tracking_rms_m=float(np.sqrt(np.mean(error**2))),
+        tracking_max_m=float(error.max()),
+        tilt_max_deg=float(np.degrees(np.arccos(1 - 2 * (x * x + y * y))).max()),
+        rotor_speed_range_rad_s=[float(speeds.min()), float(speeds.max())],
+        saturated_fraction=float(saturated.mean()),
+    )
+
+
+def effects_text(effects: Mapping[str, Mapping[str, float]]) -> str:
+    """Effects with their parameters in one line."""
+    return "; ".join(
+        " ".join((name, ", ".join(f"{key} {value:g}" for key, value in parameters.items()))).strip()
+        for name, parameters in effects.items()
+    )
+
+
+def faults_text(faults: Sequence[Mapping[str, Any]]) -> str:
+    """Faults of the sensors, and when they happen, in one line."""
+    return "; ".join(
+        f"{fault['kind']} {fault['topic']} {fault['at_s']:g}–{fault['at_s'] + fault['for_s']:g} s"
+        for fault in faults
+    )
+
+
+def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Table:
+    """A row per flight, with its bag and the size of it; fits a terminal of 80 characters."""
+    sizes = [1e-6 * bag.stat().st_size for bag in bags]
+    columns = [
+        Column("bag", is_text=True, wraps=True),
+        *(Column(heading, number) for heading in ("s", "airspeed m/s", "error rms m", "max m", "MB")),
+    ]
+    rows: list[Row] = [
+        [
+            *(bag.name, summary.duration_s, summary.airspeed_max_m_s),
+            *(summary.tracking_rms_m, summary.tracking_max_m, size),
+        ]
+        for summary, bag, size in zip(summaries, bags, sizes, strict=True)
+    ]
+    total = sum(summary.duration_s for summary in summaries)
+    count = "1 bag" if len(bags) == 1 else f"{len(bags)} bags"
+    note = f"{count} in {bags[0].parent}: {number(total)} s, {number(sum(sizes))} MB"
+    return Table(columns, rows, note=note)
+
+
+def flight_json(scenario: str, summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> dict[str, Any]:
+    """The summaries as JSON holds them."""
+    flights = [asdict(summary) | {"bag": str(bag)} for summary, bag in zip(summaries, bags, strict=True)]
+    return {"quadpi_version": __version__, "scenario": scenario, "flights": flights}
+
+
+def catalogue_tables() -> list[Table]:
+    """The scenarios in config/scenarios, and the effects that can be switched on with their parameters."""
+    paths = sorted((config_directory() / "scenarios").glob("*.yaml"))
+    scenarios = [load_scenario(path.stem) for path in paths]
+    columns = [
+        Column("name", is_text=True),
+        Column("flights"),
+        Column("s", number),
+        Column("", is_text=True, wraps=True),
+    ]
+    rows: list[Row] = [
+        [
+            *(scenario.name, len(scenario.flights)),
+            *(sum(plan.duration_s for plan in scenario.flights), scenario.description),
+        ]
+        for scenario in scenarios
+    ]
+    effect_columns = [
+        Column("name", is_text=True),
+        Column("axes, what it does, and its parameters with their defaults", is_text=True, wraps=True),
+    ]
+    effect_rows: list[Row] = []
+    for name, effect in EFFECTS.items():
+        axes = f"{' '.join(effect.axes)}: " if effect.axes else ""
+        defaults = ", ".join(f"{parameter.name}={parameter.default:g}" for parameter in effect.parameters)
+        effect_rows.append([name, Cell(f"{axes}{effect.summary}", detail=defaults)])
+    return [Table(columns, rows, title="scenarios"), Table(effect_columns, effect_rows, title="effects")]
 
 
 def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]]) -> None:
@@ -50,38 +175,47 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
         figures[f"trajectory {plan.name}"] = trajectory_figure(truth)
         figures[f"tracking {plan.name}"] = tracking_figure(truth, bins)
         figures[f"effort {plan.name}"] = effort_figure(truth, bins)
-    scenarios = ", ".join(dict.fromkeys(plan.scenario for plan, _ in flights))
-    parts = [
-        _header(scenarios, summaries),
-        _flights(summaries),
-        f"<nav>{flight_menu({'': [summary.name for summary in summaries]})}</nav>",
-        _trajectory(),
-        _effort(bins),
-        _definitions(),
-    ]
-    write_page(path, f"quadpi: simulation of {scenarios}", parts, figures)
-
-
-def _header(scenarios: str, summaries: Sequence[FlightSummary]) -> str:
-    total = sum(summary.duration_s for summary in summaries)
-    fastest = max(summaries, key=lambda summary: summary.airspeed_max_m_s)
-    worst = max(summaries, key=lambda summary: summary.tracking_rms_m)
-    flights = "One simulated flight" if len(summaries) == 1 else f"{len(summaries)} simulated flights"
-    verdict = (
-        f"{flights}, {number(total)}\u00a0s, at up to {number(fastest.airspeed_max_m_s)}\u00a0m/s "
-        f"({fastest.name}); worst tracking error {number(worst.tracking_rms_m)}\u00a0m rms ({worst.name})."
-    )
+    scenarios = _distinct(plan.scenario for plan, _ in flights)
     facts = {
         "scenario": scenarios,
         "vehicle": _distinct(summary.vehicle for summary in summaries),
         "noise": _distinct(summary.noise for summary in summaries),
     }
     common = {name: column[0] for name, column in _alterations(summaries).items() if _is_common(column)}
-    return heading("simulated flights", verdict, facts | common)
+    Page(
+        title=f"quadpi: simulation of {scenarios}",
+        about="simulated flights",
+        verdict=_verdict(summaries),
+        facts=facts | common,
+        definitions={
+            "Tracking error": "Distance from the reference position at that instant; it includes what wind, "
+            "effects and demands add to the error of the controller.",
+            "Airspeed": "Of the vehicle relative to the air, gusts included.",
+            "Seed": "With the scenario and the version of quadpi it makes the same bag again, byte for byte.",
+        },
+        figures=figures,
+    ).write(
+        path,
+        "simulation.html",
+        bins=bins,
+        table_of_flights=_page_table(summaries),
+        flights=[summary.name for summary in summaries],
+    )
+
+
+def _verdict(summaries: Sequence[FlightSummary]) -> str:
+    total = sum(summary.duration_s for summary in summaries)
+    fastest = max(summaries, key=lambda summary: summary.airspeed_max_m_s)
+    worst = max(summaries, key=lambda summary: summary.tracking_rms_m)
+    flights = "One simulated flight" if len(summaries) == 1 else f"{len(summaries)} simulated flights"
+    return (
+        f"{flights}, {number(total)}\u00a0s, at up to {number(fastest.airspeed_max_m_s)}\u00a0m/s "
+        f"({fastest.name}); worst tracking error {number(worst.tracking_rms_m)}\u00a0m rms ({worst.name})."
+    )
 
 
 def _alterations(summaries: Sequence[FlightSummary]) -> dict[str, list[str]]:
-    """What alters flights, a text for each; without what alters none."""
+    """Effects and faults of each flight as text; a kind that no flight has is left out."""
     texts = {
         "effects": [effects_text(summary.effects) for summary in summaries],
         "faults": [faults_text(summary.faults) for summary in summaries],
@@ -97,68 +231,24 @@ def _distinct(names: Iterable[str]) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def _flights(summaries: Sequence[FlightSummary]) -> str:
-    """A row per flight; what alters none or all of them alike is left out."""
+def _page_table(summaries: Sequence[FlightSummary]) -> Table:
+    """A row per flight; alterations that all flights have alike are left out."""
     columns = {
-        "flight": [_chooser(s.name) for s in summaries],
-        "time [s]": [number(s.duration_s) for s in summaries],
-        "airspeed [m/s]": [number(s.airspeed_max_m_s) for s in summaries],
-        "error rms [m]": [number(s.tracking_rms_m) for s in summaries],
-        "max [m]": [number(s.tracking_max_m) for s in summaries],
-        "tilt [deg]": [f"{s.tilt_max_deg:.0f}" for s in summaries],
-        "rotors [rad/s]": [
+        Column("flight", is_text=True, chooses_flight=True): [s.name for s in summaries],
+        Column("time [s]", number): [s.duration_s for s in summaries],
+        Column("airspeed [m/s]", number): [s.airspeed_max_m_s for s in summaries],
+        Column("error rms [m]", number): [s.tracking_rms_m for s in summaries],
+        Column("max [m]", number): [s.tracking_max_m for s in summaries],
+        Column("tilt [deg]", "{:.0f}".format): [s.tilt_max_deg for s in summaries],
+        Column("rotors [rad/s]"): [
             "–".join(f"{speed:.0f}" for speed in s.rotor_speed_range_rad_s) for s in summaries
         ],
-        "at limit": [percent(s.saturated_fraction) for s in summaries],
-        "seed": [str(s.seed) for s in summaries],
+        Column("at limit", percent): [s.saturated_fraction for s in summaries],
+        Column("seed"): [s.seed for s in summaries],
     }
     if any(s.head_wind_m_s for s in summaries):
-        columns["wind [m/s]"] = [number(s.head_wind_m_s) for s in summaries]
-    texts = {name: column for name, column in _alterations(summaries).items() if not _is_common(column)}
-    head = cells("th", columns) + "".join(f'<th class="text">{name}</th>' for name in texts)
-    rows = [
-        cells("td", (column[i] for column in columns.values()))
-        + "".join(f'<td class="text">{escape(column[i]) or "–"}</td>' for column in texts.values())
-        for i in range(len(summaries))
-    ]
-    return section(
-        "Flights",
-        "Greatest airspeed and tilt of the thrust axis from the vertical; distance from the reference "
-        "position; range of the rotor speeds, and the share of time in which a rotor turns as fast as it can "
-        "or stands still. Choose a flight to see it below.",
-        f'<div class="dense">{table(f"<tr>{head}</tr>", rows)}</div>',
-    )
-
-
-def _chooser(flight: str) -> str:
-    return f'<button data-flight="{escape(flight)}">{escape(flight)}</button>'
-
-
-def _trajectory() -> str:
-    return section(
-        "Path and reference",
-        "The path in space, coloured by airspeed, over its shadow; the vehicle is drawn at equal distances "
-        "along it, larger than life. Drag to turn, scroll to zoom. Beside it the same flight over time.",
-        f'<div class="pair">{figure_of_flight("trajectory")}{figure_of_flight("tracking")}</div>',
-    )
-
-
-def _effort(bins: int) -> str:
-    return section(
-        "Rotors and wrench",
-        "The truth, before any sensor: body axes forward-right-down, aerodynamics and effects, gravity not "
-        f"included. Of each of {bins} equal parts of a flight the lowest and highest samples are drawn, so "
-        "peaks are kept. Drag to zoom all rows together, double-click to reset.",
-        figure_of_flight("effort"),
-    )
-
-
-def _definitions() -> str:
-    return footer(
-        {
-            "Tracking error": "Distance from the reference position at that instant; what wind, effects and "
-            "demands put on top of the controller do to it is part of it.",
-            "Airspeed": "Of the vehicle relative to the air, gusts included.",
-            "Seed": "With the scenario and the version of quadpi it makes the same bag again, byte for byte.",
-        }
-    )
+        columns[Column("wind [m/s]", number)] = [s.head_wind_m_s for s in summaries]
+    for name, texts in _alterations(summaries).items():
+        if not _is_common(texts):
+            columns[Column(name, is_text=True, wraps=True)] = [text or None for text in texts]
+    return Table(list(columns), list(zip(*columns.values(), strict=True)))

@@ -78,6 +78,16 @@ def unit(axis: str) -> str:
     return "N" if axis.startswith("F") else "Nm"
 
 
+def nominal(confidence: float) -> str:
+    """The nominal coverage of intervals, in percent."""
+    return f"{100.0 * confidence:g}\u00a0%"
+
+
+def count(value: float) -> str:
+    """A whole number with thin spaces between thousands."""
+    return f"{value:,.0f}".replace(",", "\u202f")
+
+
 def percent(fraction: float) -> str:
     """A fraction as percent with one decimal; rounding never makes 100 or 0 of what is not."""
     return f"{_in_percent(fraction, 1)} %"

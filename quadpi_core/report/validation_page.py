@@ -1,23 +1,24 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A validation as the paper's two tables: for the terminal, and as a self-contained page with its figures."""
+"""A validation under noise as the paper's two tables: for the terminal, and as a page with its figures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from html import escape
 from pathlib import Path
+from typing import Any
 
-from rich import box
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 from scipy.stats import t as student_t
 
 from quadpi_core.flight import AXES
-from quadpi_core.paper.realisations import Spread
+from quadpi_core.frames import Array
+from quadpi_core.paper.realisations import HIGHEST, LOWEST, Spread
 from quadpi_core.paper.validation_case import ValidationCase
 from quadpi_core.paper.validation_result import (
     VARIATIONS,
@@ -26,25 +27,28 @@ from quadpi_core.paper.validation_result import (
     Validation,
     Variation,
 )
-from quadpi_core.report.band_figure import BAND_AXES, LINES, SHOWN, band_figure
-from quadpi_core.report.decimation import bins_within
-from quadpi_core.report.holding import Coverage, in_cells
-from quadpi_core.report.page import (
-    figure_of_flight,
-    flight_menu,
-    footer,
-    heading,
-    section,
-    table,
-    write_page,
+from quadpi_core.report.coverage_verdict import Coverage, count_verdicts
+from quadpi_core.report.page import Page
+from quadpi_core.report.plots import bins_within, extreme_samples, series, styled
+from quadpi_core.report.style import (
+    INK,
+    MEASURED,
+    PREDICTED,
+    hundredths,
+    method_colours,
+    nominal,
+    number,
+    translucent,
+    unit,
 )
-from quadpi_core.report.style import number, unit
+from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, terminal_table
 
-_TABLES = {"Forces": AXES[:3], "Moments": AXES[3:]}
-# What a row shows, and under which heading.
+_PUBLISHED = "published"
+_TITLES = {"Forces": AXES[:3], "Moments": AXES[3:]}
+# Columns of the tables: attributes of a result, and their headings.
 _COVERAGE = {"training": "train", **dict(zip(VARIATIONS, ("model", "meas.", "both"), strict=True))}
 _WIDTH = {key: heading for key, heading in _COVERAGE.items() if key != VARIATIONS[-1]}
-# What the paper asks of valid intervals; training and combined stand for reference.
+# What the paper asks of valid intervals; training and combined variation are for reference only.
 _JUDGED = VARIATIONS[:2]
 _NOISE = {
     "velocity_m_s": ("velocity", "m/s"),
@@ -55,92 +59,91 @@ _NOISE = {
 }
 # All bands together draw so many samples, at about 11 bytes each in the page.
 _DRAWN_SAMPLES = 300_000
+# The axes of the paper's figures; each model draws so many lines of each.
+BAND_AXES = ("Fz", "Fx", "My")
+LINES = 7
+# The extremes of so many realisations lie about two standard deviations from their mean, as the bounds do.
+SHOWN = 20
 
 
-def validation_tables(result: Validation) -> Group:
-    """The two tables, with the paper's numbers below each row where there are some.
+def validation_table(
+    results: Sequence[Validation], axes: Sequence[str], *, title: str = "", with_settings: bool = False
+) -> Table:
+    """Coverage and width under noise, with the paper's numbers below each method where there are some.
 
     Args:
-        result: as :func:`quadpi_core.paper.validation_result.summarise` gives it.
+        results: of the same models by name, such as one for each of their settings.
+        axes: to show.
+        title: of the table.
+        with_settings: whether a column tells the results of one model apart by its settings.
     """
-    nominal = f"{100.0 * result.confidence:g} %"
-    head = Text(
-        f"{nominal} prediction intervals; realisations of noise: {result.realisations}, on each of "
-        f"{len(result.flights)} flights",
-        style="bold",
-    )
-    tables = [_rich_table(result, title, axes) for title, axes in _TABLES.items() if _rows(result, axes)]
-    notes = [f"▼ covers less than {nominal}"] if _any_short(result) else []
+    columns = [
+        Column("axis", is_text=True, once=True),
+        Column("method", is_text=True, once=with_settings),
+        *([Column("settings", is_text=True)] if with_settings else []),
+        *(Column(heading, hundredths, group="PICP %") for heading in _COVERAGE.values()),
+        *(Column(heading, hundredths, group="NMPIW %") for heading in _WIDTH.values()),
+    ]
+    published = results[0].published or {}
+    rows: list[list[Cell | Value]] = []
+    for axis in axes:
+        for name in results[0].models:
+            held = [result for result in results if axis in result.models[name].axes]
+            for result in held:
+                model = result.models[name]
+                settings = [model.settings] if with_settings else []
+                rows.append([axis, name, *settings, *_cells(model.axes[axis], result.confidence)])
+            if held and (known := published.get(name, {}).get(axis)):
+                label = [name, *soft(_PUBLISHED)] if with_settings else soft(_PUBLISHED)
+                rows.append([axis, *label, *soft(*_cells(known, None))])
+    return Table(columns, rows, title=title)
+
+
+def _cells(found: AxisValidation | PublishedAxis, confidence: float | None) -> list[Cell | Value]:
+    """Coverage and width of one row; coverage below the confidence, if there is one, is marked."""
+    parts: dict[str, Any] = {key: getattr(found, key, None) for key in _COVERAGE}
+    cells: list[Cell | Value] = []
+    for key, part in parts.items():
+        short = part is not None and confidence is not None and key in _JUDGED and part.picp < confidence
+        cells.append(Cell(part.picp, Mark.SHORT) if short else getattr(part, "picp", None))
+    return [*cells, *(getattr(parts[key], "nmpiw", None) for key in _WIDTH)]
+
+
+def _tables(result: Validation) -> list[Table]:
+    tables = [validation_table([result], axes, title=title) for title, axes in _TITLES.items()]
+    return [table for table in tables if table.rows]
+
+
+def validation_summary(result: Validation) -> Group:
+    """The two tables for the terminal, with the paper's numbers below each row where there are some."""
+    tables = _tables(result)
+    marked = any(cell.mark is Mark.SHORT for table in tables for row in table.cells for cell in row)
+    notes = [f"▼ covers less than {nominal(result.confidence)}"] if marked else []
     notes += ["dim: the paper's numbers"] if result.published else []
-    return Group(head, *tables, *(Text(note, style="dim") for note in notes))
-
-
-def _rich_table(result: Validation, title: str, axes: Sequence[str]) -> Table:
-    shown = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
+    return Group(
+        Text(
+            f"{nominal(result.confidence)} prediction intervals; realisations of noise: "
+            f"{result.realisations}, on each of {len(result.flights)} flights",
+            style="bold",
+        ),
+        *map(terminal_table, tables),
+        *(Text(note, style="dim") for note in notes),
     )
-    shown.add_column("axis")
-    shown.add_column("method", no_wrap=True)
-    for quantity, columns in (("PICP %", _COVERAGE), ("NMPIW %", _WIDTH)):
-        for i, text in enumerate(columns.values()):
-            shown.add_column(f"{'' if i else quantity}\n{text}", justify="right", no_wrap=True)
-    for axis, name, found, published in _rows(result, axes):
-        cells = [
-            Text(_coverage_text(found, key, result.confidence), style=_style(found, key, result))
-            for key in _COVERAGE
-        ]
-        shown.add_row(axis, name, *cells, *(_hundredths(found, key, "nmpiw") for key in _WIDTH))
-        if published:
-            coverage = (_hundredths(published, key, "picp") for key in _COVERAGE)
-            width = (_hundredths(published, key, "nmpiw") for key in _WIDTH)
-            shown.add_row("", "", *coverage, *width, style="dim")
-    return shown
 
 
-def _style(found: AxisValidation, key: str, result: Validation) -> str:
-    return "bold red" if _covers_too_little(found, key, result.confidence) else ""
-
-
-def write_validation_page(
-    path: Path, result: Validation, case: ValidationCase, spreads: Mapping[str, Spread]
-) -> None:
-    """Write the page; it appears whole or not at all.
-
-    Args:
-        path: of the HTML file.
-        result: as :func:`quadpi_core.paper.validation_result.summarise` gives it.
-        case: that was validated.
-        spreads: of its flights, by name, over SHOWN realisations.
-
-    Raises:
-        OutputError: if `path` cannot be written.
-    """
-    bins = bins_within(_DRAWN_SAMPLES, LINES * len(BAND_AXES) * len(case.models) * len(case.flights))
-    figures = {
-        f"bands {flight.name}": band_figure(case, place, spreads[flight.name], result, bins)
-        for place, flight in enumerate(case.flights)
-    }
-    parts = [_header(result), _tables(result), _bands(result, bins), _flights(result), _definitions(result)]
-    write_page(path, "quadpi: validation under noise", parts, figures)
-
-
-def _header(result: Validation) -> str:
-    cells: dict[str, list[Coverage]] = {f"the {key.replace('_', ' ')}": [] for key in _JUDGED}
-    for axis, name, found, _ in _rows(result, AXES):
-        for group, key in zip(cells, _JUDGED, strict=True):
-            variation = getattr(found, key)
-            interval = _over_realisations(variation, result.realisations)
-            cells[group].append(Coverage(f"{name} {axis}", variation.picp, interval))
-    confidence = result.confidence
-    verdict = f"On these flights {100.0 * confidence:g}\u00a0% intervals {in_cells(cells, confidence)}."
-    facts = {
-        "models": ", ".join(f"{name} ({model.settings})" for name, model in result.models.items()),
-        "vehicle": result.vehicle,
-        "realisations": str(result.realisations),
-        "flights": str(len(result.flights)),
-        "seed": str(result.seed),
-    }
-    return heading("do the intervals hold under noise?", verdict, facts)
+def validation_verdict(result: Validation) -> str:
+    """In how many axes of all models the intervals hold under each variation, and where they do not."""
+    coverages: dict[str, list[Coverage]] = {}
+    for key in _JUDGED:
+        coverages[f"the {key.replace('_', ' ')}"] = own = []
+        for axis in AXES:
+            for name, model in result.models.items():
+                if axis in model.axes:
+                    variation = getattr(model.axes[axis], key)
+                    interval = _over_realisations(variation, result.realisations)
+                    own.append(Coverage(f"{name} {axis}", variation.picp, interval))
+    found = count_verdicts(coverages, result.confidence)
+    return f"On these flights {nominal(result.confidence)} intervals {found}."
 
 
 def _over_realisations(found: Variation, realisations: int) -> tuple[float, float] | None:
@@ -151,133 +154,179 @@ def _over_realisations(found: Variation, realisations: int) -> tuple[float, floa
     return max(found.picp - margin, 0.0), min(found.picp + margin, 1.0)
 
 
-def _tables(result: Validation) -> str:
-    tables = "".join(
-        f"<h3>{title}</h3>{_html_table(result, axes)}"
-        for title, axes in _TABLES.items()
-        if _rows(result, axes)
-    )
-    paper = (
-        " In the second row of each method, what van Beers and de Visser found." if result.published else ""
-    )
-    return section(
-        "Coverage and width under noise",
-        "PICP: share of predictions from noisy inputs (model), or of noisy measurements (meas.), inside "
-        "the interval at the noise-free inputs; both: noisy measurements inside the interval at the "
-        "noisy inputs, as in flight; train: the same on the training flights. NMPIW: mean width over the "
-        f"range of what is to be covered. ▼ less than {100.0 * result.confidence:g} %.{paper}",
-        tables,
-    )
+def write_validation_page(
+    path: Path, result: Validation, case: ValidationCase, spreads: Mapping[str, Spread]
+) -> None:
+    """Write the page; it appears whole or not at all.
 
+    Args:
+        path: of the HTML file.
+        result: of the validation.
+        case: that was validated.
+        spreads: of its flights, by name, over SHOWN realisations.
 
-def _html_table(result: Validation, axes: Sequence[str]) -> str:
-    top = (
-        f'<tr><th></th><th></th><th colspan="{len(_COVERAGE)}" class="group">PICP [%]</th>'
-        f'<th colspan="{len(_WIDTH)}" class="group">NMPIW [%]</th></tr>'
-    )
-    headings = "".join(f"<th>{text}</th>" for text in (*_COVERAGE.values(), *_WIDTH.values()))
-    rows = []
-    for axis, name, found, published in _rows(result, axes):
-        cells = [
-            f"<td{_mark(found, key, result)}>{_coverage_text(found, key, result.confidence)}</td>"
-            for key in _COVERAGE
-        ]
-        cells += [f"<td>{_hundredths(found, key, 'nmpiw')}</td>" for key in _WIDTH]
-        rows.append(f'<td>{axis}</td><td class="text">{escape(name)}</td>{"".join(cells)}')
-        if published:
-            values = [_hundredths(published, key, "picp") for key in _COVERAGE]
-            values += [_hundredths(published, key, "nmpiw") for key in _WIDTH]
-            rows.append(
-                '<td></td><td class="text unit">paper</td>'
-                + "".join(f'<td class="unit">{value}</td>' for value in values)
-            )
-    return table(f'{top}<tr><th>axis</th><th class="text">method</th>{headings}</tr>', rows)
-
-
-def _mark(found: AxisValidation, key: str, result: Validation) -> str:
-    return ' class="short"' if _covers_too_little(found, key, result.confidence) else ""
-
-
-def _bands(result: Validation, bins: int) -> str:
-    return section(
-        "Intervals and what they have to cover",
-        "Bounds at the noise-free inputs (lines, a colour per model) around the spread over "
-        f"{SHOWN} realisations of the noisy measurements (grey) and of the predictions from noisy inputs "
-        f"(pink). Of each of {bins} equal parts of a flight the extremes are drawn. Drag to zoom, "
-        "double-click to reset.",
-        flight_menu({"": list(result.flights)}) + figure_of_flight("bands"),
+    Raises:
+        OutputError: if `path` cannot be written.
+    """
+    bins = bins_within(_DRAWN_SAMPLES, LINES * len(BAND_AXES) * len(case.models) * len(case.flights))
+    Page(
+        title="quadpi: validation under noise",
+        about="do the intervals hold under noise?",
+        verdict=validation_verdict(result),
+        facts={
+            "models": ", ".join(f"{name} ({model.settings})" for name, model in result.models.items()),
+            "vehicle": result.vehicle,
+            "realisations": str(result.realisations),
+            "flights": str(len(result.flights)),
+            "seed": str(result.seed),
+        },
+        definitions=_definitions(result),
+        figures={
+            f"bands {flight.name}": band_figure(case, place, spreads[flight.name], result, bins)
+            for place, flight in enumerate(case.flights)
+        },
+    ).write(
+        path,
+        "validation.html",
+        nominal=nominal(result.confidence),
+        bins=bins,
+        published=result.published,
+        tables=_tables(result),
+        by_flight=_flight_table(result),
+        flights=list(result.flights),
+        realisations_shown=SHOWN,
     )
 
 
-def _flights(result: Validation) -> str:
+def _flight_table(result: Validation) -> Table:
     """Coverage of the measurements flight by flight: flights differ more than realisations do."""
     axes = [axis for axis in AXES if any(axis in model.axes for model in result.models.values())]
-    head = "".join(f"<th>{axis}</th>" for axis in axes)
+    columns = [
+        Column("flight", is_text=True, once=True),
+        Column("method", is_text=True),
+        *(Column(axis, hundredths) for axis in axes),
+    ]
     rows = []
     for flight in result.flights:
         for name, model in result.models.items():
             shares = (model.flights[flight].get(axis) for axis in axes)
-            cells = "".join(
-                "<td>–</td>" if share is None else f"<td>{100.0 * share.measurement_variation:.2f}</td>"
-                for share in shares
-            )
-            rows.append(f'<td>{escape(flight)}</td><td class="text">{escape(name)}</td>{cells}')
-    return section(
-        "Flight by flight",
-        "Measured variation inside the interval, in percent. Realisations of one flight share its model "
-        "error, so a thousand of them say no more about new flights than one does: the flights do.",
-        table(f'<tr><th>flight</th><th class="text">method</th>{head}</tr>', rows),
-    )
+            covered = (None if share is None else share.measurement_variation for share in shares)
+            rows.append([flight, name, *covered])
+    return Table(columns, rows)
 
 
-def _definitions(result: Validation) -> str:
+def _definitions(result: Validation) -> dict[str, str]:
     levels = asdict(result.noise)
-    noise = ", ".join(f"{what} {number(levels[key])} {of}" for key, (what, of) in _NOISE.items())
+    noise = ", ".join(f"{name} {number(levels[key])} {of}" for key, (name, of) in _NOISE.items())
     ranges = ", ".join(
         f"{axis} {number(found.measurement_variation.range)} {unit(axis)}"
         for axis, found in next(iter(result.models.values())).axes.items()
     )
-    return footer(
-        {
-            "Noise": f"White, standard deviations: {noise}; independent in every realisation.",
-            "NMPIW": "Of model variation over the range of the predictions, of measured variation over that "
-            f"of the measurements ({ranges}), of training over that of the training measurements.",
-            "Model variation": "An interval that is wide enough for the measurements covers it almost by "
-            "construction: judge by the measurements.",
-        }
+    return {
+        "Noise": f"White, standard deviations: {noise}; independent in every realisation.",
+        "NMPIW": "Of model variation over the range of the predictions, of measured variation over that "
+        f"of the measurements ({ranges}), of training over that of the training measurements.",
+        "Model variation": "An interval that is wide enough for the measurements covers it almost by "
+        "construction: judge by the measurements.",
+    }
+
+
+def band_figure(case: ValidationCase, place: int, spread: Spread, result: Validation, bins: int) -> go.Figure:
+    """Rows Fz, Fx, My, a column per model: its bounds, and what they have to cover.
+
+    Args:
+        case: that was validated.
+        place: of the flight in it.
+        spread: of that flight.
+        result: gives the coverage of the flight.
+        bins: parts that the flight is cut into; of each the extremes are drawn.
+    """
+    flight = case.flights[place]
+    held = {axis for model in case.models.values() for axis in model.axes}
+    axes = [axis for axis in BAND_AXES if axis in held] or [axis for axis in AXES if axis in held][:1]
+    figure = make_subplots(
+        rows=len(axes),
+        cols=len(case.models),
+        shared_xaxes="all",
+        shared_yaxes="rows",
+        column_titles=list(case.models),
+        horizontal_spacing=0.03,
+        vertical_spacing=0.06,
+    )
+    for column, (name, colour) in enumerate(method_colours(case.models).items(), start=1):
+        reference = case.references[name][place]
+        for row, axis in enumerate(axes, start=1):
+            if axis not in case.models[name].axes:
+                continue
+            k = AXES.index(axis)
+            cell = {"row": row, "col": column, "first": row == 1 and column == 1}
+            _band(figure, flight.time, spread.measured[..., k], MEASURED, "noisy measurements", bins, cell)
+            _band(
+                figure,
+                flight.time,
+                spread.predicted[name][..., k],
+                PREDICTED,
+                "noisy predictions",
+                bins,
+                cell,
+            )
+            _line(figure, flight.time, reference.wrench[:, k], INK, "without noise", bins, cell)
+            for bound in (reference.lower, reference.upper):
+                _line(figure, flight.time, bound[:, k], colour, f"{name} interval", bins, cell)
+            covered = result.models[name].flights[flight.name][axis].measurement_variation
+            figure.add_annotation(
+                text=f"{100.0 * covered:.1f} % covered",
+                x=1,
+                y=1,
+                xref="x domain",
+                yref="y domain",
+                xanchor="right",
+                yanchor="bottom",
+                showarrow=False,
+                row=row,
+                col=column,
+            )
+    for row, axis in enumerate(axes, start=1):
+        figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
+    figure.update_xaxes(title_text="time [s]", row=len(axes))
+    return styled(figure, height=110 + 250 * len(axes)).update_layout(showlegend=True)
+
+
+def _band(
+    figure: go.Figure,
+    time: Array,
+    extremes: Array,
+    colour: str,
+    name: str,
+    bins: int,
+    cell: Mapping[str, Any],
+) -> None:
+    low, high = extremes[LOWEST], extremes[HIGHEST]
+    drawn = extreme_samples(low, high, bins)
+    place = {"row": cell["row"], "col": cell["col"], "hoverinfo": "skip", "line_width": 0}
+    # Both bounds must be Scatter: with Scattergl, "tonexty" fills to zero.
+    figure.add_scatter(**series(time[drawn], low[drawn]), name=f"{name}, lowest", showlegend=False, **place)
+    figure.add_scatter(
+        **series(time[drawn], high[drawn]),
+        fill="tonexty",
+        fillcolor=translucent(colour, 0.45),
+        name=name,
+        legendgroup=name,
+        showlegend=cell["first"],
+        **place,
     )
 
 
-def _rows(
-    result: Validation, axes: Sequence[str]
-) -> list[tuple[str, str, AxisValidation, PublishedAxis | None]]:
-    """Axis, model, what was found, and what the paper found."""
-    published = result.published or {}
-    return [
-        (axis, name, model.axes[axis], published.get(name, {}).get(axis))
-        for axis in axes
-        for name, model in result.models.items()
-        if axis in model.axes
-    ]
-
-
-def _any_short(result: Validation) -> bool:
-    return any(
-        _covers_too_little(found, key, result.confidence)
-        for _, _, found, _ in _rows(result, AXES)
-        for key in _JUDGED
+def _line(
+    figure: go.Figure, time: Array, values: Array, colour: str, name: str, bins: int, cell: Mapping[str, Any]
+) -> None:
+    drawn = extreme_samples(values, values, bins)
+    figure.add_scatter(
+        **series(time[drawn], values[drawn]),
+        line={"color": colour, "width": 1.4},
+        name=name,
+        legendgroup=name,
+        showlegend=cell["first"] and colour == INK,
+        row=cell["row"],
+        col=cell["col"],
     )
-
-
-def _covers_too_little(found: AxisValidation, key: str, confidence: float) -> bool:
-    return key in _JUDGED and bool(getattr(found, key).picp < confidence)
-
-
-def _coverage_text(found: AxisValidation, key: str, confidence: float) -> str:
-    return ("▼ " if _covers_too_little(found, key, confidence) else "") + _hundredths(found, key, "picp")
-
-
-def _hundredths(found: AxisValidation | PublishedAxis, key: str, quantity: str) -> str:
-    """A fraction in percent with the two decimals of the paper; a dash for what is undefined."""
-    value = getattr(getattr(found, key, None), quantity, None)
-    return "–" if value is None else f"{100.0 * value:.2f}"

@@ -5,11 +5,14 @@
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison, PublishedMetrics
 from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
@@ -20,6 +23,7 @@ from quadpi_core.models.polynomial import FittedPolynomial
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.spread import SpreadShape
 from quadpi_core.report.live_figure import LiveReplay
+from quadpi_core.report.table import markdown_table
 
 VOID = {"meta", "br", "link", "img", "input"}
 
@@ -68,6 +72,18 @@ def with_coverage():
         return replace(group, axes={**group.axes, axis: metrics})
 
     return changed
+
+
+@pytest.fixture
+def rendered():
+    """rendered(content, width) → what a terminal of that width shows."""
+
+    def shown(content, width=200):
+        console = Console(width=width, file=StringIO())
+        console.print(content)
+        return console.file.getvalue()
+
+    return shown
 
 
 @pytest.fixture
@@ -153,3 +169,39 @@ def case():
         inputs_outside=[(), ("mu_x",), ("u", "mu_x"), ("u", "mu_x"), (), ()],
     )
     return SimpleNamespace(results=results, model=model, evaluation=evaluation, live=live)
+
+
+@pytest.fixture
+def comparison(case):
+    """Two models of one method and one of another, which holds three axes only."""
+    whole = vars(case.evaluation)
+    forces = {
+        name: replace(part, axes={axis: part.axes[axis] for axis in AXES[:3]})
+        for name, part in case.evaluation.groups.items()
+    }
+    models = {
+        "poly-paper": ComparedEvaluation(**whole, settings="paper", cutoff_hz=100.0),
+        "poly": ComparedEvaluation(**whole, settings="default", cutoff_hz=30.0),
+        "net": ComparedEvaluation(
+            **whole | {"groups": forces, "method": "bootstrap"}, settings="default", cutoff_hz=30.0
+        ),
+    }
+    groups = {name: part.flights for name, part in case.evaluation.groups.items()}
+    known = {group: PublishedMetrics(0.9819, 0.7) for group in groups}
+    return Comparison("0", "v", 0.95, False, groups, {"polynomial": {"Fx": known}}, models)
+
+
+@pytest.fixture
+def markdown_cells():
+    """markdown_cells(table) → its rows as drawn in Markdown, without the rule; all are of one length."""
+
+    def drawn(table):
+        lines = [
+            [cell.strip() for cell in line.replace("\\|", "¦")[1:-1].split("|")]
+            for line in markdown_table(table).splitlines()
+        ]
+        assert len({len(line) for line in lines}) == 1
+        assert all(set(rule) <= set(":-") for rule in lines[1])
+        return [lines[0], *lines[2:]]
+
+    return drawn

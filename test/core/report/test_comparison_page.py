@@ -11,11 +11,13 @@ from dataclasses import replace
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from quadpi_core.flight import AXES
 from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.mcap import Bag
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.report.comparison_page import comparison_rows, comparison_table
 from quadpi_core.report.style import GROUPS, METHODS, method_colours
 from quadpi_core.vehicle import Vehicle
 
@@ -152,3 +154,23 @@ def test_every_model_has_a_colour_and_none_that_of_a_method():
     assert {method: colours[method] for method in METHODS} == METHODS
     assert not {colours[name] for name in names} & set(METHODS.values())
     assert colours["mine 0"] != colours["mine 1"]
+
+
+def test_published_numbers_follow_the_models_of_their_method(comparison, markdown_cells):
+    order = [(row.axis, row.model) for row in comparison_rows(comparison)]
+    assert order[:5] == [
+        ("Fx", "poly-paper"),
+        ("Fx", "poly"),
+        ("Fx", None),
+        ("Fx", "net"),
+        ("Fy", "poly-paper"),
+    ]
+    assert sum(model is None for _, model in order) == 1
+    assert [axis for axis, model in order if model == "net"] == list(AXES[:3])
+
+    heading, *body = markdown_cells(comparison_table(comparison))
+    assert heading[2:] == ["PICP % known", "PICP % new & fast", "MPIW known", "MPIW new & fast"]
+    assert len(body) == len(order)
+    assert body[2][1:] == ["*published*", "*98.19*", "*98.19*", "*0.70*", "*0.70*"]
+    assert body[0][0] == "Fx [N]"
+    assert all(row[3].startswith("▼") != (row[1] == "*published*") for row in body)

@@ -4,18 +4,15 @@
 
 import json
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from quadpi_core.discrepancy.callable_simulation import CallableSimulation
 from quadpi_core.discrepancy.discrepancy_result import study_json
 from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.report.discrepancy_figures import mean_map
-from quadpi_core.report.discrepancy_page import write_discrepancy_page
-from quadpi_core.report.discrepancy_tables import discrepancy_tables
+from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +41,12 @@ def test_everything_stands_on_it(page_file, read_page, found):
         assert part.conditions in page.text
 
 
-def test_code_that_ran_is_named(found, read_page, tmp_path):
+def test_code_that_ran_is_named(found, read_page, rendered, tmp_path):
     code = "mine:wrench of mine.py, named by addition.json"
     simulation = CallableSimulation("mine:wrench", found.simulation.vehicle, np.zeros_like, code=code)
     study = replace(found, simulation=simulation)
     write_discrepancy_page(tmp_path / "page.html", study)
-    console = Console(width=200, file=StringIO())
-    console.print(discrepancy_tables(study))
-    assert f"Code that ran: {code}." in console.file.getvalue()
+    assert f"Code that ran: {code}." in rendered(discrepancy_summary(study))
     assert code in read_page(tmp_path / "page.html").text
     assert study_json(study)["code"] == code
     assert study_json(found)["code"] is None

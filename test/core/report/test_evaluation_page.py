@@ -5,15 +5,14 @@ from dataclasses import replace
 
 import pytest
 
-from quadpi_core.report.evaluation_page import write_report
-from quadpi_core.report.evaluation_sections import verdict
+from quadpi_core.report.evaluation_page import evaluation_summary, evaluation_verdict, write_evaluation_page
 from quadpi_core.report.style import percent
 
 
 @pytest.fixture
 def page(case, read_page, tmp_path):
     path = tmp_path / "report.html"
-    write_report(path, case.evaluation, case.results, case.model, case.live)
+    write_evaluation_page(path, case.evaluation, case.results, case.model, case.live)
     return read_page(path)
 
 
@@ -38,7 +37,7 @@ def test_names_from_outside_are_escaped(page):
 
 
 def test_short_coverage_is_marked_and_only_there(page):
-    short = [attributes for tag, attributes in page.tags if attributes.get("class") == "start short"]
+    short = [attributes for tag, attributes in page.tags if "short" in attributes.get("class", "").split()]
     # Six axes of the fast flight, in the overview, by group and by flight.
     assert len(short) == 18
     assert page.text.count("▼") == 18 + 1
@@ -46,7 +45,7 @@ def test_short_coverage_is_marked_and_only_there(page):
 
 def test_page_stays_small_and_is_written_whole(case, tmp_path):
     path = tmp_path / "new" / "report.html"
-    write_report(path, case.evaluation, case.results, case.model)
+    write_evaluation_page(path, case.evaluation, case.results, case.model)
     assert path.stat().st_size < 8e6
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
 
@@ -57,7 +56,7 @@ def test_a_page_that_fails_leaves_the_old_one(case, tmp_path):
     flights = {name: part for name, part in case.evaluation.flights.items() if name != "slow"}
     broken = replace(case.evaluation, flights=flights)
     with pytest.raises(KeyError):
-        write_report(path, broken, case.results, case.model)
+        write_evaluation_page(path, broken, case.results, case.model)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -65,9 +64,9 @@ def test_a_page_that_fails_leaves_the_old_one(case, tmp_path):
 def test_flights_without_a_group_are_shown_too(case, read_page, tmp_path):
     path = tmp_path / "report.html"
     evaluation = replace(case.evaluation, groups={})
-    write_report(path, evaluation, case.results, case.model)
+    write_evaluation_page(path, evaluation, case.results, case.model)
     text = read_page(path).text
-    assert "95 % prediction intervals, flight by flight." in text
+    assert "95\u00a0% prediction intervals, flight by flight." in text
     assert "slow" in text
 
 
@@ -75,8 +74,8 @@ def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
     axes = case.evaluation.groups["new & fast"].axes
     worst = min(axes, key=lambda axis: axes[axis].picp)
     low, high = axes[worst].picp_ci
-    assert verdict(case.evaluation, ["slow", "mid", "another"]) == (
-        "95 % prediction intervals hold on known (in sample), and do not hold on new & fast "
+    assert evaluation_verdict(case.evaluation, ["slow", "mid", "another"]) == (
+        "95\u00a0% prediction intervals hold on known (in sample), and do not hold on new & fast "
         f"(6 of 6 axes; {worst} {percent(axes[worst].picp)}, {percent(low)} to {percent(high)})."
     )
 
@@ -84,11 +83,30 @@ def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
 def test_verdict_lists_the_groups_on_which_intervals_hold(case):
     known = case.evaluation.groups["known"]
     evaluation = replace(case.evaluation, groups={"a": known, "b": known, "c": known})
-    assert verdict(evaluation, []) == "95 % prediction intervals hold on a, b and c."
+    assert evaluation_verdict(evaluation, []) == "95\u00a0% prediction intervals hold on a, b and c."
 
 
 def test_verdict_tells_the_least_coverage_that_is_still_called_holding(case, with_coverage):
     few = with_coverage(case.evaluation.groups["known"], "Mz", 0.94, [0.92, 0.96])
-    assert verdict(replace(case.evaluation, groups={"few": few}), []) == (
-        "95 % prediction intervals hold on few (Mz 94.0 %, 92.0 % to 96.0 %)."
+    assert evaluation_verdict(replace(case.evaluation, groups={"few": few}), []) == (
+        "95\u00a0% prediction intervals hold on few (Mz 94.0 %, 92.0 % to 96.0 %)."
     )
+
+
+def test_summary_marks_short_coverage(case, rendered):
+    known, fast = rendered(evaluation_summary(case.evaluation)).split("new & fast")
+    axes = [line for line in fast.splitlines() if line.strip().startswith(("F", "M"))]
+    assert "▼" not in known
+    assert len(axes) == 6
+    assert all("▼" in line for line in axes)
+
+
+def test_summary_fits_a_narrow_terminal(case, rendered):
+    wide = {"picp": 0.9999, "picp_ci": [0.8, 0.949], "mpiw": 1e-5, "nmpiw": 1.6, "rmse": 1e-5}
+    wide |= {"r2": -38.794, "n_eff": 12345.0}
+    groups = {
+        name: replace(part, axes={axis: replace(metrics, **wide) for axis, metrics in part.axes.items()})
+        for name, part in case.evaluation.groups.items()
+    }
+    evaluation = replace(case.evaluation, groups=groups)
+    assert "…" not in rendered(evaluation_summary(evaluation), width=80)

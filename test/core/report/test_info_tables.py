@@ -21,6 +21,7 @@ from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages.sensor_messages import pack_imu, pack_odometry
 from quadpi_core.paths import bags_directory
 from quadpi_core.report.info_tables import describe, inspection_tables
+from quadpi_core.report.table import terminal_table
 
 
 def shown(tables) -> str:
@@ -39,7 +40,7 @@ def recording() -> Recording:
 
 
 def test_tables_fit_a_terminal_and_name_what_is_wrong(recording: Recording):
-    text = shown(inspection_tables(inspect_recording(recording)))
+    text = shown(map(terminal_table, inspection_tables(inspect_recording(recording))))
     assert "flight · vehicle not given" in text
     assert "…" not in text
     assert "topic imu: 1 stamps repeat" in text
@@ -49,7 +50,7 @@ def test_tables_fit_a_terminal_and_name_what_is_wrong(recording: Recording):
 def test_long_topics_do_not_cut_the_numbers(recording: Recording):
     inspection = inspect_recording(recording)
     topics = tuple(replace(topic, topic=f"/{40 * 'n'}") for topic in inspection.topics)
-    text = shown(inspection_tables(replace(inspection, topics=topics)))
+    text = shown(map(terminal_table, inspection_tables(replace(inspection, topics=topics))))
     assert "…" not in text
     assert text.count("n") > 40
 

@@ -4,18 +4,26 @@
 
 import json
 from dataclasses import replace
-from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from quadpi_core.frames import quaternion_from_roll_pitch_yaw
-from quadpi_core.report.flight_summary import effects_text, faults_text, flight_table, summarise
-from quadpi_core.report.flown_figures import effort_figure, rotor_names, tracking_figure
-from quadpi_core.report.simulation_page import write_simulation_page
-from quadpi_core.report.trajectory_figures import trajectory_figure
+from quadpi_core.report.simulation_figures import (
+    effort_figure,
+    rotor_names,
+    tracking_figure,
+    trajectory_figure,
+)
+from quadpi_core.report.simulation_page import (
+    effects_text,
+    faults_text,
+    flight_table,
+    summarise,
+    write_simulation_page,
+)
+from quadpi_core.report.table import terminal_table
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.truth import Truth
@@ -104,12 +112,10 @@ class TestSummary:
         speeds[-1, 0] = 0.0
         assert summarise(planned(), replace(truth, rotor_speeds=speeds)).saturated_fraction == 0.101
 
-    def test_long_names_do_not_cut_the_numbers_in_a_narrow_terminal(self, tmp_path):
+    def test_long_names_do_not_cut_the_numbers_in_a_narrow_terminal(self, rendered, tmp_path):
         bag = tmp_path / f"{60 * 'n'}.mcap"
         bag.write_bytes(bytes(1_230_000))
-        console = Console(width=80, file=StringIO())
-        console.print(flight_table([summarise(planned(), circle())], [bag]))
-        text = console.file.getvalue()
+        text = rendered(terminal_table(flight_table([summarise(planned(), circle())], [bag])), width=80)
         assert "…" not in text
         assert text.count("n") >= 60
         assert all(number in text for number in ("9.99", "6.00", "0.500", "1.23"))

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import AXES
-from quadpi_core.report.distribution_figures import ENVELOPE_INPUTS, envelope_figure, residual_figure
-from quadpi_core.report.figures import coverage_figure, time_history_figure
+from quadpi_core.report.evaluation_figures import (
+    ENVELOPE_INPUTS,
+    coverage_figure,
+    envelope_figure,
+    residual_figure,
+    time_history_figure,
+)
 from quadpi_core.report.live_figure import alarm_figure
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether prediction intervals hold: what tables mark and headlines say of a coverage, decided here."""
+"""Whether prediction intervals hold, decided from a measured coverage and its confidence interval."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WIDEST = 0.10
 
 
 class Holding(Enum):
-    """What a measured coverage says of an interval; the value is what a sentence says."""
+    """What a measured coverage says about an interval; the value is the verb of the sentence."""
 
     HOLDS = "hold"
     NOT_SHOWN = "are not shown to hold"
@@ -30,12 +30,12 @@ class Coverage:
     """A share of measurements inside their interval.
 
     Attributes:
-        what: it is of, as a sentence names it: an axis, for example.
+        subject: what it is the coverage of, such as an axis.
         estimate: the share.
-        interval: its 95 % confidence interval (low, high); None where nothing tells it.
+        interval: its 95 % confidence interval (low, high); None where it is not known.
     """
 
-    what: str
+    subject: str
     estimate: float
     interval: tuple[float, float] | None
 
@@ -43,8 +43,8 @@ class Coverage:
         """Decide for intervals of a nominal coverage.
 
         They hold where the estimate is at most :data:`TOLERANCE` below it and the confidence interval is
-        narrower than :data:`WIDEST`. Else they do not where the whole confidence interval lies below the
-        nominal coverage, and what is left is not shown.
+        narrower than :data:`WIDEST`. Otherwise they fail where the whole confidence interval lies below the
+        nominal coverage; in all other cases nothing is shown.
         """
         if self.interval is None:
             return Holding.NOT_SHOWN
@@ -56,23 +56,18 @@ class Coverage:
     def sentence(self) -> str:
         """Its numbers, as in "Fx 83.4 %, 61.9 % to 95.5 %"."""
         if self.interval is None:
-            return f"{self.what} {percent(self.estimate)}, its precision unknown"
+            return f"{self.subject} {percent(self.estimate)}, its precision unknown"
         low, high = self.interval
-        return f"{self.what} {percent(self.estimate)}, {percent(low)} to {percent(high)}"
+        return f"{self.subject} {percent(self.estimate)}, {percent(low)} to {percent(high)}"
 
 
-def of_axes(axes: Mapping[str, AxisMetrics]) -> list[Coverage]:
-    """The coverages of the axes of a group or flight, as `evaluate_flights` gives them."""
-    return [Coverage(axis, found.picp, _pair(found.picp_ci)) for axis, found in axes.items()]
+def axis_coverages(axes: Mapping[str, AxisMetrics]) -> list[Coverage]:
+    """The coverage of each axis of a group or flight."""
+    return [Coverage(axis, found.picp, (found.picp_ci[0], found.picp_ci[1])) for axis, found in axes.items()]
 
 
-def _pair(interval: Sequence[float]) -> tuple[float, float]:
-    low, high = interval
-    return low, high
-
-
-def joint(coverages: Sequence[Coverage], confidence: float) -> tuple[Holding, list[Coverage]]:
-    """What holds of all of several: the worst of them, and those that it is true of, the lowest first."""
+def joint_verdict(coverages: Sequence[Coverage], confidence: float) -> tuple[Holding, list[Coverage]]:
+    """The worst of several verdicts, and the coverages that it applies to, the lowest first."""
     for verdict in (Holding.FAILS, Holding.NOT_SHOWN, Holding.HOLDS):
         found = [coverage for coverage in coverages if coverage.holding(confidence) is verdict]
         if found:
@@ -80,21 +75,15 @@ def joint(coverages: Sequence[Coverage], confidence: float) -> tuple[Holding, li
     raise ValueError("no coverage to judge")
 
 
-def listed(parts: Sequence[str]) -> str:
-    """Names as a sentence lists them: "a, b and c"."""
-    *first, last = parts
-    return f"{', '.join(first)} and {last}" if first else last
-
-
-def in_cells(cells: Mapping[str, Sequence[Coverage]], confidence: float) -> str:
-    """In how many of the coverages of each group intervals hold, and where that is not so, in words.
+def count_verdicts(groups: Mapping[str, Sequence[Coverage]], confidence: float) -> str:
+    """How many coverages of each group hold, are not shown to hold and do not hold, as a clause.
 
     Of those that are not shown to hold, and of those that do not, the lowest is named with its numbers.
     """
     clauses = []
     for verdict in Holding:
         parts = []
-        for group, coverages in cells.items():
+        for group, coverages in groups.items():
             found = [coverage for coverage in coverages if coverage.holding(confidence) is verdict]
             if verdict is Holding.HOLDS:
                 parts.append(f"{len(found)} of {len(coverages)} on {group}")
@@ -102,5 +91,12 @@ def in_cells(cells: Mapping[str, Sequence[Coverage]], confidence: float) -> str:
                 lowest = min(found, key=lambda coverage: coverage.estimate)
                 parts.append(f"{len(found)} on {group} ({lowest.sentence()})")
         if parts:
-            clauses.append(f"{verdict.value} in {listed(parts)}")
+            clauses.append(f"{verdict.value} in {listing(parts)}")
     return "; ".join(clauses)
+
+
+def listing(parts: Sequence[str], conjunction: str = "and") -> str:
+    """Names as a sentence lists them: "a, b and c"."""
+    if len(parts) < 2:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} {conjunction} {parts[-1]}"

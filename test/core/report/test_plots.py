@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadpi_core.report.decimation import extreme_samples
+from quadpi_core.report.plots import extreme_samples
 
 
 def test_keeps_every_peak_and_both_ends():

@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of what a model holds: its terms, how they were selected, and its coverage on flights left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Any
+
+from quadpi_core.report.style import number, percent
+from quadpi_core.report.table import Cell, Column, Mark, Row, Table, soft
+
+if TYPE_CHECKING:
+    from quadpi_core.models.aerodynamic import AerodynamicModel
+
+# Steps of a selection, as :meth:`quadpi_core.models.polynomial.StepwisePolynomial.selection_log` gives them.
+SelectionLog = Sequence[Mapping[str, Any]]
+
+
+def selection_table(log: SelectionLog, title: str = "") -> Table:
+    """The steps of stepwise selection; a term that the final model does not hold has no coefficient."""
+    columns = [
+        Column("term", is_text=True, wraps=True),
+        Column("coefficient", "{:.4e}".format),
+        Column("R² reached", "{:.4f}".format),
+        Column("criterion", number),
+    ]
+    rows = []
+    for step in log:
+        removed = f" (removed {', '.join(step['removed'])})" if step.get("removed") else ""
+        criterion = step.get("criterion")
+        row = [
+            f"{step['term']}{removed}",
+            step["coefficient"],
+            "" if step["r2"] is None else step["r2"],
+            "" if criterion is None else criterion,
+        ]
+        rows.append(soft(*row) if step["fixed"] else row)
+    return Table(columns, rows, title=title)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of an identified polynomial.
+
+    Attributes:
+        name: of the regressor.
+        coefficient: in SI units.
+        r2: of the fit up to this term; None for fixed terms but the last, which enter together.
+        fixed: whether it was given rather than selected.
+    """
+
+    name: str
+    coefficient: float
+    r2: float | None
+    fixed: bool
+
+    def cells(self) -> list[Cell | str | float | None]:
+        """Name, coefficient and R²."""
+        name = Cell(self.name, Mark.SOFT) if self.fixed else self.name
+        return [name, self.coefficient, _NO_R2 if self.r2 is None else self.r2]
+
+
+# Stated, not left empty: the terms before are fitted together with this one.
+_NO_R2 = "–"
+
+
+def final_terms(log: SelectionLog) -> list[Term]:
+    """Terms that the final model holds, in the order in which selection added them for good."""
+    last = {row["term"]: place for place, row in enumerate(log)}
+    return [
+        Term(row["term"], row["coefficient"], row["r2"], row["fixed"])
+        for place, row in enumerate(log)
+        if row["coefficient"] is not None and place == last[row["term"]]
+    ]
+
+
+def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) -> Table:
+    """Terms, coefficients and R² of the polynomials of some axes side by side, in the form of the paper."""
+    columns = [
+        column
+        for axis in axes
+        for column in (
+            Column(axis, is_text=True, is_code=True),
+            Column("coefficient", "{:.3e}".format),
+            Column("R²", "{:.4f}".format),
+        )
+    ]
+    steps = zip_longest(*(final_terms(selection[axis]) for axis in axes))
+    empty: list[Cell | str | float | None] = ["", "", ""]
+    rows = [[cell for term in row for cell in (empty if term is None else term.cells())] for row in steps]
+    return Table(columns, rows)
+
+
+def term_tables(model: AerodynamicModel) -> list[Table]:
+    """A table of terms for each axis of a model that was selected term by term; else one of their inputs."""
+    if not all(model.selection[axis] for axis in model.axes):
+        columns = [Column("axis", is_text=True), Column("inputs", is_text=True, wraps=True)]
+        return [Table(columns, [[axis, ", ".join(model.fitted[axis].terms)] for axis in model.axes])]
+    return [structure_table(model.selection, [axis]) for axis in model.axes]
+
+
+def held_out_table(model: AerodynamicModel) -> Table | None:
+    """Coverage of each training flight by the model of the others; None where none was left out."""
+    if not all(model.held_out_coverage[axis] for axis in model.axes):
+        return None
+    rows: list[Row] = [
+        [flight.name, *(model.held_out_coverage[axis][k] for axis in model.axes)]
+        for k, flight in enumerate(model.flights)
+    ]
+    columns = [Column("flight", is_text=True, wraps=True), *(Column(axis, percent) for axis in model.axes)]
+    return Table(columns, rows, title="left out in turn: coverage")

@@ -1,0 +1,296 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""One type of table, and the three ways to draw it: on the terminal, as HTML, and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from itertools import groupby, pairwise
+from typing import Any
+
+from rich import box
+from rich.cells import cell_len
+from rich.table import Table as RichTable
+from rich.text import Text
+
+Value = str | float | None
+
+
+class Mark(Enum):
+    """Why a cell stands out; the value is its class in HTML."""
+
+    SHORT = "short"
+    FAULT = "fault"
+    SOFT = "soft"
+    WARNING = "warning"
+    GOOD = "good"
+
+
+_STYLES = {
+    Mark.SHORT: "bold red",
+    Mark.FAULT: "bold red",
+    Mark.SOFT: "dim",
+    Mark.WARNING: "yellow",
+    Mark.GOOD: "green",
+}
+_SYMBOLS = {Mark.SHORT: "▼ ", Mark.WARNING: "▲ "}
+_MISSING = "–"
+# Between columns that the terminal shows under one heading.
+_GAP = " "
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A value, with what is said beside it.
+
+    Attributes:
+        value: None where it is undefined; text is shown as it is, numbers as the column formats them.
+        mark: why it stands out.
+        unit: shown behind it.
+        detail: a second line.
+    """
+
+    value: Value
+    mark: Mark | None = None
+    unit: str = ""
+    detail: str = ""
+
+
+Row = Sequence[Cell | Value]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        heading: above the column.
+        format: makes text of a number.
+        is_text: aligned to the left; numbers are aligned to the right.
+        wraps: long text may be broken into lines.
+        group: heading that columns beside each other share; empty for none.
+        colour: of that heading in HTML.
+        once: a value is left out where the row above has the same, and the same in all such columns before.
+        is_section: its values are headings between the rows on the terminal, where width is scarce; elsewhere
+            each is shown once.
+        is_soft: less prominent than the others.
+        is_code: an expression; Markdown shows it as code.
+        chooses_flight: names a flight; a click on it in HTML shows that flight.
+    """
+
+    heading: str
+    format: Callable[[Any], str] = str
+    is_text: bool = False
+    wraps: bool = False
+    group: str = ""
+    colour: str = ""
+    once: bool = False
+    is_section: bool = False
+    is_soft: bool = False
+    is_code: bool = False
+    chooses_flight: bool = False
+
+    def text(self, cell: Cell) -> str:
+        """What a cell shows, without its unit."""
+        symbol = _SYMBOLS.get(cell.mark, "") if cell.mark else ""
+        if cell.value is None:
+            return _MISSING
+        return symbol + (cell.value if isinstance(cell.value, str) else self.format(cell.value))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells below headings.
+
+    Attributes:
+        columns: from left to right.
+        rows: a cell or value for each column.
+        title: above the table.
+        note: below it.
+    """
+
+    columns: Sequence[Column]
+    rows: Sequence[Row]
+    title: str = ""
+    note: str = ""
+    cells: tuple[tuple[Cell, ...], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        rows = [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in self.rows]
+        repeated = [place for place, column in enumerate(self.columns) if column.once or column.is_section]
+        for before, row in reversed(list(pairwise(rows))):
+            for place in repeated:
+                if row[place].value != before[place].value:
+                    break
+                row[place] = Cell("")
+        object.__setattr__(self, "cells", tuple(map(tuple, rows)))
+
+    def without(self, *headings: str, title: str = "") -> Table:
+        """The same table without some columns, under another title."""
+        places = [place for place, column in enumerate(self.columns) if column.heading not in headings]
+        rows = [[row[place] for place in places] for row in self.rows]
+        return Table([self.columns[place] for place in places], rows, title=title)
+
+    @property
+    def groups(self) -> list[tuple[Column, list[int]]]:
+        """The first column of each shared heading and the places of all of them; others stand alone."""
+        places = range(len(self.columns))
+        keyed = groupby(places, key=lambda place: self.columns[place].group or place)
+        return [(self.columns[members[0]], members) for members in (list(own) for _, own in keyed)]
+
+
+def soft(*values: Cell | Value) -> list[Cell | Value]:
+    """Cells that are less prominent than others; empty ones stay as they are."""
+    return [
+        Cell(value, Mark.SOFT) if isinstance(value, str | float) and value != "" else value
+        for value in values
+    ]
+
+
+def terminal_table(table: Table) -> RichTable:
+    """Draw a table for the terminal."""
+    shown = RichTable(
+        title=Text(table.title) if table.title else None,
+        title_justify="left",
+        caption=Text(table.note) if table.note else None,
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_header=any(column.heading for column in table.columns),
+    )
+    groups = [(column, places) for column, places in table.groups if not column.is_section]
+    grouped = any(column.group for column, _ in groups)
+    widths = [
+        max(cell_len(line) for line in (column.heading, *(column.text(row[place]) for row in table.cells)))
+        for place, column in enumerate(table.columns)
+    ]
+    for column, places in groups:
+        headings = _GAP.join(f"{table.columns[place].heading:>{widths[place]}}" for place in places)
+        shown.add_column(
+            Text(f"{column.group:^{cell_len(headings)}}\n{headings}" if column.group else column.heading),
+            justify="left" if column.is_text else "right",
+            vertical="bottom" if grouped else "top",
+            no_wrap=not (column.wraps or column.group),
+            overflow="fold",
+        )
+    sections = [place for place, column in enumerate(table.columns) if column.is_section]
+    for row in table.cells:
+        for place in sections:
+            if row[place].value:
+                shown.add_section()
+                text = _with_unit(table.columns[place], row[place])
+                shown.add_row(Text.assemble((text, "bold")))
+        shown.add_row(*(_terminal_cell(table, row, places, widths) for _, places in groups))
+    return shown
+
+
+def _terminal_cell(table: Table, row: Sequence[Cell], places: Sequence[int], widths: Sequence[int]) -> Text:
+    shown = Text()
+    for place in places:
+        column, cell = table.columns[place], row[place]
+        text = column.text(cell)
+        if place != places[0]:
+            shown.append(_GAP)
+        if len(places) > 1:
+            shown.append(" " * (widths[place] - cell_len(text)))
+        shown.append(text, _STYLES[cell.mark] if cell.mark else "dim" if column.is_soft else "")
+        if cell.unit:
+            shown.append(f" {cell.unit}", "dim")
+        if cell.detail:
+            shown.append(f"\n{cell.detail}", "dim")
+    return shown
+
+
+def _with_unit(column: Column, cell: Cell) -> str:
+    return f"{column.text(cell)} [{cell.unit}]" if cell.unit else column.text(cell)
+
+
+@dataclass(frozen=True)
+class HtmlCell:
+    """A cell as the template `macros.html` draws it.
+
+    Attributes:
+        text: not escaped.
+        css: its classes.
+        unit: shown behind it.
+        detail: a second line.
+        span: number of columns that it covers.
+        colour: of the line below a heading.
+        flight: that a click on it shows.
+    """
+
+    text: str
+    css: str = ""
+    unit: str = ""
+    detail: str = ""
+    span: int = 1
+    colour: str = ""
+    flight: str = ""
+
+
+def html_head(table: Table) -> Iterator[list[HtmlCell]]:
+    """The headings, row by row."""
+    if any(column.group for column in table.columns):
+        yield [
+            HtmlCell(column.group, "group" if column.group else "", span=len(places), colour=column.colour)
+            for column, places in table.groups
+        ]
+    yield [
+        HtmlCell(column.heading, css) for column, css in zip(table.columns, _html_classes(table), strict=True)
+    ]
+
+
+def html_body(table: Table) -> Iterator[list[HtmlCell]]:
+    """The rows."""
+    classes = _html_classes(table)
+    for row in table.cells:
+        yield [
+            HtmlCell(
+                column.text(cell),
+                f"{css} {cell.mark.value}".strip() if cell.mark else css,
+                unit=cell.unit,
+                detail=cell.detail,
+                flight=str(cell.value) if column.chooses_flight else "",
+            )
+            for column, css, cell in zip(table.columns, classes, row, strict=True)
+        ]
+
+
+def _html_classes(table: Table) -> list[str]:
+    starts = {places[0] for column, places in table.groups if column.group}
+    return [
+        " ".join(
+            name
+            for name, applies in (
+                ("start", place in starts),
+                ("text", column.is_text),
+                ("wraps", column.wraps),
+                ("soft", column.is_soft),
+            )
+            if applies
+        )
+        for place, column in enumerate(table.columns)
+    ]
+
+
+def markdown_table(table: Table) -> str:
+    """Draw a table as Markdown, without its title and note; what is undefined is left empty."""
+    headings = [f"{column.group} {column.heading}".strip() for column in table.columns]
+    rule = [":--" if column.is_text else "--:" for column in table.columns]
+    rows = [
+        [_markdown_cell(column, cell) for column, cell in zip(table.columns, row, strict=True)]
+        for row in table.cells
+    ]
+    lines = [[text.replace("|", "\\|") for text in line] for line in (headings, rule, *rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _markdown_cell(column: Column, cell: Cell) -> str:
+    if cell.value is None or cell.value == "":
+        return ""
+    text = _with_unit(column, cell)
+    text = f"`{text}`" if column.is_code else text
+    return f"*{text}*" if cell.mark is Mark.SOFT else text

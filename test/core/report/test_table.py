@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""One table, drawn on the terminal, as HTML and as Markdown."""
+
+import pytest
+
+from quadpi_core.report.page import Page
+from quadpi_core.report.table import (
+    Cell,
+    Column,
+    Mark,
+    Table,
+    html_body,
+    html_head,
+    markdown_table,
+    soft,
+    terminal_table,
+)
+
+
+@pytest.fixture
+def table():
+    columns = [
+        Column("axis", is_text=True, is_section=True),
+        Column("term", is_text=True, is_code=True),
+        Column("PICP", "{:.1f}".format, group="all <flights>", colour="#0072b2"),
+        Column("n", group="all <flights>"),
+    ]
+    rows = [
+        [Cell("Fx", unit="N"), "a|b", Cell(93.25, Mark.SHORT), 12],
+        [Cell("Fx", unit="N"), *soft("published", 95.0), None],
+        [Cell("Fz", unit="N"), "c", 97.0, 1234],
+    ]
+    return Table(columns, rows, title="coverage", note="▼ too low")
+
+
+def test_terminal_has_sections_and_shared_headings(table, rendered):
+    lines = [line.strip() for line in rendered(terminal_table(table), width=60).splitlines()]
+    title, _, group, heading, rule, *body = (line for line in lines)
+    assert (title, group, heading.split()) == ("coverage", "all <flights>", ["term", "PICP", "n"])
+    assert set(rule) == {"─"}
+    assert [line.split() for line in body if line] == [
+        ["Fx", "[N]"],
+        ["a|b", "▼", "93.2", "12"],
+        ["published", "95.0", "–"],
+        ["Fz", "[N]"],
+        ["c", "97.0", "1234"],
+        ["▼", "too", "low"],
+    ]
+
+
+def test_markdown_has_every_column_and_escapes_bars(table):
+    assert markdown_table(table).splitlines() == [
+        "| axis | term | all <flights> PICP | all <flights> n |",
+        "| :-- | :-- | --: | --: |",
+        "| Fx [N] | `a\\|b` | ▼ 93.2 | 12 |",
+        "|  | *`published`* | *95.0* |  |",
+        "| Fz [N] | `c` | 97.0 | 1234 |",
+    ]
+
+
+def test_html_has_classes_for_what_stands_out(table):
+    (groups, headings), body = html_head(table), list(html_body(table))
+    assert [(cell.text, cell.span, cell.colour) for cell in groups] == [
+        ("", 1, ""),
+        ("", 1, ""),
+        ("all <flights>", 2, "#0072b2"),
+    ]
+    assert [cell.css for cell in headings] == ["text", "text", "start", ""]
+    assert [cell.css for cell in body[0]] == ["text", "text", "start short", ""]
+    assert [cell.css for cell in body[1]] == ["text", "text soft", "start soft", ""]
+    assert [cell.unit for cell in body[0]] == ["N", "", "", ""]
+
+
+def test_a_repeated_value_is_left_out_below_the_same_values(markdown_cells):
+    columns = [Column("flight", once=True), Column("model", once=True), Column("kind")]
+    rows = [["a", "m", "x"], ["a", "m", "y"], ["b", "m", "x"], ["b", "n", "x"]]
+    drawn = markdown_cells(Table(columns, rows))[1:]
+    assert drawn == [["a", "m", "x"], ["", "", "y"], ["b", "m", "x"], ["", "n", "x"]]
+
+
+def test_columns_can_be_left_out(table, markdown_cells):
+    assert markdown_cells(table.without("term", "n"))[1] == ["Fx [N]", "▼ 93.2"]
+
+
+def test_a_page_escapes_what_comes_from_outside(read_page, tmp_path):
+    name = "<script>alert(1)</script>"
+    page = Page(name, name, name, {name: name}, {name: name}, {})
+    page.write(
+        tmp_path / "page.html",
+        "validation.html",
+        **{"nominal": name, "bins": 1, "published": None, "realisations_shown": 1, "flights": [name]},
+        tables=[Table([Column(name, group=name)], [[Cell(name, unit=name, detail=name)]], title=name)],
+        by_flight=Table([Column(name, chooses_flight=True)], [[name]]),
+    )
+    read = read_page(tmp_path / "page.html")
+    assert sum(tag == "script" for tag, _ in read.tags) == 3
+    assert read.text.count(name) > 10
