@@ -36,9 +36,9 @@ from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.simulated_bags import read_truth
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.truth import STEP_HZ
 
 _FLOWN = ("position_m", "velocity_m_s", "attitude_deg", "rates_rad_s")
 _NO_REFERENCE = "the bags hold no reference that the simulation could fly again"

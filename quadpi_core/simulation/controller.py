@@ -54,6 +54,7 @@ class Controls(NamedTuple):
     """What the controller knows of the nominal vehicle, and what it remembers.
 
     Attributes:
+        nominal: record VEHICLE (1,).
         thrust_slope: N per (rad/s)² of one rotor in hover.
         allocation: (4, 4) squares of the rotor speeds from thrust and moments.
         effectiveness: (4, 4) its inverse.
@@ -61,6 +62,7 @@ class Controls(NamedTuple):
         command: (4,) commanded rotor speeds [rad/s].
     """
 
+    nominal: Any
     thrust_slope: float
     allocation: Array
     effectiveness: Array
@@ -79,6 +81,7 @@ class Controls(NamedTuple):
             (np.full(ROTORS, slope), -y * slope, x * slope, vehicle["rotor_spins"] * yaw_slope)
         )
         return cls(
+            nominal=nominal,
             thrust_slope=float(slope),
             allocation=inverse(effectiveness),
             effectiveness=effectiveness,
@@ -101,16 +104,16 @@ def observe(controls: Controls, rotor_speeds: Any, wrench: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def control(controls: Controls, vehicle: Any, motion: Any, demand: Demand, step: int) -> None:
+def control(controls: Controls, motion: Any, demand: Demand, step: int) -> None:
     """Set the commanded rotor speeds for one step.
 
     Args:
         controls: see :class:`Controls`; its `command` is replaced.
-        vehicle: nominal record VEHICLE.
         motion: record MOTION of the true state.
         demand: what is to be followed.
         step: at which instant.
     """
+    vehicle = controls.nominal[0]
     jerk, tilt, thrust = demand.jerk[step], demand.tilt[step], demand.thrust[step]
     rotation = rotations.matrix(motion.attitude)
     # Specific force that the rotors have to give, in the world: what is demanded less what the air gives.
@@ -168,7 +171,7 @@ def control(controls: Controls, vehicle: Any, motion: Any, demand: Demand, step:
         torque[1] + precession[1] - controls.disturbance[4],
         torque[2] + precession[2] - controls.disturbance[5],
     )
-    _allocate(controls, vehicle, motion.rotor_speeds, vehicle.mass * specific_thrust, moments)
+    _allocate(controls, motion.rotor_speeds, vehicle.mass * specific_thrust, moments)
 
 
 @njit(cache=True, nogil=True)
@@ -200,9 +203,10 @@ def _attitude_of(force: Any, yaw: float, tilt: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _allocate(controls: Controls, vehicle: Any, rotor_speeds: Any, thrust: float, moments: Any) -> None:
+def _allocate(controls: Controls, rotor_speeds: Any, thrust: float, moments: Any) -> None:
     """Command rotor speeds for thrust and moments; where they saturate, yaw gives way first, then thrust."""
-    largest = vehicle.rotor_speed_max**2
+    fastest = controls.nominal[0].rotor_speed_max
+    largest = fastest**2
     lift, turn = np.empty(ROTORS), np.empty(ROTORS)
     for rotor in range(ROTORS):
         row = controls.allocation[rotor]
@@ -220,4 +224,4 @@ def _allocate(controls: Controls, vehicle: Any, rotor_speeds: Any, thrust: float
         square = lift[rotor] + share * turn[rotor]
         wanted = np.sqrt(min(max(square, 0.0), largest))
         led = rotor_speeds[rotor] + _MOTOR_LEAD * (wanted - rotor_speeds[rotor])
-        controls.command[rotor] = min(max(led, 0.0), vehicle.rotor_speed_max)
+        controls.command[rotor] = min(max(led, 0.0), fastest)

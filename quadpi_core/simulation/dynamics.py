@@ -8,19 +8,20 @@ evaluation of the equations of motion at that instant's state.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numba import from_dtype, types
 
 from quadpi_core import rotations
 from quadpi_core.compiled import njit, once
+from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import FUNCTION_TYPE
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.linear_algebra import cross, product3
-from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.rotor_local import aerodynamics
-from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.state_records import STATE, STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.truth import STEP_HZ
 from quadpi_core.vehicle import ROTORS
 
 # State and its derivative; velocity [m/s] in the world.
@@ -50,7 +51,31 @@ LOGGED = np.dtype(
     align=True,
 )
 
-# Beyond these a vehicle does not recover.
+
+class Memory(NamedTuple):
+    """The integrator's memory.
+
+    Attributes:
+        motions: records MOTION (6,): the state, a state ahead of it and the slopes of four stages.
+        flat: the same memory as numbers (6, 17).
+        state: record STATE (1,), which effects read and add to.
+    """
+
+    motions: Any
+    flat: Array
+    state: Any
+
+    @classmethod
+    def at(cls, position: Array, velocity: Array, attitude: Array, rotor_speeds: Array) -> Memory:
+        """The memory with an initial state, without rotation."""
+        motions = np.zeros(6, dtype=MOTION)
+        motions[0]["position"], motions[0]["velocity"] = position, velocity
+        motions[0]["attitude"], motions[0]["rotor_speeds"] = attitude, rotor_speeds
+        return cls(motions, motions.view(np.float64).reshape(len(motions), -1), np.zeros(1, dtype=STATE))
+
+
+# Beyond these a vehicle does not recover: nearly upside down (cosine of 102 degrees), spinning far beyond
+# what any reference asks for, or away from it.
 _TILT_COSINE_MIN = -0.2
 _RATE_MAX_RAD_S = 40.0
 _POSITION_ERROR_MAX_M = 10.0
@@ -59,14 +84,11 @@ _POSITION_ERROR_MAX_M = 10.0
 @njit(cache=True, nogil=True)
 def fly(
     vehicle: Any,
-    nominal: Any,
-    controls: Controls,
     effects: Any,
     parameters: Any,
+    controls: Controls,
     demand: Demand,
-    motions: Any,
-    flat: Any,
-    state: Any,
+    memory: Memory,
     log: Any,
     done: Any,
 ) -> None:
@@ -74,18 +96,15 @@ def fly(
 
     Args:
         vehicle: record VEHICLE (1,) as it flies; one step lasts 1 / STEP_HZ.
-        nominal: record VEHICLE (1,) that the controller believes in.
-        controls: of the controller.
-        effects: composed effects, see `effects.compose`, with their `parameters` (K, P).
-        parameters: of the effects.
+        effects: composed effects, see `applied_effects.compose`.
+        parameters: (K, P) of the effects.
+        controls: what the controller knows and remembers.
         demand: N instants.
-        motions: records MOTION (6,): the state, to begin with the initial one, and room for a state ahead of
-            it and the slopes of four stages.
-        flat: the same memory as numbers (6, 17).
-        state: record STATE (1,), room to work.
+        memory: holds the initial state, and the last one at the end.
         log: records LOGGED (L,), filled with every (N - 1) / (L - 1)-th instant.
         done: (1,) number of steps that were flown, written as the flight goes on; N - 1 at its end.
     """
+    motions, flat, state = memory.motions, memory.flat, memory.state
     steps = len(demand.yaw)
     every = (steps - 1) // (len(log) - 1)
     step = 1.0 / STEP_HZ
@@ -93,7 +112,7 @@ def fly(
     _differentiate(motion, controls.command, demand.wind[0], vehicle, effects, parameters, state, motions[2])
     observe(controls, motion.rotor_speeds, state[0].wrench)
     for k in range(steps):
-        control(controls, nominal[0], motion, demand, k)
+        control(controls, motion, demand, k)
         wind, command = demand.wind[k], controls.command
         _differentiate(motion, command, wind, vehicle, effects, parameters, state, motions[2])
         observe(controls, motion.rotor_speeds, state[0].wrench)
@@ -114,23 +133,20 @@ def fly(
 
 @once
 def flight_kernel() -> Any:
-    """:func:`fly`, compiled once and cached on disk for every function that `effects.compose` gives.
+    """:func:`fly`, compiled once and cached on disk for every function that `applied_effects.compose` gives.
 
-    Left to itself, numba compiles it anew for each of these functions and in each process.
+    Without an explicit signature, numba would compile it again for each of these functions in each process.
     """
     series, vectors, named_tuple = types.float64[::1], types.float64[:, ::1], cast(Any, types.NamedTuple)
-    controls = named_tuple((types.float64, vectors, vectors, series, series), Controls)
+    vehicle, log = VEHICLE_TYPE[::1], from_dtype(LOGGED)[::1]
+    controls = named_tuple((vehicle, types.float64, vectors, vectors, series, series), Controls)
     demand = named_tuple(
         (vectors, vectors, vectors, vectors, series, series, vectors, series, vectors), Demand
     )
-    vehicle, state = VEHICLE_TYPE[::1], STATE_TYPE[::1]
-    motion, log = from_dtype(MOTION)[::1], from_dtype(LOGGED)[::1]
+    memory = named_tuple((from_dtype(MOTION)[::1], vectors, STATE_TYPE[::1]), Memory)
     kernel = cast(Any, fly)
     kernel.compile(
-        types.void(
-            *(vehicle, vehicle, controls, FUNCTION_TYPE, vectors, demand),
-            *(motion, vectors, state, log, types.int64[::1]),
-        )
+        types.void(vehicle, FUNCTION_TYPE, vectors, controls, demand, memory, log, types.int64[::1])
     )
     kernel.disable_compile()
     return kernel

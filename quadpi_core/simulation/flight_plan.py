@@ -18,7 +18,6 @@ from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.failures import Fault
-from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.reference_signals import (
     AXES,
     Motion,
@@ -28,7 +27,7 @@ from quadpi_core.simulation.reference_signals import (
     signal_as_dict,
     within_flight,
 )
-from quadpi_core.simulation.truth import LOG_HZ
+from quadpi_core.simulation.truth import LOG_HZ, Reference
 
 # Instants per second at which a flight is looked at for contact with the ground.
 _LOOK_HZ = 100.0

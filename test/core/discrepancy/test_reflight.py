@@ -18,8 +18,8 @@ from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.logs import read_recording
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.truth import STEP_HZ
 from quadpi_core.vehicle import Vehicle
 
 

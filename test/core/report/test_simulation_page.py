@@ -25,8 +25,7 @@ from quadpi_core.report.simulation_page import (
 )
 from quadpi_core.report.table import terminal_table
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.simulation.reference import Reference
-from quadpi_core.simulation.truth import Truth
+from quadpi_core.simulation.truth import Reference, Truth
 from quadpi_core.vehicle import Vehicle
 
 RADIUS, TURN_RATE, HEIGHT = 3.0, 2.0, 5.0

@@ -11,8 +11,7 @@ import pytest
 
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.simulation.reference import Reference
-from quadpi_core.simulation.truth import Truth
+from quadpi_core.simulation.truth import Reference, Truth
 from quadpi_core.vehicle import Vehicle
 
 START_NS = 1_700_000_000_000_000_000

@@ -10,11 +10,9 @@ from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body, ro
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
-from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.reference import STEP_HZ, Reference
+from quadpi_core.simulation.flying import simulate_flight, trim
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
-from quadpi_core.simulation.trim import trim
-from quadpi_core.simulation.truth import LOG_HZ
+from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference
 
 STATION = np.array([0.0, 0.0, -3.0])
 VEHICLES = ("bebop2", "hdbeetle")

@@ -18,8 +18,8 @@ import yaml
 from quadpi_core.errors import SimulationError
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.flight_plan import FlightPlan
-from quadpi_core.simulation.reachable import require_reachable
 from quadpi_core.simulation.reference_signals import Motion, Signal
+from quadpi_core.simulation.run import require_reachable
 from quadpi_core.simulation.scenario import Scenario, load_scenario
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 

@@ -8,9 +8,9 @@ from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.reference import STEP_HZ
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.truth import STEP_HZ
 
 
 @pytest.mark.parametrize("value", [0.0, -0.03, 2.0, "fast", True])

@@ -23,10 +23,9 @@ from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import START_NS
-from quadpi_core.simulation.reference import Reference
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
-from quadpi_core.simulation.truth import LOG_HZ, Truth
+from quadpi_core.simulation.truth import LOG_HZ, Reference, Truth
 from quadpi_core.vehicle import Vehicle
 
 # Flights of the rich set that RotorPy's controller can follow: it takes position and yaw.
