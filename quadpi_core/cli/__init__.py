@@ -15,11 +15,16 @@ import typer
 
 from quadpi_core import __version__
 from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
+from quadpi_core.cli.demo_command import demo
+from quadpi_core.cli.discrepancy_command import discrepancy
+from quadpi_core.cli.evaluate_command import evaluate
+from quadpi_core.cli.identify_command import identify
+from quadpi_core.cli.import_command import import_logs
+from quadpi_core.cli.info_command import info
 from quadpi_core.cli.interruption import Interruptible, interrupt_on_sigterm
-from quadpi_core.cli.live import demo, replay
-from quadpi_core.cli.logs import import_, info
-from quadpi_core.cli.models import evaluate, identify
-from quadpi_core.cli.simulation import discrepancy, simulate, validate
+from quadpi_core.cli.replay_command import replay
+from quadpi_core.cli.simulate_command import simulate
+from quadpi_core.cli.validate_command import validate
 from quadpi_core.errors import QuadpiError
 
 __all__ = ["app", "main"]
@@ -31,7 +36,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("import")(import_)
+app.command("import")(import_logs)
 # In the order in which `--help` lists them.
 for command in (info, identify, evaluate, replay, simulate, validate, discrepancy, demo):
     app.command()(command)

@@ -15,7 +15,7 @@ import pytest
 
 import quadpi_core
 from quadpi_core.cli import app
-from quadpi_core.cli.models import group_bags
+from quadpi_core.cli.evaluate_command import group_bags
 from quadpi_core.errors import QuadpiError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands on logs: import, info."""
+"""`quadpi import`: logs of any known format to MCAP bags."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import FileWorkers, JsonFile, OptionalVehicle, Scheduler, VehicleName
+from quadpi_core.cli.options import FileWorkers, JsonFile, Scheduler, VehicleName
 from quadpi_core.cli.outputs import check_outputs, open_console, print_quality, write_result
 
 
-def import_(
+def import_logs(
     logs: Annotated[
         list[Path],
         typer.Argument(help="Logs of any known format, tables or bags: docs/import-logs.md lists them."),
@@ -35,7 +35,7 @@ def import_(
     json_file: JsonFile = None,
 ) -> None:
     """Convert flight logs to MCAP bags with the standard topics."""
-    from quadpi_core.logs.importing import import_logs
+    from quadpi_core.logs import importing
     from quadpi_core.report.progress import counting
     from quadpi_core.vehicle import Vehicle
 
@@ -43,7 +43,7 @@ def import_(
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
     with counting(console, "Logs", len(logs)) as progress:
-        flights = import_logs(
+        flights = importing.import_logs(
             logs,
             the_vehicle,
             output,
@@ -67,22 +67,3 @@ def import_(
             console.print(f"  {sentence}", soft_wrap=True)
     print_quality(console, zip(logs, (flight.quality for flight in flights), strict=True))
     write_result(json_file, {"bags": [flight.to_json() for flight in flights]})
-
-
-def info(
-    path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
-    vehicle: OptionalVehicle = None,
-    mapping: Annotated[
-        str | None, typer.Option(help="Mapping for a table or bag, as `import` takes it.")
-    ] = None,
-    json_file: JsonFile = None,
-) -> None:
-    """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
-    from quadpi_core.report.info_tables import describe
-
-    check_outputs([path], json_file)
-    tables, data = describe(path, vehicle, mapping)
-    console = open_console()
-    for table in tables:
-        console.print(table)
-    write_result(json_file, data)

@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""`quadpi discrepancy`: which effect does a simulation lack?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from quadpi_core.cli.options import Bags, FileWorkers, HtmlFile, JsonFile, Scheduler
+from quadpi_core.cli.outputs import check_outputs, open_console, print_quality
+
+DATA, PAGE = "discrepancy.json", "discrepancy.html"
+
+
+def discrepancy(
+    simulation: Annotated[
+        str,
+        typer.Argument(
+            help="What to compare with: a vehicle that can be simulated (name or file), a model folder, "
+            "module:function, `recorded` for a wrench in the bags, or the addition.json of an earlier run."
+        ),
+    ],
+    bags: Bags,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for what was found.")],
+    effects: Annotated[
+        str | None, typer.Option(help="Effects to look for, such as wind,payload; default: all.")
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle, where the simulation does not name one.")
+    ] = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draws that thresholds come from.")] = 0,
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Find where a simulation and flights disagree, name the missing effect, add it, show the gap shrink."""
+    from quadpi_core.discrepancy.discrepancy_result import study_json
+    from quadpi_core.discrepancy.effect_sets import write_addition
+    from quadpi_core.discrepancy.loading import load_simulation
+    from quadpi_core.discrepancy.study import read_flights, study
+    from quadpi_core.paths import whole_outputs, write_json
+    from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
+    from quadpi_core.report.progress import counting
+
+    inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
+    check_outputs(inputs, json_file, html_file, folders=[output])
+    console = open_console()
+    names = None if effects is None else effects.split(",")
+    the_simulation = load_simulation(simulation, vehicle, bags, allow_code=allow_code)
+    with counting(console, "Reading flights", len(bags)) as progress:
+        flights = read_flights(bags, the_simulation, workers=workers, scheduler=scheduler, progress=progress)
+    print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
+    with console.status("Searching"):
+        found = study(the_simulation, flights, names=names, seed=seed)
+    with whole_outputs(output) as staging, console.status("Writing"):
+        added = [file.name for file in write_addition(found.discovery, staging)]
+        data: dict[str, Any] = {**study_json(found), "files": added}
+        write_json(staging / DATA, data)
+        write_discrepancy_page(staging / PAGE, found)
+        if json_file is not None:
+            write_json(json_file, data)
+        if html_file is not None:
+            write_discrepancy_page(html_file, found)
+    console.print(discrepancy_summary(found))
+    console.print(f"{output}: {', '.join([PAGE, DATA, *added])}", soft_wrap=True)

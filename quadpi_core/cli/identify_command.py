@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""`quadpi identify`: a model from flights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from quadpi_core.cli.evaluate_command import write_evaluation
+from quadpi_core.cli.options import Bags, FileWorkers, HtmlFile, JsonFile, Scheduler, VehicleName
+from quadpi_core.cli.outputs import check_outputs, open_console, print_quality
+
+
+def identify(
+    bags: Bags,
+    vehicle: VehicleName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
+    method: Annotated[
+        Literal["polynomial", "bootstrap", "quality-driven"], typer.Option(help="Kind of model.")
+    ] = "polynomial",
+    candidates: Annotated[
+        str, typer.Option(help="Candidate pools: a name in config/candidates, or a YAML file.")
+    ] = "quadrotor",
+    axes: Annotated[
+        str | None, typer.Option(help="Axes to identify, such as Fx,Fz,My; default: all.")
+    ] = None,
+    settings: Annotated[
+        Literal["default", "paper"], typer.Option(help="Calibrated on held-out flights, or as in the paper.")
+    ] = "default",
+    stop: Annotated[
+        Literal["pse", "r2", "bic", "leave-one-flight-out"] | None,
+        typer.Option(help="When to stop adding terms; default: the settings' rule."),
+    ] = None,
+    cutoff_hz: Annotated[
+        float | None, typer.Option(help="Cut-off of the low-pass over all signals; default: 30, paper: 100.")
+    ] = None,
+    confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
+    false_alarms_per_hour: Annotated[
+        float, typer.Option(help="Rate that the limits of the alarm are calibrated to.")
+    ] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the networks of an ensemble.")] = 0,
+    device: Annotated[
+        Literal["cpu", "cuda"], typer.Option(help="That trains an ensemble; flying needs none.")
+    ] = "cpu",
+    workers: FileWorkers = None,
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Identify a model on flights; every flight calibrates the intervals while it is left out."""
+    from quadpi_core.identification.identify import CUTOFF_HZ, IdentifyOptions
+    from quadpi_core.identification.identify import identify as identify_model
+    from quadpi_core.identification.prepared_flights import prepare_flights
+    from quadpi_core.models.candidate_pool import load_pools, select_axes
+    from quadpi_core.models.model_folder import require_replaceable
+    from quadpi_core.report.model_tables import held_out_table, selection_table
+    from quadpi_core.report.progress import counting, identifying
+    from quadpi_core.report.table import terminal_table
+    from quadpi_core.vehicle import Vehicle
+
+    check_outputs(bags, json_file, html_file, folders=[output])
+    require_replaceable(output)
+    console = open_console()
+    cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
+    the_vehicle = Vehicle.load(vehicle)
+    pools = select_axes(load_pools(candidates), axes)
+    options = IdentifyOptions(
+        cutoff_hz=cutoff,
+        method=method,
+        settings=settings,
+        stop=stop,
+        confidence=confidence,
+        seed=seed,
+        device=device,
+        false_alarms_per_hour=false_alarms_per_hour,
+    )
+    options.check(pools)
+    with counting(console, "Reading flights", len(bags)) as read:
+        flights = prepare_flights(
+            bags, the_vehicle, cutoff, workers=workers, scheduler=scheduler, progress=read
+        )
+    print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
+    with identifying(console) as progress:
+        model = identify_model(
+            flights,
+            the_vehicle,
+            pools,
+            options,
+            progress=progress,
+        ).save(output)
+    for axis in model.axes:
+        if model.selection[axis]:
+            console.print(terminal_table(selection_table(model.selection[axis], axis)))
+    names = ", ".join(flight.name for flight in model.flights)
+    console.print(
+        f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
+    )
+    console.print(model.calibration(), soft_wrap=True)
+    console.print(model.alarm_limits.sentence(), soft_wrap=True)
+    if held_out := held_out_table(model):
+        console.print(terminal_table(held_out))
+    if json_file or html_file:
+        groups = {"identification": [flight.name for flight in flights]}
+        write_evaluation(model, flights, groups, confidence, json_file, html_file)

@@ -1,0 +1,32 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""`quadpi info`: what a log, a bag or a model holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from quadpi_core.cli.options import JsonFile, OptionalVehicle
+from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+
+
+def info(
+    path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
+    vehicle: OptionalVehicle = None,
+    mapping: Annotated[
+        str | None, typer.Option(help="Mapping for a table or bag, as `import` takes it.")
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
+    from quadpi_core.report.info_tables import describe
+
+    check_outputs([path], json_file)
+    tables, data = describe(path, vehicle, mapping)
+    console = open_console()
+    for table in tables:
+        console.print(table)
+    write_result(json_file, data)
