@@ -16,9 +16,8 @@ from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStrea
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.logs.bag_writer import mcap_writer
 from quadpi_core.logs.bags import recording_topics, write_bag
-from quadpi_core.logs.mcap import cut_topic
-from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.methods import FittedAxis
@@ -96,7 +95,7 @@ def write_long_bag(path: Path, vehicle: Vehicle, seconds: float) -> None:
     with mcap_writer(path, {"vehicle": vehicle.name}) as writer:
         for begin_ns in range(0, count * period_ns, period_ns):
             for topic in recording_topics(_later(once, begin_ns)):
-                writer.add(cut_topic(topic, end_ns)[0])
+                writer.add(topic.split(end_ns)[0])
             writer.flush(_START_NS + begin_ns + period_ns - 1)
 
 

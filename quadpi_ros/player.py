@@ -25,9 +25,10 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
+from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import find_topic
-from quadpi_core.logs.mcap import Bag, Topic
 from quadpi_core.messages.adapters import ADAPTERS
+from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import whole_output
 from quadpi_ros.callbacks import GuardedNode

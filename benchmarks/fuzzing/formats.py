@@ -25,7 +25,9 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 import scipy.io
+from backports import zstd
 from rich.console import Console
+from rosbags import rosbag1
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.fuzzing import flight_logs
@@ -36,11 +38,10 @@ from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.bag_readers import CHUNK, MAGIC, METADATA, SCHEMA, find_records
 from quadpi_core.logs.bags import bag_topics, read_outputs, write_bag
 from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
-from quadpi_core.logs.mcap import CHUNK, MAGIC, METADATA, SCHEMA, find_records
-from quadpi_core.logs.unpacking import unlz4
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.messages.definitions import typestore
@@ -193,9 +194,8 @@ def _unpacked_mcap(data: bytes) -> bytes:
     chunks = []
     for start, length in zip(*found.of(CHUNK), strict=True):
         chunk = data[start : start + length]
-        size = struct.unpack_from("<Q", chunk, 16)[0]
-        content = unlz4(chunk[28 + 4 + 3 + 8 :], size)
-        body = chunk[:24] + bytes(8) + struct.pack("<Q", size) + content
+        content = zstd.decompress(chunk[28 + 4 + len("zstd") + 8 :])
+        body = chunk[:24] + bytes(8) + struct.pack("<Q", len(content)) + content
         chunks.append(struct.pack("<BQ", CHUNK, len(body)) + body)
     head = [
         data[start - 9 : start + length]
@@ -223,19 +223,25 @@ def _mcap_seeds() -> list[bytes]:
     return [_without_summary_checksum(packed), _unpacked_mcap(packed), _unpacked_mcap(packed)]
 
 
+def _few_messages() -> list[tuple[str, str, list[int], Payloads]]:
+    """Topic, type, log times and messages of two sensors."""
+    recording = _recording(6)
+    imu, rotors = recording.imu, recording.rotor_speeds
+    assert rotors is not None
+    packed = sensor_messages.pack_rotor_speeds(rotors)
+    return [
+        ("/imu", sensor_messages.IMU, imu.time_ns.tolist(), sensor_messages.pack_imu(imu)),
+        ("/rotor_speeds", sensor_messages.ROTOR_SPEEDS, rotors.time_ns.tolist(), packed),
+    ]
+
+
 @cache
 def _folder_seeds() -> list[bytes]:
-    recording = _recording(6)
     with TemporaryDirectory() as folder:
         with Writer(Path(folder) / "bag", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
-            assert recording.rotor_speeds is not None
-            speeds = sensor_messages.pack_rotor_speeds(recording.rotor_speeds)
-            for name, type_name, payloads in (
-                ("/imu", sensor_messages.IMU, sensor_messages.pack_imu(recording.imu)),
-                ("/rotor_speeds", sensor_messages.ROTOR_SPEEDS, speeds),
-            ):
+            for name, type_name, times, payloads in _few_messages():
                 connection = writer.add_connection(name, type_name, typestore=typestore())
-                for time_ns, payload in zip(recording.imu.time_ns.tolist(), payloads, strict=True):
+                for time_ns, payload in zip(times, payloads, strict=True):
                     writer.write(connection, time_ns, payload)
         made = Path(folder) / "bag"
         metadata = (made / "metadata.yaml").read_bytes().replace(b"bag.db3", b"flight.db3")
@@ -250,6 +256,40 @@ def _damaged_folder(rng: random.Random) -> bytes:
     else:
         database = mutate(rng, database, _pages, [database])
     return metadata + _BORDER + database
+
+
+def _databases() -> list[bytes]:
+    return [_folder_seeds()[0].partition(_BORDER)[2]]
+
+
+@cache
+def _ros1_seeds() -> list[bytes]:
+    seeds = []
+    with TemporaryDirectory() as folder:
+        for number, packing in enumerate((None, None, *rosbag1.Writer.CompressionFormat)):
+            path = Path(folder) / f"{number}.bag"
+            writer = rosbag1.Writer(path)
+            if packing is not None:
+                writer.set_compression(packing)
+            with writer:
+                for name, type_name, times, payloads in _few_messages():
+                    connection = writer.add_connection(name, type_name, typestore=typestore())
+                    for time_ns, payload in zip(times, payloads, strict=True):
+                        message = bytes(typestore().cdr_to_ros1(payload, type_name))
+                        writer.write(connection, time_ns, message)
+            seeds.append(path.read_bytes())
+    return seeds
+
+
+def _ros1_records(data: bytes) -> list[bytes]:
+    """The first line, then headers and data in turn, each with its length in front."""
+    border = data.index(b"\n") + 1
+    pieces, at = [data[:border]], border
+    while at + 4 <= len(data):
+        size = 4 + int.from_bytes(data[at : at + 4], "little")
+        pieces.append(data[at : at + size])
+        at += size
+    return [*pieces, data[at:]]
 
 
 def _pages(data: bytes) -> list[bytes]:
@@ -639,7 +679,9 @@ FORMATS = {
     for one in (
         Format("mcap", 0.05, _choice_of(_mcap_seeds, _mcap_records), _read_bag, ".mcap"),
         Format("folder", 0.03, _damaged_folder, _read_folder, ".folder"),
-        Format("message", 0.25, _damaged_message, _read_message, ".cdr", names_file=False),
+        Format("db3", 0.02, _choice_of(_databases, _pages), _read_bag, ".db3"),
+        Format("ros1", 0.03, _choice_of(_ros1_seeds, _ros1_records), _read_bag, ".bag"),
+        Format("message", 0.20, _damaged_message, _read_message, ".cdr", names_file=False),
         Format("mavlink", 0.12, _damaged_link, _read_link, ".mavlink", names_file=False),
         Format("tlog", 0.03, _damaged_tlog, _read_log, ".tlog"),
         Format("ardupilot", 0.07, _log("ardupilot", _by_marker(b"\xa3\x95")), _read_log, ".bin"),

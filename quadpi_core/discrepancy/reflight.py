@@ -31,7 +31,7 @@ from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.errors import LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.mcap import Bag
+from quadpi_core.logs.bag_files import Bag
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.simulation.flight_plan import FlightPlan

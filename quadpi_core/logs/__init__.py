@@ -130,7 +130,7 @@ def _is_bag(path: Path) -> bool:
 
 
 def _is_bag_file(path: Path) -> bool:
-    return path.is_file() and path.suffix.lower() in {".mcap", ".db3"}
+    return path.is_file() and path.suffix.lower() in {".mcap", ".db3", ".bag"}
 
 
 def _is_cfusdlog(path: Path) -> bool:
@@ -224,7 +224,7 @@ def _rotor_order(mapping: Path | None) -> RotorOrder | None:
 
 
 FORMATS = {
-    "bag": LogFormat("bag (.mcap, .db3, rosbag2 folder)", _is_bag, _read_bag, takes_mapping=True),
+    "bag": LogFormat("bag (.mcap, .db3, .bag, rosbag2 folder)", _is_bag, _read_bag, takes_mapping=True),
     "neurobem": LogFormat("NeuroBEM flight (.mat)", _has_suffix(".mat"), _read_neurobem),
     "table": LogFormat(
         "table with a mapping file (.csv, .parquet)",

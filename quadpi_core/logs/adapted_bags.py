@@ -13,9 +13,10 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 
 from quadpi_core.errors import LogError, SampleError, VehicleError
 from quadpi_core.flight import Stream
-from quadpi_core.logs.mcap import Bag, Topic
+from quadpi_core.logs.bag_files import Bag
 from quadpi_core.messages.adapters.adapter_registry import ADAPTERS, Adapter
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+from quadpi_core.messages.payloads import Topic
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)

@@ -32,13 +32,13 @@ from quadpi_core.flight import (
     WrenchStream,
 )
 from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic, find_adapted
-from quadpi_core.logs.mcap import Bag, Topic
-from quadpi_core.logs.mcap_writer import McapWriter, mcap_writer
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
-from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.recording_blocks import join_blocks, split_by_stamp
@@ -123,7 +123,7 @@ def read_bag(
     The streams are as recorded: :meth:`Recording.check` judges them.
 
     Args:
-        path: a .mcap or .db3 file, or a rosbag2 folder.
+        path: a .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder.
         vehicle: gives the pole pairs; needed where only `erpm` holds the rotor speeds.
         adapters: how messages of other packages are read; they then stand in for the standard topics.
 
@@ -357,7 +357,7 @@ def recording_writer(
     source: str,
     topics: Collection[str],
     metadata: Mapping[str, str] | None = None,
-) -> Iterator[McapWriter]:
+) -> Iterator[BagWriter]:
     """A bag like that of :func:`write_bag`, to write while its messages come.
 
     Args:

@@ -8,6 +8,7 @@ unpack to gigabytes.
 
 from __future__ import annotations
 
+import bz2
 import os
 import zlib
 from collections.abc import Iterator
@@ -73,6 +74,16 @@ def unlz4(data: bytes, size: int) -> bytes:
     # The library takes memory for as much as it is asked for; this is the most that such bytes can hold.
     most = min(size, _LZ4_RATIO * len(data))
     return _of_size(lz4.LZ4FrameDecompressor().decompress(data, max_length=most + 1), size)
+
+
+def unbz2(data: bytes, size: int) -> bytes:
+    """The content of one bzip2 stream, which must be `size` bytes.
+
+    Raises:
+        LogError: if it is of another size; no more than one byte beyond it is unpacked.
+        OSError: if the bytes are damaged.
+    """
+    return _of_size(bz2.BZ2Decompressor().decompress(data, max_length=size + 1), size)
 
 
 def unzlib(data: bytes | memoryview, most: int) -> bytes:

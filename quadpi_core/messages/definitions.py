@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
 from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -35,6 +37,9 @@ _FORMATS = {
 }
 _SEPARATOR = "=" * 80
 _REASON_LENGTH = 80
+_TYPE_NAME = re.compile(r"\w+(/\w+)+", re.ASCII)
+# No vehicle has more speed controllers, and no flying arena more bodies or markers.
+FIXED_ITEMS_MAX = 1024
 
 
 @cache
@@ -44,6 +49,26 @@ def typestore() -> Typestore:
     for path in sorted(message_directory().glob("*.msg")):
         store.register(get_types_from_msg(path.read_text(), f"quadpi/msg/{path.stem}"))
     return store
+
+
+def parsed_definition(type_name: str, text: str) -> Typesdict:
+    """The types of a definition that a bag embeds, safe to give to rosbags.
+
+    rosbags executes code that it makes of names, and repeats it for each item of a fixed array.
+
+    Raises:
+        TypesysError: for a definition that is none, a name that is no identifier, and an array of thousands.
+    """
+    if not _TYPE_NAME.fullmatch(type_name):
+        raise TypesysError(f"{type_name!r} names no type")
+    types = get_types_from_msg(text, type_name)
+    for _, fields in types.values():
+        for name, description in fields:
+            match description:
+                case (Nodetype.ARRAY, ((Nodetype.NAME, _) | (Nodetype.BASE, ("string", _)), int(count))):
+                    if count > FIXED_ITEMS_MAX:
+                        raise TypesysError(f"the array {name} has {count} items")
+    return types
 
 
 @cache
@@ -87,7 +112,7 @@ def array_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int], 
         LogError: for a definition that is none, or lacks a wanted column.
     """
     try:
-        types = get_types_from_msg(definition, type_name)
+        types = parsed_definition(type_name, definition)
         fields = tuple(_flat_fields({**typestore().fielddefs, **types}, type_name, ""))
         _refuse_repeated(fields)
     except (TypesysError, TypeError, KeyError, RecursionError) as error:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many serialized messages in one buffer."""
+"""Many serialized messages in one buffer, and those of a topic with their log times."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
+from quadpi_core.flight import Stamps
 
 Bytes: TypeAlias = npt.NDArray[np.uint8]
 Indices: TypeAlias = npt.NDArray[np.int64]
@@ -103,6 +104,42 @@ class Payloads:
         if len(starts) * length == len(self.data) and np.array_equal(starts, np.arange(len(starts)) * length):
             return self.data.reshape(len(starts), length)
         return np.lib.stride_tricks.sliding_window_view(self.data, length)[starts]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """The messages of one topic in the order of their log times."""
+
+    name: str
+    type_name: str
+    log_time_ns: Stamps
+    payloads: Payloads
+
+    @classmethod
+    def empty(cls, name: str, type_name: str) -> Topic:
+        """A topic without messages."""
+        return cls(name, type_name, np.empty(0, dtype=np.int64), Payloads.join([]))
+
+    def rows(self, rows: slice) -> Topic:
+        """A range of the messages, sharing no more of the buffer than holds them."""
+        return Topic(self.name, self.type_name, self.log_time_ns[rows], self.payloads.cut(rows))
+
+    def split(self, limit_ns: int) -> tuple[Topic, Topic]:
+        """The messages logged before an instant, and the rest."""
+        place = int(np.searchsorted(self.log_time_ns, limit_ns))
+        return self.rows(slice(0, place)), self.rows(slice(place, None))
+
+
+def join_topics(parts: Sequence[Topic]) -> Topic:
+    """One topic of its parts, in log-time order; messages with equal log times in the order of the parts."""
+    log_time_ns, payloads = parts[0].log_time_ns, parts[0].payloads
+    if len(parts) > 1:
+        log_time_ns = np.concatenate([part.log_time_ns for part in parts])
+        payloads = Payloads.concatenate([part.payloads for part in parts])
+    if np.any(np.diff(log_time_ns) < 0):
+        order = np.argsort(log_time_ns, kind="stable")
+        log_time_ns, payloads = log_time_ns[order], payloads.take(order).compact()
+    return Topic(parts[0].name, parts[0].type_name, log_time_ns, payloads)
 
 
 def _starts(lengths: Indices) -> Indices:

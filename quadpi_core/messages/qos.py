@@ -6,6 +6,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from rosbags.interfaces import Qos as ProfileInBag
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
 from quadpi_core.results import EVENTS_KEPT
 
 
@@ -22,15 +25,23 @@ class Qos(NamedTuple):
     reliable: bool = True
     latched: bool = False
 
-    def in_bag(self) -> str:
-        """The profile as rosbag2 writes it into a channel, from its metadata version 9 (Jazzy) on."""
-        return _IN_BAG.format(
+    def profile(self) -> ProfileInBag:
+        """The profile as rosbags writes it into a bag."""
+        return ProfileInBag(
+            history=QosHistory.KEEP_LAST,
             depth=self.depth,
-            reliability="reliable" if self.reliable else "best_effort",
-            durability="transient_local" if self.latched else "volatile",
+            reliability=QosReliability.RELIABLE if self.reliable else QosReliability.BEST_EFFORT,
+            durability=QosDurability.TRANSIENT_LOCAL if self.latched else QosDurability.VOLATILE,
+            deadline=_FOREVER,
+            lifespan=_FOREVER,
+            liveliness=QosLiveliness.AUTOMATIC,
+            liveliness_lease_duration=_FOREVER,
+            avoid_ros_namespace_conventions=False,
         )
 
 
+# The largest duration that ROS 2 knows: no deadline, no end.
+_FOREVER = QosTime(9223372036, 854775807)
 # Sensors publish best effort, which a reliable subscription would not match: silently nothing would arrive.
 # The depth is what a busy machine may keep the process from taking: two seconds of an IMU.
 SENSOR = Qos(depth=1000, reliable=False)
@@ -39,23 +50,6 @@ OUTPUT = Qos(depth=200)
 LOG = Qos(depth=EVENTS_KEPT, latched=True)
 
 _OUTPUTS = {"odometry": OUTPUT, "prediction": OUTPUT, "extrapolation_alarm": OUTPUT, "alarm_log": LOG}
-# Deadline, lifespan and lease are infinite: the largest duration that ROS 2 knows.
-_IN_BAG = """\
-- history: keep_last
-  depth: {depth}
-  reliability: {reliability}
-  durability: {durability}
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: automatic
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false"""
 
 
 def qos_of(topic: str) -> Qos:

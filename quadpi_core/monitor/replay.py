@@ -27,10 +27,10 @@ from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.logs import FORMATS, decode_recording, identify_format
+from quadpi_core.logs.bag_writer import mcap_writer
 from quadpi_core.logs.bags import TOPIC_TYPES, open_recording, output_topic
-from quadpi_core.logs.mcap import Topic
-from quadpi_core.logs.mcap_writer import mcap_writer
 from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.payloads import Topic
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.alarm_log import reasons_by_row

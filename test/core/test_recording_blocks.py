@@ -14,9 +14,9 @@ from benchmarks.swings import swings, write_long_bag
 from quadpi_core import recording_blocks
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, TwistStream, WindStream
-from quadpi_core.logs import mcap
+from quadpi_core.logs import bag_files
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import open_recording, output_topic, read_bag, write_bag
-from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.recording_blocks import by_arrival, join_blocks, split_recording
@@ -45,7 +45,7 @@ def assert_same(one: Recording, other: Recording) -> None:
 def test_blocks_of_a_bag_joined_are_the_bag(recording, tmp_path, monkeypatch, count):
     write_bag(tmp_path / "bag.mcap", recording)
     whole = read_bag(tmp_path / "bag.mcap")
-    monkeypatch.setattr(mcap, "BLOCK_MESSAGES", count)
+    monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", count)
     with open_recording(tmp_path / "bag.mcap") as bag:
         assert bag.streams == {"imu", "rotor_speeds", "pose"}  # of motion capture the first topic counts
         assert_same(join_blocks(bag.blocks()), whole)
@@ -84,7 +84,7 @@ def test_a_message_that_is_none_is_named_by_its_place_in_the_topic(recording, tm
     ]
     write_mcap(tmp_path / "bag.mcap", topics, {})
     for count in (10, 10**6):
-        monkeypatch.setattr(mcap, "BLOCK_MESSAGES", count)
+        monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", count)
         with pytest.raises(LogError, match=r"bag.mcap: topic /mocap/pose: sample 77: the orientation is no"):
             read_bag(tmp_path / "bag.mcap")
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
-from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import sensor_messages
 from quadpi_core.results import BAD_DATA
 

@@ -7,17 +7,18 @@ import struct
 import numpy as np
 import pytest
 from hypothesis import given
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_readers import CHUNK, MAGIC, find_records
 from quadpi_core.logs.bags import bag_topics, read_bag, read_outputs, write_bag
-from quadpi_core.logs.mcap import CHUNK, MAGIC, find_records
+from quadpi_core.messages.definitions import typestore
 
 from .damage import bounded, damaged, refusing
 
 N = 12
-_CHUNK_CHECKSUM = 24
-_FOOTER_CHECKSUM = 4 + len(MAGIC)
 
 
 def small_bag(path):
@@ -39,14 +40,17 @@ def small_bag(path):
     return path.read_bytes()
 
 
-def without_checksums(whole):
-    """The bag with every checksum "not computed", so that damage reaches the parsers behind them."""
-    data = bytearray(whole)
-    records = find_records(np.frombuffer(whole, np.uint8), len(MAGIC))
-    for start, _ in zip(*records.of(CHUNK), strict=True):
-        data[start + _CHUNK_CHECKSUM : start + _CHUNK_CHECKSUM + 4] = bytes(4)
-    data[-_FOOTER_CHECKSUM : -len(MAGIC)] = bytes(4)
-    return bytes(data)
+def without_checksums(path):
+    """The bag as rosbags alone writes it: damage reaches the parsers behind the checksums."""
+    with Bag(path) as bag:
+        topics = bag.read([connection.topic for connection in bag.connections])
+    folder = path.with_suffix("")
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic in topics.values():
+            connection = writer.add_connection(topic.name, topic.type_name, typestore=typestore())
+            for time_ns, payload in zip(topic.log_time_ns.tolist(), topic.payloads, strict=True):
+                writer.write(connection, time_ns, payload)
+    return (folder / f"{folder.name}.mcap").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +70,12 @@ def whole(folder):
     return small_bag(folder / "whole.mcap")
 
 
+@pytest.fixture(scope="module")
+def unchecked(folder):
+    small_bag(folder / "sound.mcap")
+    return without_checksums(folder / "sound.mcap")
+
+
 def read_all(path):
     for read in (read_bag, bag_topics, read_outputs, lambda path: read_recording(path, None)):
         with refusing(path):
@@ -73,8 +83,8 @@ def read_all(path):
 
 
 @pytest.mark.parametrize("checksums", [True, False])
-def test_damaged_bag(folder, whole, checksums):
-    sound = whole if checksums else without_checksums(whole)
+def test_damaged_bag(folder, whole, unchecked, checksums):
+    sound = whole if checksums else unchecked
     path = folder / "damaged.mcap"
 
     @bounded(150)
@@ -86,29 +96,27 @@ def test_damaged_bag(folder, whole, checksums):
     check()
 
 
-def test_lengths_of_records_that_lie(folder, whole):
+def test_lengths_of_records_that_lie(folder, unchecked):
     """Every length of every record in turn: nothing, one less, one more, and far too much."""
-    sound = without_checksums(whole)
     path = folder / "lying.mcap"
-    records = find_records(np.frombuffer(sound, np.uint8), len(MAGIC))
+    records = find_records(np.frombuffer(unchecked, np.uint8), len(MAGIC))
     for start, length in zip(records.starts.tolist(), records.lengths.tolist(), strict=True):
         for lie in (0, length - 1, length + 1, 2**31, 2**63 - 1, 2**64 - 1):
-            data = bytearray(sound)
+            data = bytearray(unchecked)
             data[start - 8 : start] = struct.pack("<Q", max(lie, 0))
             path.write_bytes(data)
             with refusing(path):
                 read_bag(path)
 
 
-def test_sizes_of_chunks_that_lie(folder, whole):
+def test_sizes_of_chunks_that_lie(folder, unchecked):
     """The uncompressed size is what a reader would allocate."""
-    sound = without_checksums(whole)
     path = folder / "sizes.mcap"
-    records = find_records(np.frombuffer(sound, np.uint8), len(MAGIC))
+    records = find_records(np.frombuffer(unchecked, np.uint8), len(MAGIC))
     for start in records.of(CHUNK)[0].tolist():
         for offset in (16, 28, 32, 35, 40):
             for lie in (0, 1, 2**20, 2**31 - 1, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1):
-                data = bytearray(sound)
+                data = bytearray(unchecked)
                 data[start + offset : start + offset + 8] = struct.pack("<Q", lie)
                 path.write_bytes(data)
                 with refusing(path):

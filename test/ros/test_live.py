@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import AXES, OdometryStream, Recording, TwistStream, WindStream
+from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
-from quadpi_core.logs.mcap import Bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import MonitorSettings

@@ -18,11 +18,12 @@ from quadpi_core.flight import (
 )
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import bag_topics, has_topic, output_topic, read_bag, read_outputs, write_bag
-from quadpi_core.logs.mcap import Bag, Topic
-from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.payloads import Topic
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle

@@ -14,13 +14,12 @@ import pytest
 
 from quadpi_core.errors import LogError, SampleError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag
-from quadpi_core.logs.mcap import Topic
-from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
-from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.transforms import TF_TYPE, StaticTransforms
 
 START_NS = 1_700_000_000_000_000_000

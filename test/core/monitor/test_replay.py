@@ -15,12 +15,12 @@ from quadpi_core import recording_blocks
 from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
-from quadpi_core.logs import mcap
+from quadpi_core.logs import bag_files
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_bag, read_outputs, recording_topics, write_bag
-from quadpi_core.logs.mcap import Bag, join_topics
-from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.payloads import Payloads, join_topics
 from quadpi_core.monitor import replay as replay_module
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
@@ -184,9 +184,9 @@ def test_the_bytes_do_not_depend_on_the_blocks(
     flights = [bag_of(cut(with_pose, seconds))] + ([odd_bag] if messages > 1 else [])
     for flight in flights:
         whole, blocks = tmp_path / "whole.mcap", tmp_path / "blocks.mcap"
-        monkeypatch.setattr(mcap, "BLOCK_MESSAGES", 10**6)
+        monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", 10**6)
         expected = replay(each_model, vehicle, flight, whole, settings=settings)
-        monkeypatch.setattr(mcap, "BLOCK_MESSAGES", messages)
+        monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", messages)
         assert replay(each_model, vehicle, flight, blocks, settings=settings) == expected
         assert blocks.read_bytes() == whole.read_bytes()
 

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from quadpi_core.flight import AXES
 from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
-from quadpi_core.logs.mcap import Bag
+from quadpi_core.logs.bag_files import Bag
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.report.comparison_page import comparison_rows, comparison_table

@@ -15,9 +15,9 @@ from rich.console import Console
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, Recording
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.logs.inspect import inspect_recording
-from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.messages.sensor_messages import pack_imu, pack_odometry
 from quadpi_core.paths import bags_directory
 from quadpi_core.report.info_tables import describe, inspection_tables

@@ -15,12 +15,12 @@ import pytest
 from benchmarks.swings import write_long_bag
 from quadpi_core.errors import LogError
 from quadpi_core.flight import VALUE_MAX, Recording
-from quadpi_core.logs import decode_recording, mcap, read_recording
+from quadpi_core.logs import bag_files, decode_recording, read_recording
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import open_recording, recording_topics, write_bag
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.logs.inspect import inspect_blocks, inspect_recording
-from quadpi_core.logs.mcap_writer import write_mcap
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening import even_rows, survey
 from quadpi_core.screening.consistency import checked
@@ -104,7 +104,7 @@ def test_a_bag_is_imported_like_the_whole_recording(late, vehicle, tmp_path, mon
     recording = checked(read_recording(late, vehicle), vehicle)
     assert len(recording.quality.left_out) == 3
     write_bag(tmp_path / "whole.mcap", recording)
-    monkeypatch.setattr(mcap, "BLOCK_MESSAGES", size)
+    monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", size)
     (imported,) = import_logs([late], vehicle, tmp_path / "bags")
     assert imported.bag.read_bytes() == (tmp_path / "whole.mcap").read_bytes()
     assert imported.quality == recording.quality
@@ -116,7 +116,7 @@ def test_a_bag_is_imported_like_the_whole_recording(late, vehicle, tmp_path, mon
 def test_a_bag_is_described_like_the_whole_recording(late, vehicle, monkeypatch, size):
     whole = inspect_recording(decode_recording(late, vehicle), vehicle)
     assert any("left out" in finding for finding in whole.findings)
-    monkeypatch.setattr(mcap, "BLOCK_MESSAGES", size)
+    monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", size)
     with open_recording(late, vehicle) as bag:
         assert inspect_blocks(bag.blocks, vehicle) == whole
 
@@ -129,7 +129,7 @@ def test_what_cannot_be_used_is_named_in_a_later_block(flown, vehicle, tmp_path,
     position[200:, 1] = value
     bag = tmp_path / "bad.mcap"
     write_bag(bag, replace(flown, pose=replace(flown.pose, position=position)))
-    monkeypatch.setattr(mcap, "BLOCK_MESSAGES", 500)
+    monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", 500)
     with pytest.raises(LogError, match=f"topic mocap/pose: sample 200: {said}") as caught:
         import_logs([bag], vehicle, tmp_path / "bags")
     with pytest.raises(LogError) as whole:

@@ -9,7 +9,7 @@ import json
 import pytest
 from llvmlite.binding import get_host_cpu_features
 
-from quadpi_core.logs.mcap import Bag
+from quadpi_core.logs.bag_files import Bag
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation import simulated_bags
 from quadpi_core.simulation.run import simulate

@@ -9,8 +9,8 @@ import pytest
 from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import TOPIC_TYPES, bag_topics, has_topic, read_bag, write_bag
-from quadpi_core.logs.mcap import Bag
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.failures import read_faults
 from quadpi_core.simulation.flight_plan import FlightPlan

@@ -10,13 +10,15 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import RotorSpeedStream, WindStream
-from quadpi_core.logs.mcap import MAGIC, Bag, Topic, cut_topic, join_topics
-from quadpi_core.logs.mcap_writer import mcap_writer, write_mcap
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_readers import MAGIC, find_records
+from quadpi_core.logs.bag_writer import mcap_writer, write_mcap
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
-from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.payloads import Payloads, Topic, join_topics
 
 N = 3000
+CHUNK_INDEX = 0x08
 
 
 @pytest.fixture
@@ -164,7 +166,7 @@ def test_what_is_logged_at_one_instant_is_in_one_block(tmp_path, topics):
 def test_chunks_that_overlap_in_time_come_in_the_order_of_log_times(tmp_path, topics):
     """As where a recorder was slow with one topic, or its clock was set back."""
     path = tmp_path / "bag.mcap"
-    early, late = cut_topic(topics[0], N * 1_000_000)
+    early, late = topics[0].split(N * 1_000_000)
     with mcap_writer(path, {}) as writer:
         for topic in (topics[1], late, early):
             writer.add(topic)
@@ -174,7 +176,7 @@ def test_chunks_that_overlap_in_time_come_in_the_order_of_log_times(tmp_path, to
 
 
 def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
-    """Whatever has to wait, or comes in one chunk: else the time would grow with the square of the flight."""
+    """The time would grow with the square of the flight where every chunk may hold the earliest message."""
     cut = []
 
     def counted(payloads, rows):
@@ -183,29 +185,24 @@ def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
 
     cut_payloads = Payloads.cut
     path = tmp_path / "bag.mcap"
-    with mcap_writer(path, {}) as writer:
-        # One by one, each of a time that some other may still be before.
-        for message in range(500):
-            payload = topics[1].payloads.cut(slice(message, message + 1))
-            writer.add(Topic("/wind", sensor_messages.WIND, np.array([message]), payload))
-            writer.flush()
+    write_mcap(path, [topics[1]], {})
     with Bag(path) as bag:
-        (survey,) = bag._surveys.values()
-        early = [section._replace(first_ns=0) for section in survey.sections]
-        bag._surveys = dict.fromkeys(bag._surveys, survey._replace(sections=early))
+        chunks = bag._reader.storage.chunks
+        chunks[:] = [chunk._replace(message_start_time=0) for chunk in chunks]
         monkeypatch.setattr(Payloads, "cut", counted)
         blocks = list(bag.blocks(["/wind"], messages=2))
-    assert [len(block["/wind"].payloads) for block in blocks] == [2] * 250
-    assert sum(cut) <= 4 * 500
+    assert [len(block["/wind"].payloads) for block in blocks] == [2] * (N // 2)
+    assert sum(cut) <= 4 * N
 
 
 def test_a_chunk_that_begins_before_it_says_is_refused(tmp_path, topics):
     path = tmp_path / "bag.mcap"
     write_mcap(path, topics, {})
-    with Bag(path) as bag:
-        section = next(iter(bag._surveys.values())).sections[0]
     data = bytearray(path.read_bytes())
-    data[section.start : section.start + 8] = struct.pack("<Q", 10**9)
+    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    (first, *_), _ = find_records(np.frombuffer(data, np.uint8), summary_start).of(CHUNK_INDEX)
+    data[first : first + 8] = struct.pack("<Q", 10**9)
+    data[-12:-8] = bytes(4)
     path.write_bytes(data)
     with Bag(path) as bag, pytest.raises(LogError, match=r"bag.mcap: damaged: the chunk at byte \d+ holds"):
         bag.read(["/wind"])
@@ -220,7 +217,7 @@ def test_a_bag_written_in_blocks_has_the_bytes_of_one_written_whole(tmp_path, to
         writer.announce({topic.name: topic.type_name for topic in topics})
         rest = topics
         for limit_ns in range(0, N * 7_000_000, count * 7_000_000):
-            due, rest = zip(*(cut_topic(topic, limit_ns) for topic in rest), strict=True)
+            due, rest = zip(*(topic.split(limit_ns) for topic in rest), strict=True)
             for topic in due:
                 writer.add(topic)
             # What waits is not written before its turn.

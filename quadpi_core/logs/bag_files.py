@@ -1,0 +1,340 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of a bag as arrays, whole or block by block in log-time order.
+
+rosbags opens every container, with the checks of :mod:`quadpi_core.logs.bag_readers`. Memory is bounded by
+one chunk of each file and one block, and a bag with fewer messages than its index announces is refused.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from backports import zstd
+from rosbags.interfaces import Connection
+from rosbags.rosbag2.reader import DirectoryReader
+
+from quadpi_core.bounded_files import read_bounded
+from quadpi_core.errors import LogError, one_line
+from quadpi_core.flight import Stamps
+from quadpi_core.logs.bag_readers import (
+    MESSAGE_BYTES,
+    METADATA_BYTES_MAX,
+    BagReader,
+    McapFile,
+    Message,
+    Ros1Bag,
+    batches_of,
+    log_time,
+)
+from quadpi_core.logs.unpacking import require_unpackable, unpacked_limit, unzstd, zstd_size
+from quadpi_core.messages.payloads import Payloads, Topic, join_topics
+
+if TYPE_CHECKING:
+    from rosbags.rosbag2.reader import ReaderProtocol
+
+# A frame of Zstandard, and the frames that decompressors skip.
+_ZSTD_MAGICS = (b"\x28\xb5\x2f\xfd", *(bytes((0x50 + kind, 0x2A, 0x4D, 0x18)) for kind in range(16)))
+_METADATA_FILE = "metadata.yaml"
+# Messages of all topics in one block: 10 s of a flight at 500 Hz, some MB.
+BLOCK_MESSAGES = 12_000
+_END_NS = 2**63 - 1
+
+
+class Bag:
+    """An open bag: a .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder.
+
+    Messages of a ROS 1 bag are converted to CDR, and their definitions to those of ROS 2.
+
+    Raises:
+        LogError: for a bag that is absent, empty, cut off or damaged, from any of its methods.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.exists():
+            raise LogError(f"{path}: no such bag")
+        with self._reading():
+            self._reader = BagReader(_bag_to_open(path))
+            self._reader.open()
+            self._check_connections()
+
+    def _check_connections(self) -> None:
+        """Refuse a damaged index or metadata.yaml with other values in the place of names and counts."""
+        for connection in self.connections:
+            named = all(isinstance(text, str) for text in (connection.topic, connection.msgtype))
+            if not named or not isinstance(connection.msgcount, int) or connection.msgcount < 0:
+                self._reader.close()
+                raise LogError(
+                    f"damaged: topic {connection.topic} of type {connection.msgtype} is said to hold "
+                    f"{connection.msgcount} messages"
+                )
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._reader.close()
+
+    @property
+    def connections(self) -> list[Connection]:
+        """Name, type, definition and count of each topic; a topic may have several connections."""
+        return self._reader.connections
+
+    @cached_property
+    def metadata(self) -> dict[str, str]:
+        """What quadpi wrote about the bag (vehicle, source, version); empty for bags of other programs."""
+        with self._reading():
+            entries = self._reader.storage.metadata.custom
+            for storage in self._storages():
+                if entries is None and isinstance(storage, McapFile):
+                    entries = storage.custom_data()
+            if entries is None:
+                return {}
+            return {key: text for key, text in entries.items() if isinstance(text, str)}
+
+    def read(self, names: Collection[str], head: int | None = None) -> dict[str, Topic]:
+        """Read whole topics by their full names.
+
+        Args:
+            names: topics of the bag.
+            head: read only the first bytes of each message, this many.
+        """
+        blocks = list(self.blocks(names, head=head))
+        types = {connection.topic: connection.msgtype for connection in self.connections}
+        return {
+            name: join_topics([Topic.empty(name, types[name]), *(block[name] for block in blocks)])
+            for name in names
+        }
+
+    def blocks(
+        self, names: Collection[str], *, messages: int | None = None, head: int | None = None
+    ) -> Iterator[dict[str, Topic]]:
+        """Read topics by their full names in blocks, in log-time order.
+
+        Messages with equal log times are in the same block. The blocks joined equal what :meth:`read` gives.
+
+        Args:
+            names: topics of the bag; every block has all of them, possibly without messages.
+            messages: the most messages of all topics in a block (more only where their log times are equal);
+                :data:`BLOCK_MESSAGES` unless given.
+            head: see :meth:`read`.
+        """
+        types = {one.topic: one.msgtype for one in self.connections if one.topic in names}
+        announced = dict.fromkeys(types, 0)
+        for connection in self.connections:
+            if connection.topic in types:
+                announced[connection.topic] += connection.msgcount
+        found = dict.fromkeys(types, 0)
+        with self._reading():
+            for topics in _in_log_order(self._parts(types, head), messages or BLOCK_MESSAGES):
+                for name, topic in topics.items():
+                    found[name] += len(topic.payloads)
+                yield {
+                    name: topics.get(name) or Topic.empty(name, type_name)
+                    for name, type_name in types.items()
+                }
+        for name, count in found.items():
+            if count != announced[name]:
+                raise LogError(
+                    f"{self.path}: topic {name}: damaged: holds {count} messages, "
+                    f"its index announces {announced[name]}"
+                )
+
+    def _storages(self) -> list[ReaderProtocol]:
+        storage = self._reader.storage
+        return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
+
+    def _parts(self, types: Mapping[str, str], head: int | None) -> Iterator[_Part]:
+        """The messages of all files, in parts."""
+        storages = self._storages()
+        chosen = [
+            [one for one in storage.connections if types.get(one.topic) == one.msgtype]
+            for storage in storages
+        ]
+        files = [storage for storage in storages if isinstance(storage, McapFile)]
+        if self._reader.compression_mode != "message" and len(files) == len(storages):
+            if all(file.chunks for file in files):
+                return _chunks_in_order(list(zip(files, chosen, strict=True)), head)
+            if len(files) == 1:
+                batches = files[0].scanned(chosen[0])
+                return (_Part(_by_topic(batch, head), limit_ns) for batch, limit_ns in batches)
+        messages: Iterator[Message] = heapq.merge(
+            *(
+                storage.cdr_messages(connections, head)
+                if isinstance(storage, Ros1Bag)
+                else storage.messages(connections)
+                for storage, connections in zip(storages, chosen, strict=True)
+                if connections
+            ),
+            key=log_time,
+        )
+        if self._reader.compression_mode == "message":
+            messages = self._unpacked(messages)
+        return (_Part(_by_topic(batch, head), log_time(batch[-1])) for batch in batches_of(messages))
+
+    def _unpacked(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Messages that are each compressed by themselves."""
+        packed_bytes = sum(file.stat().st_size for file in _files_of(self.path))
+        unpacked_bytes = 0
+        for connection, time_ns, packed in messages:
+            size = zstd_size(packed, unpacked_limit(len(packed)))
+            require_unpackable(len(packed), size)
+            unpacked_bytes += size + MESSAGE_BYTES
+            require_unpackable(packed_bytes, unpacked_bytes)
+            yield connection, time_ns, unzstd(packed, size)
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Turn whatever a parser raises on damaged bytes into one LogError that names the bag."""
+        try:
+            yield
+        except LogError as error:
+            # Errors of a file in a folder name it, and so the bag.
+            named = str(error).startswith(str(self.path))
+            raise LogError(str(error) if named else f"{self.path}: {error}") from error
+        except Exception as error:  # rosbags and the decompressors raise many kinds on damaged bytes
+            reason = one_line(error) or type(error).__name__
+            raise LogError(f"{self.path}: cannot be read: {reason}") from error
+
+
+def _files_of(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+
+
+def _bag_to_open(path: Path) -> Path:
+    """A file, a folder with metadata.yaml, or the one file with messages in a folder without.
+
+    Raises:
+        LogError: if metadata.yaml is too large, or absent and there is not exactly one file, or a compressed
+            file unpacks to too much.
+    """
+    if not path.is_dir():
+        return path
+    if (path / _METADATA_FILE).exists():
+        read_bounded(path / _METADATA_FILE, METADATA_BYTES_MAX)
+        for file in _files_of(path):
+            _check_packed(file)
+        return path
+    files = [file for file in _files_of(path) if file.suffix in {".mcap", ".db3"}]
+    if len(files) != 1:
+        raise LogError(
+            f"no {_METADATA_FILE}, and {len(files)} files of messages: `ros2 bag reindex` makes it, or name "
+            "one of the files"
+        )
+    return files[0]
+
+
+def _check_packed(file: Path) -> None:
+    """Refuse a compressed file that unpacks to too much; rosbags unpacks it to disk without a limit."""
+    with file.open("rb") as stream:
+        if not stream.read(max(map(len, _ZSTD_MAGICS))).startswith(_ZSTD_MAGICS):
+            return
+    packed = file.read_bytes()
+    try:
+        require_unpackable(len(packed), zstd_size(packed, unpacked_limit(len(packed))))
+    except (LogError, zstd.ZstdError) as error:
+        raise LogError(f"{file}: {error}") from error
+
+
+# Order of messages
+
+
+class _Part(NamedTuple):
+    """Messages that were read, those of a topic in log-time order.
+
+    Attributes:
+        limit_ns: no message of a later part is logged before it.
+    """
+
+    topics: list[Topic]
+    limit_ns: int
+
+
+def _chunks_in_order(
+    files: Sequence[tuple[McapFile, Sequence[Connection]]], head: int | None
+) -> Iterator[_Part]:
+    """The chunks of MCAP files with wanted messages, in the order of their first log times."""
+    chunks = [
+        (chunk, file, connections)
+        for file, connections in files
+        for chunk in file.chunks
+        # A chunk without an index of its messages may hold any.
+        if not chunk.channel_count or any(one.id in chunk.channel_count for one in connections)
+    ]
+    chunks.sort(key=lambda one: one[0].message_start_time)
+    limits = [*(chunk.message_start_time for chunk, *_ in chunks[1:]), _END_NS]
+    for (chunk, file, connections), limit_ns in zip(chunks, limits, strict=False):
+        yield _Part(file.chunk_topics(chunk, connections, head), min(limit_ns, _END_NS))
+
+
+def _by_topic(messages: Iterable[Message], head: int | None) -> list[Topic]:
+    times: dict[tuple[str, str], list[int]] = {}
+    payloads: dict[tuple[str, str], list[bytes]] = {}
+    for connection, time_ns, message in messages:
+        key = connection.topic, connection.msgtype
+        times.setdefault(key, []).append(time_ns)
+        payloads.setdefault(key, []).append(message[:head])
+    return [
+        join_topics([Topic(*key, np.array(times[key], dtype=np.int64), Payloads.join(payloads[key]))])
+        for key in times
+    ]
+
+
+def _in_log_order(parts: Iterable[_Part], block_messages: int) -> Iterator[dict[str, Topic]]:
+    """Blocks of topics in log-time order."""
+    waiting: list[Topic] = []
+    count = kept = 0
+    limit_ns = -_END_NS
+    for topics, next_limit_ns in parts:
+        if any(topic.log_time_ns[0] < limit_ns for topic in topics):
+            raise LogError("damaged: its messages are not in the order that its index announces")
+        waiting += topics
+        count += sum(len(topic.payloads) for topic in topics)
+        # Sorting for every small part would take a time that grows with the square of what waits.
+        if count >= max(block_messages, 2 * kept):
+            limit_ns = next_limit_ns
+            due, waiting = _split_all(waiting, limit_ns)
+            count = kept = sum(len(topic.payloads) for topic in waiting)
+            yield from _in_blocks(due, block_messages)
+    yield from _in_blocks(waiting, block_messages)
+
+
+def _split_all(topics: Iterable[Topic], limit_ns: int) -> tuple[list[Topic], list[Topic]]:
+    parts = [topic.split(limit_ns) for topic in topics]
+    return [one for one, _ in parts if len(one.payloads)], [one for _, one in parts if len(one.payloads)]
+
+
+def _in_blocks(parts: Iterable[Topic], block_messages: int) -> Iterator[dict[str, Topic]]:
+    """Cut messages into blocks, not between equal log times."""
+    by_name: dict[str, list[Topic]] = {}
+    for part in parts:
+        by_name.setdefault(part.name, []).append(part)
+    topics = {name: join_topics(own) for name, own in by_name.items()}
+    times = np.sort(np.concatenate([_NO_TIMES, *(topic.log_time_ns for topic in topics.values())]))
+    first = 0
+    while first < len(times):
+        stop = len(times)
+        if first + block_messages < stop:
+            stop = int(np.searchsorted(times, times[first + block_messages]))
+            if stop == first:
+                stop = int(np.searchsorted(times, times[first], side="right"))
+        block = {}
+        for name, topic in topics.items():
+            begin = np.searchsorted(topic.log_time_ns, times[first])
+            end = np.searchsorted(topic.log_time_ns, times[stop - 1], side="right")
+            block[name] = topic.rows(slice(int(begin), int(end)))
+        yield block
+        first = stop
+
+
+_NO_TIMES: Stamps = np.empty(0, dtype=np.int64)
