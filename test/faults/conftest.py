@@ -12,13 +12,16 @@ import numpy as np
 import pytest
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
+from quadpi_core.errors import QuadpiError
 from quadpi_core.estimator.filter_state import EstimatorStatus
 from quadpi_core.flight import OdometryStream, WindStream
 from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import AerodynamicModel, load_pools
 from quadpi_core.models.aerodynamic import METHODS
+from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
@@ -101,19 +104,25 @@ def contents(folder):
 
 
 @pytest.fixture
-def refused_everywhere(refused, bad, bags, model, pool, tmp_path):
-    """Every command that uses a flight refuses it with the same message, which names the file."""
+def refused_by(bad, model, tmp_path):
+    """refused_by(readers, message): each reader of bags refuses the bad one in one line that names it.
 
-    def run(message, commands=("import", "identify", "evaluate", "replay")):
-        vehicle = ("--vehicle", "neurobem")
-        arguments = {
-            "import": (bags[1], bad, *vehicle, "-o", tmp_path / "bags"),
-            "identify": (bags[1], bad, *vehicle, "--candidates", pool, "-o", tmp_path / "model"),
-            "evaluate": (model, bags[1], bad, "--json", tmp_path / "data.json", "--html", tmp_path / "page"),
-            "replay": (model, bad, "-o", tmp_path / "out.mcap", "--json", tmp_path / "data.json"),
-        }
-        for command in commands:
-            refused(f"{re.escape(str(bad))}: {message}", command, *arguments[command])
+    That every command makes an exit status and one line of that is shown once for each command.
+    """
+    vehicle, out = Vehicle.load("neurobem"), tmp_path / "out"
+    out.mkdir()
+    readers = {
+        "import": lambda: import_logs([bad], vehicle, out / "bags"),
+        "prepare": lambda: prepare_flights([bad], vehicle, CUTOFF_HZ),
+        "replay": lambda: replay(AerodynamicModel.load(model), vehicle, bad, out / "out.mcap"),
+    }
+
+    def run(names, message):
+        for name in names:
+            with pytest.raises(QuadpiError) as refusal:
+                readers[name]()
+            assert re.fullmatch(rf"{re.escape(str(bad))}: [^\n]*{message}[^\n]*", str(refusal.value)), name
+            assert contents(out) == {}
 
     return run
 

@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bad flights on the command line: exit status 2, one line that names the culprit, and no output left."""
+"""Bad flights: every reader refuses them in one line that names the culprit, and every command makes an exit
+status 2 of that and leaves no output.
+"""
 
 from __future__ import annotations
 
@@ -51,27 +53,54 @@ def test_refusal_is_the_only_line_of_a_process(bad, model):
     assert (ran.returncode, ran.stdout, ran.stderr) == (2, "", f"quadpi: {bad}: the file is empty\n")
 
 
-class TestDamagedFiles:
-    def test_absent(self, refused_everywhere):
-        refused_everywhere("no such file or folder")
+# What wants a whole flight; a replay goes on as the nodes do in flight.
+OFFLINE = ("import", "prepare")
+READERS = (*OFFLINE, "replay")
 
-    def test_empty(self, refused_everywhere, bad):
+
+@pytest.mark.parametrize("command", ["import", "identify", "evaluate", "replay"])
+@pytest.mark.parametrize("fault", ["file", "samples"])
+def test_every_command_refuses_a_bad_flight(
+    refused, bad, bags, model, pool, recording, tmp_path, command, fault
+):
+    """Behind a good one, where it takes several."""
+    if fault == "file" or command == "replay":
         bad.write_bytes(b"")
-        refused_everywhere("the file is empty")
+        message = "the file is empty"
+    else:
+        write_bag(bad, changed(recording, "imu", "specific_force", with_sample(np.nan)))
+        message = f"topic imu: sample {SAMPLE}: .* not finite"
+    vehicle = ("--vehicle", "neurobem")
+    arguments = {
+        "import": (bags[1], bad, *vehicle, "-o", tmp_path / "bags"),
+        "identify": (bags[1], bad, *vehicle, "--candidates", pool, "-o", tmp_path / "model"),
+        "evaluate": (model, bags[1], bad, "--json", tmp_path / "data.json", "--html", tmp_path / "page"),
+        "replay": (model, bad, "-o", tmp_path / "out.mcap", "--json", tmp_path / "data.json"),
+    }
+    refused(f"{re.escape(str(bad))}: {message}", command, *arguments[command])
+
+
+class TestDamagedFiles:
+    def test_absent(self, refused_by):
+        refused_by(READERS, "no such file or folder")
+
+    def test_empty(self, refused_by, bad):
+        bad.write_bytes(b"")
+        refused_by(READERS, "the file is empty")
 
     @pytest.mark.parametrize("fraction", [0.001, 0.5, 0.99])
-    def test_truncated(self, refused_everywhere, bad, bags, fraction):
+    def test_truncated(self, refused_by, bad, bags, fraction):
         whole = bags[0].read_bytes()
         bad.write_bytes(whole[: int(fraction * len(whole))])
-        refused_everywhere(r"cut off, it has no footer; \d+ whole messages can be read")
+        refused_by(READERS, r"cut off, it has no footer; \d+ whole messages can be read")
 
-    def test_without_footer(self, refused_everywhere, bad, bags):
+    def test_without_footer(self, refused_by, bad, bags):
         bad.write_bytes(bags[0].read_bytes()[:-8])
-        refused_everywhere("cut off, it has no footer; 7200 whole messages can be read")
+        refused_by(READERS, "cut off, it has no footer; 7200 whole messages can be read")
 
-    def test_no_bag_at_all(self, refused_everywhere, bad):
+    def test_no_bag_at_all(self, refused_by, bad):
         bad.write_text("time, ax, ay, az\n" * 100)
-        refused_everywhere("is no MCAP file")
+        refused_by(READERS, "is no MCAP file")
 
     def test_unknown_format(self, refused, tmp_path):
         (tmp_path / "notes.txt").write_text("windy")
@@ -81,26 +110,24 @@ class TestDamagedFiles:
 
 
 class TestMissingTopics:
-    def test_imu(self, refused_everywhere, bad, recording):
+    def test_imu(self, refused_by, bad, recording):
         rotors = recording.rotor_speeds
         topic = output_topic("rotor_speeds", rotors.time_ns, sensor_messages.pack_rotor_speeds(rotors))
         write_mcap(bad, [topic], {})
-        refused_everywhere("topic imu: missing; topics of the bag: /rotor_speeds")
+        refused_by(READERS, "topic imu: missing; topics of the bag: /rotor_speeds")
 
-    def test_rotor_speeds(self, refused_everywhere, bad, recording):
+    def test_rotor_speeds(self, refused_by, bad, recording):
         write_bag(bad, replace(recording, rotor_speeds=None))
-        refused_everywhere("topic rotor_speeds .*is missing", ("identify", "evaluate", "replay"))
+        refused_by(("prepare", "replay"), "topic rotor_speeds .*is missing")
 
-    def test_state(self, refused_everywhere, bad, recording):
+    def test_state(self, refused_by, bad, recording):
         write_bag(bad, replace(recording, pose=None, odometry=None))
         message = "topics mocap/pose and odometry are missing: one is needed"
-        refused_everywhere(message, ("identify", "evaluate", "replay"))
+        refused_by(("prepare", "replay"), message)
 
 
 class TestWrongUnits:
     """The live path cannot tell units, so neither does its replay: everything else refuses them."""
-
-    COMMANDS = ("import", "identify", "evaluate")
 
     @pytest.mark.parametrize(
         ("topic", "column", "factor", "message"),
@@ -113,24 +140,20 @@ class TestWrongUnits:
             ("rotor_speeds", "speeds", 0.1, "topic rotor_speeds: thrust over Σω².*wrong unit"),
         ],
     )
-    def test_units(self, refused_everywhere, bad, recording, topic, column, factor, message):
+    def test_units(self, refused_by, bad, recording, topic, column, factor, message):
         write_bag(bad, changed(recording, topic, column, lambda values: factor * values))
-        refused_everywhere(message, self.COMMANDS)
+        refused_by(OFFLINE, message)
 
-    def test_electrical_speeds_without_pole_pairs(self, refused_everywhere, bad, recording):
+    def test_electrical_speeds_without_pole_pairs(self, refused_by, bad, recording):
         rotors = recording.rotor_speeds
         erpm = sensor_messages.pack_erpm(rotors.time_ns, rotors.speeds * 7 * 30.0 / np.pi)
         write_bag(bad, replace(recording, rotor_speeds=None), [output_topic("erpm", rotors.time_ns, erpm)])
-        refused_everywhere("topic /erpm: vehicle neurobem: .*need `pole_pairs`")
+        refused_by(READERS, "topic /erpm: vehicle neurobem: .*need `pole_pairs`")
 
-    def test_axes(self, refused_everywhere, bad, recording):
+    def test_axes(self, refused_by, bad, recording):
         flipped = changed(recording, "imu", "specific_force", lambda force: force * [1.0, -1.0, -1.0])
         write_bag(bad, flipped)
-        refused_everywhere("topic imu: specific force points down", self.COMMANDS)
-
-
-# Commands that want a whole flight; a replay does as the nodes in flight.
-OFFLINE = ("import", "identify", "evaluate")
+        refused_by(OFFLINE, "topic imu: specific force points down")
 
 
 @pytest.fixture
@@ -162,11 +185,9 @@ def followed(quadpi, model, bad, tmp_path):
         ("wind", "wind", "velocity"),
     ],
 )
-def test_numbers_that_are_not_finite(
-    refused_everywhere, followed, bad, recording, topic, name, column, value
-):
+def test_numbers_that_are_not_finite(refused_by, followed, bad, recording, topic, name, column, value):
     write_bag(bad, changed(recording, topic, column, with_sample(value)))
-    refused_everywhere(f"topic {name}: sample {SAMPLE}: .* not finite", OFFLINE)
+    refused_by(OFFLINE, f"topic {name}: sample {SAMPLE}: .* not finite")
     # The estimator still collects its first second at that sample; wind holds until the next.
     followed(reported=topic == "wind")
 
@@ -175,14 +196,14 @@ def test_numbers_that_are_not_finite(
 @pytest.mark.parametrize(
     ("factor", "message"), [(0.0, "no unit quaternion"), (2.0, "no unit quaternion"), (np.nan, "not finite")]
 )
-def test_attitude_that_is_none(refused_everywhere, followed, bad, recording, topic, factor, message):
+def test_attitude_that_is_none(refused_by, followed, bad, recording, topic, factor, message):
     def change(attitude):
         attitude[SAMPLE] *= factor
         return attitude
 
     write_bag(bad, changed(recording, topic, "attitude", change))
     name = getattr(recording, topic).topic
-    refused_everywhere(f"topic /?{name}: sample {SAMPLE}: .*{message}", OFFLINE)
+    refused_by(OFFLINE, f"topic /?{name}: sample {SAMPLE}: .*{message}")
     if np.isnan(factor):
         followed(reported=False)
 
@@ -198,7 +219,7 @@ PACK = {
 
 @pytest.mark.parametrize("topic", PACK)
 @pytest.mark.parametrize(("shift_ns", "kind"), [(0, "repeats"), (-50_000, "runs backward")])
-def test_stamps_that_do_not_rise(refused_everywhere, followed, bad, recording, topic, shift_ns, kind):
+def test_stamps_that_do_not_rise(refused_by, followed, bad, recording, topic, shift_ns, kind):
     """Header stamps, that is: a recorder logs the messages as they come."""
 
     def shift(stamps):
@@ -211,7 +232,7 @@ def test_stamps_that_do_not_rise(refused_everywhere, followed, bad, recording, t
         good = getattr(recording, name)
         topics.append(output_topic(good.topic, good.time_ns, pack(getattr(wrong, name))))
     write_mcap(bad, topics, {})
-    refused_everywhere(f"topic {getattr(recording, topic).topic}: sample {SAMPLE}: the stamp {kind}", OFFLINE)
+    refused_by(OFFLINE, f"topic {getattr(recording, topic).topic}: sample {SAMPLE}: the stamp {kind}")
     followed(reported=False)
 
 
@@ -249,9 +270,9 @@ class TestFlightsThatDoNotExciteTheModel:
         message = r"Fx: \d+ samples are too few for a pool of \d+ regressors"
         refused(message, "identify", *flights, "--vehicle", "neurobem", "-o", tmp_path / "model")
 
-    def test_too_short_for_the_estimator(self, refused_everywhere, bad, fly):
+    def test_too_short_for_the_estimator(self, refused_by, bad, fly):
         write_bag(bad, fly(0, seconds=0.5))
-        refused_everywhere(".*", ("identify", "evaluate", "replay"))
+        refused_by(("prepare", "replay"), ".*")
 
     def test_constant_rotor_speeds(self, refused, bags, pool, tmp_path):
         flights = [tmp_path / bag.name for bag in bags]
@@ -262,9 +283,9 @@ class TestFlightsThatDoNotExciteTheModel:
         options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "model")
         refused(message, "identify", *flights, *options)
 
-    def test_rotors_at_rest(self, refused_everywhere, bad, recording):
+    def test_rotors_at_rest(self, refused_by, bad, recording):
         write_bag(bad, changed(recording, "rotor_speeds", "speeds", lambda speeds: 0.0 * speeds))
-        refused_everywhere("topic rotor_speeds: ", ("identify", "evaluate"))
+        refused_by(("prepare",), "topic rotor_speeds: ")
 
     def test_one_flight_cannot_calibrate(self, refused, bags, tmp_path):
         refused(

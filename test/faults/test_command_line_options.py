@@ -129,9 +129,9 @@ class TestVehicles:
         write_bag(bad, replace(recording, vehicle="hdbeetle"))
         return bad
 
-    def test_bag_of_another_vehicle(self, refused_everywhere, foreign):
+    def test_bag_of_another_vehicle(self, refused_by, foreign):
         assert foreign.exists()
-        refused_everywhere("is a flight of vehicle hdbeetle, not of neurobem")
+        refused_by(("import", "prepare", "replay"), "is a flight of vehicle hdbeetle, not of neurobem")
 
     def test_realisations_of_a_flight_of_another_vehicle(self, refused, model):
         flight = bags_directory() / "interpolation.mcap"
