@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes whose callbacks may fail without ending the process: an exception is logged, counted, and reported.
+"""Nodes that survive exceptions in their callbacks: each one is logged, counted and reported.
 
-rclpy's events executor lets an exception out of `spin`, which ends every node of the process, and drops what
-was queued behind it. So it is caught where the callback is called, also in the services that rclpy itself
-offers for parameters and the lifecycle: a client can make those raise.
+An exception that leaves a callback ends `spin` of rclpy's events executor, with it every node of the process,
+and drops the events that were queued. So exceptions are caught around each callback, including those of
+rclpy's own services for parameters and the lifecycle, which a client can make raise.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from quadpi_core.errors import one_line
 from quadpi_ros import diagnostics
 from quadpi_ros.dds_profile import check_overrides, overridden
 
-# A callback may fail at every sample; the log names it no more often than this.
+# A callback that fails at every sample is logged at this period.
 _LOG_PERIOD_S = 5.0
 
 
 class CaughtExceptions:
-    """The exceptions that callbacks of a node raised.
+    """Exceptions raised by the callbacks of a node.
 
     Attributes:
-        counts: how many, by the callback that raised them.
+        counts: number of exceptions by callback.
     """
 
     def __init__(self, node: Node) -> None:
@@ -50,15 +50,15 @@ class CaughtExceptions:
         self._next_log_s: dict[tuple[str, str], float] = {}
 
     def take(self, where: str, error: Exception) -> None:
-        """Count an exception and log it: with its traceback at first, in one line every few seconds later.
+        """Count and log an exception: the first of a kind with its traceback, later ones in a line every 5 s.
 
         Args:
-            where: the callback that raised it.
-            error: what it raised.
+            where: name of the callback.
+            error: raised by it.
         """
         context = self._node.context
         if context is None or not context.ok():
-            return  # the process ends, and with it what a callback may publish to
+            return  # raised because the process is shutting down
         self.counts[where] += 1
         self._latest = f"{where}: {type(error).__name__}: {one_line(error)}"
         now_s = time.monotonic()
@@ -74,7 +74,7 @@ class CaughtExceptions:
         self._node.get_logger().error(text)
 
     def statuses(self) -> list[DiagnosticStatus]:
-        """What `/diagnostics` says: nothing before the first exception; an error where one is new."""
+        """Status for `/diagnostics`: none before the first exception, ERROR for new ones, else WARN."""
         total = self.counts.total()
         if not total:
             return []
@@ -86,7 +86,7 @@ class CaughtExceptions:
 
 
 def guarded(method: Callable[..., None]) -> Callable[..., None]:
-    """A method of a node that another node calls, whose exceptions are then its own and not the caller's."""
+    """Attribute exceptions of a method that another node calls to the method's node, not to the caller."""
 
     @wraps(method)
     def call(node: GuardedNode, *arguments: Any) -> None:
@@ -99,42 +99,42 @@ def guarded(method: Callable[..., None]) -> Callable[..., None]:
 
 
 class GuardedNode(Node):
-    """A node that goes on after an exception in a callback, and whose topics take `qos_overrides`.
+    """A node that continues after exceptions in callbacks and honours `qos_overrides` parameters.
 
     Args:
-        arguments: of rclpy's Node.
-        options: of rclpy's Node.
+        arguments: positional arguments of rclpy's Node.
+        options: keyword arguments of rclpy's Node.
 
     Attributes:
-        exceptions: what its callbacks raised.
+        exceptions: raised by its callbacks.
 
     Raises:
-        QosOverrideError: for a wrong `qos_overrides`.
+        QosOverrideError: for an invalid `qos_overrides` parameter.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, automatically_declare_parameters_from_overrides=True, **options)
         check_overrides(self)
         self.exceptions = CaughtExceptions(self)
-        # What rclpy has made for itself.
+        # Those that rclpy created in its constructor.
         own: list[Service | Subscription | Timer] = [*self.services, *self.subscriptions, *self.timers]
         for entity in own:
             self._guard_entity(entity)
 
     @property
     def _is_set_up(self) -> bool:
-        """Whether rclpy is done with its own part, which :meth:`__init__` guards as a whole."""
+        """Whether rclpy's constructor has returned; :meth:`__init__` guards what that created."""
         return hasattr(self, "exceptions")
 
     def guard(
         self, where: str, callback: Callable[..., Any], instead: Callable[..., Any] = lambda *_: None
     ) -> Callable[..., Any]:
-        """A callback that raises no exception.
+        """Wrap a callback so that it raises no exception.
 
         Args:
-            where: what the log and the diagnostics call it.
-            callback: to be called.
-            instead: gives the result after an exception, of the same arguments.
+            where: name of the callback in log and diagnostics.
+            callback: to wrap.
+            instead: called with the same arguments for a result if `callback` raises.
         """
 
         @wraps(callback)
@@ -149,7 +149,7 @@ class GuardedNode(Node):
 
     def _guard_entity(self, entity: Service | Subscription | Timer) -> None:
         if isinstance(entity, Service):
-            # Its client waits for an answer.
+            # A client waits for an answer even after an exception.
             entity.callback = self.guard(f"service {entity.srv_name}", entity.callback, _empty)
         elif isinstance(entity, Subscription):
             entity.callback = self.guard(f"topic {entity.topic_name}", entity.callback)
@@ -178,7 +178,7 @@ class GuardedNode(Node):
         qos_profile: QoSProfile | int,
         **options: Any,
     ) -> Subscription:
-        """As rclpy's, guarded, and with parameters that override its quality of service."""
+        """As rclpy's, guarded, with the quality of service of `qos_overrides`."""
         if self._is_set_up:
             qos_profile, options = overridden(self, "subscription", topic, qos_profile, options)
         subscription = super().create_subscription(msg_type, topic, callback, qos_profile, **options)
@@ -189,35 +189,34 @@ class GuardedNode(Node):
     def create_publisher(
         self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
     ) -> Publisher:
-        """As rclpy's, with parameters that override its quality of service."""
+        """As rclpy's, with the quality of service of `qos_overrides`."""
         if self._is_set_up:
             qos_profile, options = overridden(self, "publisher", topic, qos_profile, options)
         return super().create_publisher(msg_type, topic, qos_profile, **options)
 
     def add_waitable(self, waitable: Any) -> None:
-        """As rclpy's; an event of a publisher or subscription is guarded."""
+        """As rclpy's; events of publishers and subscriptions are guarded."""
         if self._is_set_up and isinstance(waitable, EventHandler):
             waitable.callback = self.guard(f"event {waitable.event_type.name.lower()}", waitable.callback)
         super().add_waitable(waitable)
 
 
 def _empty(_: Any, response: Any) -> Any:
-    """The response to a request that raised an exception, which may have filled it in part."""
+    """A fresh response, as the one of a request that raised may be half filled."""
     return type(response)()
 
 
 class SlowService:
-    """Does the work of each request in a thread, one after another, and answers from the executor.
+    """A service whose requests are worked on in a thread, one at a time, while samples are processed.
 
-    Neither a callback that waits nor a coroutine would do: the first stops the samples, and the events
-    executor does not await the second.
+    A callback that blocks would delay samples, and the events executor does not await coroutines.
 
     Args:
-        node: that offers the service; on an executor.
+        node: offers the service; must be on an executor.
         service_type: of the service.
         name: of the service.
-        work: called in the thread with the request; gives a function that fills the response. That one is
-            called on the executor, between two samples. After an exception in either, the response is empty.
+        work: called in the thread with the request; returns a function that fills the response, which is
+            called on the executor between two samples. If either raises, the response is empty.
     """
 
     def __init__(
@@ -233,11 +232,11 @@ class SlowService:
         self._one_at_a_time = threading.Lock()
         self._service = cast(Any, node.create_service(service_type, name, self._take))
         self._send = self._service.send_response
-        # The executor sends what the callback returns; here that is a promise.
+        # rclpy sends what the callback returns; here that is a promise of the response.
         self._service.send_response = self._send_when_kept
 
     def destroy(self) -> None:
-        """Offer the service no longer; requests under way stay without an answer."""
+        """Withdraw the service; requests in progress get no answer."""
         self._node.destroy_service(self._service)
         self._service = None
 

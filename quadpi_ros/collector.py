@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Collect what the live nodes publish, and say at once how the alarm changes."""
+"""Receive what the live nodes publish, in the caller's process, and report alarm changes at once."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE, 
 
 _CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 _LEVEL_NAMES = ("ok", "warning", "ALARM")
-# The collector shares a process with its caller: nothing may be lost while that is busy.
+# Deep enough to lose nothing while the caller, in the same process, is busy.
 _DEEP_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 _POLL_S = 0.05
-# Of the inputs outside, so that a change fits one line of a terminal.
+# Inputs outside the envelope that are shown, so that a change fits one line of a terminal.
 _NAMES_SHOWN = 3
 
 
 @dataclass(frozen=True)
 class AlarmChange:
-    """A new level, a new cause, or one more input outside the envelope.
+    """A change of the alarm: another level, other causes, or a further input outside the envelope.
 
     Attributes:
         time_s: stamp, in seconds since the start of the flight.
         level: 0 ok, 1 warning, 2 alarm.
         causes: names of the causes.
         inputs_outside: names of the inputs outside the envelope, the farthest first.
-        envelope_distance: how far the worst of them is outside, in widths of its training range.
+        envelope_distance: distance of the farthest from its training range, in widths of that range.
     """
 
     time_s: float
@@ -61,7 +61,7 @@ class AlarmChange:
 
 
 class AlarmFollower:
-    """Tells a change of the alarm from its steady repetition."""
+    """Finds the changes in a sequence of alarm messages, which repeat at a steady rate."""
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
@@ -69,7 +69,7 @@ class AlarmFollower:
         self._named: set[str] = set()
 
     def follow(self, alarms: ReportedAlarms) -> AlarmChange | None:
-        """The change that one alarm message brings; None if it brings none."""
+        """The change in the next alarm message; None if nothing changed."""
         level, causes = int(alarms.level[0]), int(alarms.causes[0])
         inputs = alarms.inputs_outside[0] if level != LEVEL_OK else ()
         changed = (level, causes) != self._state or not self._named.issuperset(inputs)
@@ -90,11 +90,11 @@ Entered = TypeVar("Entered", bound="Listener")
 
 
 class Listener:
-    """A node in the caller's process that hears topics, still serialized; it ends with its block.
+    """A node in the caller's process that receives serialized messages; a context manager.
 
     Args:
         name: of the node.
-        topics: message type, name and what takes the messages of each.
+        topics: message type, name, and callback of each topic.
     """
 
     def __init__(self, name: str, topics: Sequence[tuple[type, str, Callable[[bytes], None]]]) -> None:
@@ -127,11 +127,11 @@ class Listener:
         return bool(self._subscriptions[topic].get_publisher_count() > 0)
 
     def spin(self, seconds: float) -> None:
-        """Listen for so long."""
+        """Receive messages for a time."""
         self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
 
     def spin_until(self, condition: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
-        """Listen until the condition holds; False if the time is over first."""
+        """Receive messages until the condition holds; False on timeout."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
@@ -141,11 +141,11 @@ class Listener:
 
 
 class Collector(Listener):
-    """A node in the caller's process that keeps every message of the live nodes, still serialized.
+    """Keeps every message that the live nodes publish.
 
     Args:
-        start_ns: stamp that the seconds of an alarm change count from.
-        on_alarm: called at every change of the alarm as it comes.
+        start_ns: stamp from which the seconds of an alarm change count.
+        on_alarm: called at once for every change of the alarm.
     """
 
     def __init__(self, start_ns: int, on_alarm: Callable[[AlarmChange], None] | None = None) -> None:
@@ -166,23 +166,23 @@ class Collector(Listener):
 
     @property
     def arrived_ns(self) -> Stamps:
-        """(P,) when each prediction arrived, by the monotonic clock."""
+        """(P,) arrival of each prediction, monotonic clock."""
         return np.array(self._arrived_ns, dtype=np.int64)
 
     def silent_for(self, seconds: float) -> bool:
-        """Whether the last prediction is older than that."""
+        """Whether no prediction has arrived for that long."""
         return not self._arrived_ns or time.monotonic_ns() - self._arrived_ns[-1] > 1e9 * seconds
 
     def odometry(self) -> Payloads:
-        """Every state so far, as its message."""
+        """Messages of all states so far."""
         return Payloads.join(self._odometry)
 
     def predictions(self) -> Predictions:
-        """Every prediction so far."""
+        """All predictions so far."""
         return result_messages.unpack_predictions(Payloads.join(self._predictions))
 
     def alarms(self) -> ReportedAlarms:
-        """Every alarm message that followed from a sample so far: none of the silence around a flight."""
+        """All alarms so far that follow from samples, without those that report silence around a flight."""
         return result_messages.unpack_alarms(Payloads.join(self._alarms))
 
     def _take_prediction(self, payload: bytes) -> None:

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """DDS as the nodes use it: qualities of service, parameters that override them, and waiting for discovery.
 
-Discovery has two sides. A publisher that knows its subscriber may send, and the subscriber still drop what
-comes because it does not know the publisher yet; on a busy machine that lasts for seconds. Each participant
-tells the others of its endpoints in the order in which it made them, so a node that has answered a request
-from a client made after the publishers knows them.
+Discovery has two sides: a publisher may already know a subscriber that does not know the publisher yet and
+drops its messages, on a busy machine for seconds. A participant announces its endpoints in the order of their
+creation. So a node that has answered a request of a client created after the publishers knows the publishers.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from quadpi_core.messages import qos
 
 QOS_PREFIX = "qos_overrides."
 
-# Policies that decide whether two endpoints match and how much waits between them, and the values of each.
+# The policies that may be overridden, and the type of the value of each; None is a positive integer.
 _VALUES: dict[QoSPolicyKind, type[HistoryPolicy | ReliabilityPolicy | DurabilityPolicy] | None] = {
     QoSPolicyKind.HISTORY: HistoryPolicy,
     QoSPolicyKind.DEPTH: None,
@@ -41,9 +40,9 @@ _NAME = re.compile(r"qos_overrides\.(?P<topic>/[^.]+)\.(?P<end>publisher|subscri
 _UNKNOWN = "UNKNOWN"
 
 _POLL_S = 0.02
-# How long an answer may take until the node is asked again: a node that configures does not answer.
+# A node that is being configured does not answer; after this time it is asked again.
 _ANSWER_S = 1.0
-# The subscribers that are known must stay the same for so long.
+# Discovery is taken as finished when the known subscribers have not changed for this time.
 _SETTLE_S = 0.2
 
 
@@ -57,28 +56,28 @@ def _profile(offered: qos.Qos) -> QoSProfile:
 
 SENSOR_QOS, OUTPUT_QOS, LOG_QOS = (_profile(offered) for offered in (qos.SENSOR, qos.OUTPUT, qos.LOG))
 
-# As tf2 offers and hears static transforms.
+# Quality of service of static transforms in tf2.
 TRANSFORMS_QOS = QoSProfile(
     depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 
 
 class QosOverrideError(QuadpiError):
-    """A parameter `qos_overrides` names no policy, or gives it no value."""
+    """A `qos_overrides` parameter has an unknown name or an invalid value."""
 
 
 def check_overrides(node: Node) -> None:
-    """Refuse overrides that rclpy would stumble over, or pass over.
+    """Refuse invalid `qos_overrides`: rclpy raises deep inside for a wrong value and ignores a wrong name.
 
-    Any topic may be named: a parameter file for several nodes holds those of the others too.
+    Any topic is accepted, as a parameter file for several nodes names the topics of all of them.
 
     Args:
-        node: whose parameters are declared.
+        node: its parameters are declared.
 
     Raises:
         QosOverrideError: naming the parameter.
     """
-    # rclpy declares that it gives values; it gives parameters.
+    # rclpy annotates values, but returns parameters.
     given: Mapping[str, Any] = node.get_parameters_by_prefix(QOS_PREFIX[:-1])
     for name, parameter in given.items():
         _check(f"node {node.get_name()}: parameter `{QOS_PREFIX}{name}`", QOS_PREFIX + name, parameter.value)
@@ -109,13 +108,13 @@ def overridden(
     default: QoSProfile | int,
     options: dict[str, Any],
 ) -> tuple[QoSProfile | int, dict[str, Any]]:
-    """The quality of service to create an endpoint with, and further options, where parameters override it.
+    """Quality of service and options for creating an endpoint, with the overrides of its topic applied.
 
     Args:
-        node: whose overrides :func:`check_overrides` has accepted.
-        end: of the topic.
-        topic: as it is given to rclpy.
-        default: quality of service; left as it is.
+        node: its overrides were accepted by :func:`check_overrides`.
+        end: kind of the endpoint.
+        topic: name as given to rclpy.
+        default: quality of service without overrides.
         options: of the function that creates the endpoint.
     """
     prefix = f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{end}"
@@ -127,7 +126,7 @@ def overridden(
 
 
 class DiscoveryError(QuadpiError):
-    """Nobody listens."""
+    """No subscriber was found in time."""
 
 
 def await_listeners(
@@ -136,13 +135,13 @@ def await_listeners(
     """Wait until the managed nodes are active and every publisher is connected to all its subscribers.
 
     Args:
-        node: of the publishers; on no executor.
-        publishers: each needs a subscriber.
+        node: owns the publishers; on no executor.
+        publishers: each needs at least one subscriber.
         managed: names of lifecycle nodes, relative to the namespace of `node`.
-        wait_s: how long to wait.
+        wait_s: timeout.
 
     Raises:
-        DiscoveryError: naming what is missing when the time is over.
+        DiscoveryError: on timeout, naming what is missing.
     """
     deadline = time.monotonic() + wait_s
     executor = EventsExecutor(context=node.context)
@@ -172,15 +171,15 @@ def _await_active(node: Node, executor: EventsExecutor, client: Client, name: st
 
 
 def await_subscribers(node: Node, publishers: Sequence[Publisher], wait_s: float) -> None:
-    """Wait until every publisher is connected to all its subscribers, of which each needs one.
+    """Wait until every publisher is connected to all its known subscribers, and to at least one.
 
     Args:
-        node: of the publishers.
-        publishers: to be heard.
-        wait_s: how long to wait.
+        node: owns the publishers.
+        publishers: to connect.
+        wait_s: timeout.
 
     Raises:
-        DiscoveryError: naming the topics that nobody hears when the time is over.
+        DiscoveryError: on timeout, naming the topics without a subscriber.
     """
     settled_s, before = time.monotonic(), _connections(node, publishers)
     deadline = settled_s + wait_s
@@ -202,7 +201,7 @@ def await_subscribers(node: Node, publishers: Sequence[Publisher], wait_s: float
 
 
 def _connections(node: Node, publishers: Sequence[Publisher]) -> list[tuple[int, int]]:
-    """Per publisher, how many subscribers it is connected to and how many are known."""
+    """Connected and known subscribers of each publisher."""
     return [
         (publisher.get_subscription_count(), node.count_subscribers(publisher.topic_name))
         for publisher in publishers

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi demo`: the whole story on bundled or real flights, the live nodes included."""
+"""`quadpi demo`: identify, evaluate, replay through the live nodes and report, on bundled or real flights."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from quadpi_ros.collector import AlarmChange
 from quadpi_ros.live_session import SessionResult, run_session
 
 CONFIDENCE = 0.95
-# A NeuroBEM flight above this speed is kept from identification: the model has to extrapolate on it.
+# Faster NeuroBEM flights are not identified on, so that the model has to extrapolate on them.
 FASTEST_IDENTIFIED_M_S = 12.0
 
 _LEVEL_STYLES = ("green", "yellow", "bold red")
@@ -40,12 +40,12 @@ m/s; name the folder that holds neurobem/ with --data or $QUADPI_DATA, or neithe
 
 @dataclass(frozen=True)
 class DemoFlights:
-    """What the demo runs on.
+    """Flights of the demo.
 
     Attributes:
-        vehicle: that flew.
+        vehicle: of all flights.
         groups: bags by group; the model is identified on the first.
-        replayed: the bag that goes through the live nodes.
+        replayed: bag that is played through the live nodes.
     """
 
     vehicle: Vehicle
@@ -63,17 +63,17 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
 
     Args:
         data: folder of real flights; None for the bundled ones.
-        output: folder for all that the demo makes.
+        output: folder for all results.
         rate: speed of the live replay; 1 is real time.
-        console: to tell the story on.
+        console: for progress and results.
 
     Raises:
-        QuadpiError: saying what to provide where the flights are absent.
+        QuadpiError: saying which flights to provide if they are missing.
     """
     if not 0.0 < rate < np.inf:
         raise QuadpiError(f"--rate must be positive, found {rate:g}")
     flights = _bundled_flights(console) if data is None else _real_flights(data, output, console)
-    _tell(flights, output, rate, console)
+    _run(flights, output, rate, console)
 
 
 def _bundled_flights(console: Console) -> DemoFlights:
@@ -110,7 +110,7 @@ def _real_flights(data: Path, output: Path, console: Console) -> DemoFlights:
     return DemoFlights(vehicle, groups, groups["extrapolation"][0])
 
 
-def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> None:
+def _run(flights: DemoFlights, output: Path, rate: float, console: Console) -> None:
     vehicle = flights.vehicle
     console.rule("2  Identify: stepwise polynomials on the slower flights")
     with console.status("Estimating states") as status:
@@ -152,7 +152,7 @@ def _tell(flights: DemoFlights, output: Path, rate: float, console: Console) -> 
     live = session.summary()
     console.print(
         f"{live['samples_in']} IMU samples in, {live['predictions_out']} predictions out, "
-        f"{live['dropped']} dropped; {_first(live)}alarm for {live['alarm_fraction']:.0%} of the time; "
+        f"{live['dropped']} dropped; {_first_times(live)}alarm for {live['alarm_fraction']:.0%} of the time; "
         f"latency {live['latency_ms_p50']:.1f} ms median, {live['latency_ms_p99']:.1f} ms p99"
     )
 
@@ -168,8 +168,8 @@ def _show(console: Console, change: AlarmChange) -> None:
     console.print(Text(str(change), style=_LEVEL_STYLES[change.level]))
 
 
-def _first(live: dict[str, float | int | None]) -> str:
-    """When the first warning and the first alarm came, where one did."""
+def _first_times(live: dict[str, float | int | None]) -> str:
+    """Times of the first warning and the first alarm, if any."""
     times = {level: live[f"{level}_first_s"] for level in ("warning", "alarm")}
     return "".join(f"first {level} at {time:.1f} s; " for level, time in times.items() if time is not None)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `/diagnostics` says of a topic."""
+"""Messages for `/diagnostics`: statuses of nodes and of their topics."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.STALE,
 )
 
-# A low-pass designed for another rate has another cut-off, by as much.
+# A relative error of the rate moves the cut-off of a low-pass by as much.
 _RATE_TOLERANCE = 0.1
-# Fewer samples say little about a rate.
+# With fewer samples the rate of the stamps is too uncertain to judge.
 _RATE_SAMPLES_MIN = 20
 
 
 def array(node: Node, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
-    """The statuses of a node at this moment.
+    """Message with the statuses of a node, stamped now.
 
-    Their `hardware_id` is the vehicle, by the name of its file behind the node's namespace, as two vehicles
-    may be of one kind.
+    Sets their `hardware_id` to the node's namespace and the name of its vehicle file, as several vehicles may
+    share a file.
 
     Args:
         node: its parameter `vehicle` is the file.
-        statuses: to be sent; their `hardware_id` is set.
+        statuses: to send.
     """
     vehicle = Path(node.get_parameter_or("vehicle", Parameter("vehicle", value="")).value).stem
     for one in statuses:
@@ -46,12 +46,12 @@ def array(node: Node, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
 
 
 def full_name(node: Node, name: str) -> str:
-    """The name of a status of a node."""
+    """Name of a status, preceded by that of its node."""
     return f"{node.get_fully_qualified_name().lstrip('/')}: {name}"
 
 
 def type_name(message_type: Any) -> str:
-    """The name of a message type as the graph of nodes has it, such as `sensor_msgs/msg/Imu`."""
+    """Name of a message type in the ROS graph, such as `sensor_msgs/msg/Imu`."""
     return f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
 
 
@@ -74,15 +74,15 @@ def topic_status(
     mismatch: str | None,
     values: Mapping[str, Any],
 ) -> DiagnosticStatus:
-    """How a topic that the node listens to fares.
+    """Status of a subscribed topic.
 
     Args:
         name: of the status.
-        report: of the topic since the last status.
+        report: health of the topic since the last status.
         required: whether silence is an error.
-        rate_hz: parameter `imu_rate_hz` for the topic imu, where it is given.
-        mismatch: why a publisher cannot be heard.
-        values: what else to say.
+        rate_hz: nominal rate, if one is set.
+        mismatch: why a publisher is incompatible.
+        values: further values to report.
     """
     level, message = OK, f"{report.rate_hz:.0f} Hz"
     if report.samples == 0 and mismatch:

@@ -32,8 +32,10 @@ IMU_TOPIC = "imu"
 
 _WARM_UP_S = 1.1
 _WARM_UP_RATE_HZ = 100.0
-# For so long the filter may take to begin; stamps of one clock are never this far apart.
-_INITIALISING_S, _APART_S = 3.0, 1.0
+# Time in which the filter should have initialised.
+_INITIALISING_S = 3.0
+# Newest stamps of two topics that are further apart come from different clocks.
+_APART_S = 1.0
 _FUSED = {f"{kind} {outcome}" for kind in ("poses", "velocities") for outcome in ("used", "collected")}
 _LEVELS = {
     EstimatorStatus.INITIALISING: diagnostics.WARN,
@@ -44,7 +46,7 @@ _LEVELS = {
 
 
 class StateListener(Protocol):
-    """Takes each estimate in the same process, where serializing it would be waste."""
+    """Receives each estimate in the same process, without serialization."""
 
     def take_imu(self, imu: ImuStream) -> None:
         """Take an IMU sample, corrected by the estimated biases."""
@@ -54,10 +56,10 @@ class StateListener(Protocol):
 
 
 class EstimatorNode(SensorNode[EstimatorParameters]):
-    """The EKF of `quadpi_core.estimator.ekf` between its topics.
+    """The EKF of `quadpi_core.estimator.ekf` as a node.
 
     Attributes:
-        listener: takes each estimate directly, before it is published.
+        listener: receives each estimate directly, before it is published.
     """
 
     def __init__(self) -> None:
@@ -78,7 +80,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._publish = self.announce(Odometry, "odometry")
 
     def activate(self) -> None:
-        """Start anew from what comes now."""
+        """Reset the filter and subscribe to its inputs."""
         self._ekf.reset()
         self._consistency = ConsistencyWatch(self, None)
         self.hear_transforms(self._body)
@@ -90,7 +92,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._without_state = 0
 
     def _motion_capture(self, adapted: AdaptedSources) -> tuple[Source, Callable[[Any], None]]:
-        """The topic that the parameters name, and what takes its samples."""
+        """The motion capture of the parameter `mocap_topic`, and the method that takes its samples."""
         topic = self.parameters.mocap_topic
         if topic == "mocap/pose":
             pose = Framed(sensor_messages.unpack_pose, self._body.world, self._body)
@@ -105,7 +107,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         return adapted.named(topic), self._take_pose
 
     def problem(self) -> str | None:
-        """Also that no state comes out of what arrives."""
+        """As the base class, and why samples arrive but give no state."""
         lack = super().problem()
         self._without_state = 0 if lack or self._ekf.initialised else self._without_state + 1
         if self._without_state == 0:
@@ -122,7 +124,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         )
 
     def count_refused(self) -> None:
-        """Poses and velocities wait for their place in time; only then it is known whether they are used."""
+        """Count rejected poses and velocities; the filter decides on them after a delay."""
         outcomes = self._mocap_outcomes()
         for what, count in (outcomes - self._counted).items():
             if what not in _FUSED:
@@ -130,7 +132,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._counted = outcomes
 
     def statuses(self) -> list[DiagnosticStatus]:
-        """How far the estimate can be used, and what became of the motion capture."""
+        """Status of the filter with the outcomes of the motion capture, and of the consistency check."""
         ekf = self._ekf
         values: dict[str, float | int] = {}
         if ekf.initialised:
@@ -146,7 +148,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         return [self.status("filter", level, message, values), self._consistency.status()]
 
     def _mocap_outcomes(self) -> Counter[str]:
-        """How many poses and velocities met each outcome so far."""
+        """Number of poses and velocities by outcome."""
         ekf = self._ekf
         return Counter(
             {
@@ -196,7 +198,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
 
 def framed_imu(frames: BodyFrames) -> Source:
-    """The topic imu, its samples moved to the body."""
+    """The topic imu, its samples transformed to the body frame."""
     return Source(Imu, IMU_TOPIC, Framed(sensor_messages.unpack_imu, frames.imu, frames))
 
 
@@ -205,7 +207,7 @@ def _reason(outcome: Outcome) -> str:
 
 
 def _warm_up(vehicle: Vehicle) -> None:
-    """Load every compiled kernel now: the first sample in flight must not wait for it."""
+    """Load every compiled kernel now, so that the first sample in flight need not wait for it."""
     ekf = Ekf(vehicle)
     hover = np.array([[0.0, 0.0, -vehicle.gravity_m_s2]])
     level = np.array([[1.0, 0.0, 0.0, 0.0]])

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the inputs of a node come from: standard topics, or messages of other packages.
+"""Inputs of the nodes: standard topics, or messages of other packages read by `messages.adapters`.
 
-Messages of other packages are read by `messages.adapters`. Their layout comes from the installed package, so
-that whatever version flies is understood.
+The layout of a message of another package is taken from the installed package, so that its version does not
+matter.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _RULE = f"{'=' * 80}\n"
 
 
 class Source(NamedTuple):
-    """A topic, and how its messages become streams of one sample; the first arguments of `listen`."""
+    """A topic and how its messages become streams of one sample: the first arguments of `listen`."""
 
     message_type: type
     topic: str
@@ -38,15 +38,15 @@ class Source(NamedTuple):
 
 
 class AdaptedSources:
-    """Inputs that come as messages of other packages, read as a file says.
+    """Inputs in messages of other packages, configured by an adapter file.
 
     Args:
-        node: its name, for errors.
+        node: name of the node, for errors.
         file: parameter `adapters`: a name in config/adapters or a path; empty for none.
-        vehicle: that flies.
+        vehicle: of the flight.
 
     Raises:
-        LogError: for a file that cannot be used.
+        LogError: for an invalid file.
     """
 
     def __init__(self, node: str, file: str, vehicle: Vehicle) -> None:
@@ -56,11 +56,11 @@ class AdaptedSources:
         self._settings = AdapterSettings.load(file) if file else AdapterSettings()
 
     def named(self, name: str) -> Source:
-        """The messages of the adapter of that name.
+        """The input that an adapter reads, by the adapter's name.
 
         Raises:
-            ParameterError: if no file says how to read them.
-            AdapterError: if the package that defines them is not installed, or the file does not fit.
+            ParameterError: without an adapter file.
+            AdapterError: if the package of the message is not installed, or the file lacks the settings.
         """
         if not self._file:
             raise ParameterError(
@@ -76,7 +76,7 @@ class AdaptedSources:
         return Source(subscription.message_type, subscription.topic, subscription.unpack)
 
     def instead_of(self, standard: Source, kind: str) -> Source:
-        """The messages of the only adapter of a kind if the file lists that kind, else the standard topic.
+        """The input of the only adapter of a kind if the file has settings for it, else the standard topic.
 
         Raises:
             AdapterError: see :meth:`named`.
@@ -88,21 +88,19 @@ class AdaptedSources:
 
 
 class AdapterError(QuadpiError):
-    """Messages of another package cannot be subscribed to."""
+    """A message of another package cannot be read here."""
 
 
 class AdaptedSubscription:
-    """What a node needs in order to listen to messages of another package.
+    """Message type, topic and decoder for a message of another package.
 
     Attributes:
-        message_type: for the subscription, which stays serialized (`raw=True`).
-        topic: that the settings name, else where the package publishes it by default.
-        kind: the stream that comes out: "rotor_speeds", "mocap" (poses), "odometry" or "imu".
+        message_type: class of the message, for a raw subscription.
+        topic: from the settings, else the default topic of the package.
     """
 
     def __init__(self, adapter: Adapter, settings: AdapterSettings, vehicle: Vehicle | None) -> None:
         self.message_type = message_class(adapter.type_name)
-        self.kind = adapter.kind
         self._unpacker = adapter.open(definition_of(self.message_type), settings, vehicle)
         self.topic: str = getattr(settings, adapter.kind).topic or adapter.topic
         self._dropped: Counter[str] = Counter()
@@ -111,7 +109,7 @@ class AdaptedSubscription:
         """The sample in a message.
 
         Raises:
-            LogError: for a message that cannot be read, or saying why it holds no sample.
+            LogError: for a malformed message, or with the reason why it holds no sample.
         """
         stream = self._unpacker.unpack(payload)
         if len(stream) == 0:
@@ -126,12 +124,12 @@ def adapted(name: str, settings: AdapterSettings, vehicle: Vehicle | None) -> Ad
 
     Args:
         name: key of `quadpi_core.messages.adapters.ADAPTERS`.
-        settings: what the messages do not say; must have those of the adapter's kind.
-        vehicle: that flies.
+        settings: with those of the adapter's kind.
+        vehicle: of the flight.
 
     Raises:
-        AdapterError: for an unknown name, or if the package that defines the message is not installed.
-        LogError: for settings that are missing, or a version of the package that is not known.
+        AdapterError: for an unknown name, or if the package of the message is not installed.
+        LogError: for missing settings, or an unsupported version of the package.
     """
     if name not in ADAPTERS:
         raise AdapterError(f"no adapter `{name}`; known: {', '.join(ADAPTERS)}")
@@ -154,7 +152,7 @@ def message_class(type_name: str) -> Any:
 
 
 def definition_of(message_type: Any) -> str:
-    """The definition of an installed message and all that it contains, as a bag embeds it (`ros2msg`)."""
+    """Definition of an installed message and of the messages in it, in the `ros2msg` format of bags."""
     contained: dict[str, Any] = {}
     text = _fields_of(message_type, contained)
     sections, done = [text], set[str]()
@@ -166,7 +164,7 @@ def definition_of(message_type: Any) -> str:
 
 
 def _fields_of(message_type: Any, contained: dict[str, Any]) -> str:
-    """One line per field; adds the classes of messages that are fields to `contained`."""
+    """One line per field; adds the classes of nested messages to `contained`."""
     lines = []
     for name, kind in message_type.get_fields_and_field_types().items():
         match = _FIELD.match(kind)

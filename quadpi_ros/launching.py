@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files share: their arguments, the live nodes, and what becomes of a program that ends."""
+"""Shared parts of the launch files: arguments, live nodes, and the handling of programs that end."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from quadpi_ros.player import START_TIMEOUT_S, live_inputs
 SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
 OUTPUTS = ("odometry", "prediction", "extrapolation_alarm", "alarm_log")
 
-# Arguments that are parameters of the same name. Each live node is given them all, and passes over those of
-# the other.
+# Arguments that are node parameters of the same name. Each live node gets them all and ignores those of the
+# other.
 PARAMETERS = (
     *("vehicle", "model", "rotor_topic", "mocap_topic", "imu_rate_hz", "adapters"),
     *("body_frame", "world_frame", "frames", "autostart", "use_sim_time"),
 )
 
-# Arguments that `ros2 launch` adds itself for its options.
+# Arguments that `ros2 launch` adds for its own options.
 _OF_ROS2_LAUNCH = {"launch-prefix", "launch-prefix-filter"}
-# Exit status of a program that has said what the user has to mend: the next start would end the same.
+# Exit status of a program after an error that the user must correct: starting it again would fail again.
 _REFUSED = 2
 _RESPAWN_DELAY_S = 1.0
 
 
 class LaunchError(RuntimeError):
-    """A launch file cannot go on; `ros2 launch` logs the message, ends all it has started, and returns 1."""
+    """A launch file fails: `ros2 launch` logs the message, ends all its programs, and returns 1."""
 
 
 @dataclass(frozen=True)
 class Argument:
-    """A launch argument; one without a default is required, an empty default leaves the choice to others."""
+    """A launch argument: required without a default, left to the parameter file with an empty one."""
 
     name: str
     description: str
@@ -57,7 +57,7 @@ class Argument:
 
 
 def argument_of(topic: str) -> str:
-    """Name of the launch argument of a topic."""
+    """Launch argument that renames a topic."""
     return f"{topic.replace('/', '_')}_topic"
 
 
@@ -66,7 +66,7 @@ def common_arguments(parameter_file: str, respawn: bool) -> tuple[Argument, ...]
 
     Args:
         parameter_file: name of the default one in config/nodes.
-        respawn: whether a program that ends is started again.
+        respawn: whether programs that end are started again by default.
     """
     defaults = config_directory() / "nodes" / parameter_file
     return (
@@ -99,22 +99,21 @@ def monitor_arguments(respawn: bool) -> tuple[Argument, ...]:
 
 @dataclass(frozen=True)
 class Launch:
-    """A launch file at work.
+    """A launch file being executed.
 
     Attributes:
         values: of all its arguments.
-        direct: whether `ros2 launch` was asked for it, rather than for a file that includes it: only then may
-            it end what runs.
+        direct: whether the user launched this file, not one that includes it, so that it may end the launch.
     """
 
     values: Mapping[str, str]
     direct: bool
 
     def switch(self, name: str) -> bool:
-        """The value of an argument that is true or false.
+        """Value of a boolean argument.
 
         Raises:
-            LaunchError: if it is neither.
+            LaunchError: if it is not true or false.
         """
         value = self.values[name]
         if value.lower() not in {"true", "false", "1", "0"}:
@@ -122,7 +121,7 @@ class Launch:
         return value.lower() in {"true", "1"}
 
     def given(self, names: Iterable[str]) -> dict[str, Any]:
-        """Parameters of a program, from those of the named arguments that have a value."""
+        """Parameters from those of the named arguments that have a value."""
         return {name: self._parameter(name) for name in names if self.values[name]}
 
     def _parameter(self, name: str) -> Any:
@@ -141,15 +140,15 @@ class Launch:
     def program(
         self, executable: str, parameters: Mapping[str, Any], topics: Sequence[str] = ()
     ) -> list[Any]:
-        """Actions that run a node of quadpi, started again where the argument says so.
+        """Actions that run a node of quadpi and, with the argument `respawn`, start it again.
 
         Args:
             executable: in lib/quadpi.
-            parameters: beside those of the parameter file.
-            topics: that have an argument for another name.
+            parameters: in addition to those of the parameter file.
+            topics: that arguments rename.
 
         Raises:
-            LaunchError: if the parameter file is not there, which launch itself would go on without.
+            LaunchError: if the parameter file is missing, which launch would ignore.
         """
         again = self.switch("respawn")
         if not Path(self.values["parameters"]).is_file():
@@ -167,15 +166,15 @@ class Launch:
         return [node, self.when_ended(node, executable, again)]
 
     def remappings(self, topics: Iterable[str]) -> list[tuple[str, str]]:
-        """The other names of topics, by their arguments."""
+        """New names of topics, from their arguments."""
         return [(topic, self.values[argument_of(topic)]) for topic in topics]
 
     def when_ended(
         self, node: Node, executable: str, again: bool, then: Callable[[], list[Any]] = list
     ) -> RegisterEventHandler:
-        """What follows when a program ends: an error where it has failed for good, else `then`.
+        """Handler of a program's end: an error if it failed and is not started again, else actions of `then`.
 
-        For good is a program that is not started again, or that has said what the user has to mend.
+        A program that ends for an error that the user must correct is an error in any case.
         """
 
         def ended(event: Any, context: LaunchContext) -> list[Any]:
@@ -188,11 +187,11 @@ class Launch:
 
 
 def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({})) -> list[Any]:
-    """Estimator and monitor: in one process, or each in its own.
+    """Actions that run estimator and monitor, in one process or each in its own.
 
     Args:
         launch: with :func:`monitor_arguments`.
-        chosen: values of arguments that are not given.
+        chosen: defaults for empty arguments.
     """
     instead = {name: value for name, value in chosen.items() if not launch.values[name]}
     whole = replace(launch, values={**launch.values, **instead})
@@ -207,12 +206,12 @@ def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({}))
 def description(
     file: str, arguments: Sequence[Argument], start: Callable[[Launch], list[Any]]
 ) -> LaunchDescription:
-    """The description of a launch file, which refuses arguments that it does not know.
+    """Description of a launch file that refuses unknown arguments.
 
     Args:
-        file: its path.
-        arguments: that it takes.
-        start: gives its actions; may raise :class:`LaunchError`.
+        file: path of the launch file.
+        arguments: known ones.
+        start: returns the actions; may raise :class:`LaunchError`.
     """
 
     def execute(context: LaunchContext) -> list[Any]:
@@ -234,7 +233,7 @@ def description(
 
 
 def _asked_for(file: Path) -> bool:
-    """Whether `ros2 launch` runs this file, by its package or path, and not one that includes it."""
+    """Whether the command line names this file, by package or path, and not one that includes it."""
     return any(
         Path(name).name == file.name
         and (package == "quadpi" or (Path(name).is_file() and Path(name).samefile(file)))
@@ -243,7 +242,7 @@ def _asked_for(file: Path) -> bool:
 
 
 def _refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> None:
-    """Refuse `name:=value` of the command line that nothing reads: launch itself would ignore it.
+    """Refuse unknown `name:=value` of the command line, which launch would ignore.
 
     Raises:
         LaunchError: naming it.
@@ -257,7 +256,7 @@ def _refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> No
 
 
 def bridge(launch: Launch) -> list[Any]:
-    """The MAVLink bridge; one that plays a log is not started again when it has played it."""
+    """Actions that run the MAVLink bridge; one that plays a log is not started again at its end."""
     replayed = is_replay(launch.values["connection"])
     respawn = launch.switch("respawn") and not replayed
     whole = replace(launch, values={**launch.values, "respawn": str(respawn)})
@@ -265,7 +264,7 @@ def bridge(launch: Launch) -> list[Any]:
 
 
 def replay(launch: Launch) -> list[Any]:
-    """The live nodes, and a player that ends all when the bag is played; topics are chosen from the bag.
+    """Actions that run the live nodes and a player, and end all after the bag; topics follow from the bag.
 
     Raises:
         LaunchError: if the bag cannot be played.

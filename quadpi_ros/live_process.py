@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimator and monitor in one process, on one executor: the default on a vehicle.
 
-The estimator hands each state to the monitor directly instead of over DDS, and still publishes odometry.
+The estimator passes each state to the monitor directly instead of over DDS, and publishes odometry as well.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from quadpi_ros.runtime import ManagedNode, run, serve
 
 
 def create_nodes() -> list[ManagedNode[Any]]:
-    """Both nodes, connected."""
+    """Estimator and monitor, connected."""
     estimator = EstimatorNode()
     return [estimator, MonitorNode(estimator)]
 

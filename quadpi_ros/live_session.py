@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A live session from Python: play a bag through the live nodes over real DDS, collect what they publish."""
+"""Play a bag through the live nodes over real DDS and collect what they publish."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.player import START_TIMEOUT_S, Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain
 
-# A busy machine holds nodes up: they are silent before their first prediction, and between others.
+# On a busy machine, time until the first prediction, and silence after which no more are expected.
 _FIRST_TIMEOUT_S = 20.0
 _SILENCE_S = 1.0
 
 
 class SessionError(QuadpiError):
-    """The live nodes do not run, or nothing came out of them."""
+    """The live nodes do not run or publish nothing."""
 
 
 @dataclass(frozen=True)
 class SessionResult:
-    """What went in and came out.
+    """Inputs and outputs of a live session.
 
     Attributes:
         imu_stamps_ns: (N,) stamps of the IMU samples played.
-        rotor_stamps_ns: stamps of the rotor speeds played.
+        rotor_stamps_ns: (R,) stamps of the rotor speeds played.
         latency_ms: (P,) from publication of an IMU sample to arrival of its prediction.
         odometry: messages as published.
-        predictions, alarms: as published.
+        predictions, alarms: decoded.
     """
 
     imu_stamps_ns: Stamps
@@ -53,14 +53,14 @@ class SessionResult:
 
     @property
     def dropped(self) -> int:
-        """IMU samples without a prediction, from when the estimator can start to the last rotor speed."""
+        """IMU samples without a prediction, from the estimator's start to the last rotor speed."""
         first = max(self.imu_stamps_ns[0] + COLLECT_NS, self.rotor_stamps_ns[0])
         last = self.rotor_stamps_ns[-1]
         expected = np.sum((self.imu_stamps_ns >= first) & (self.imu_stamps_ns <= last))
         return int(expected) - len(self.predictions.time_ns)
 
     def summary(self) -> dict[str, float | int | None]:
-        """The numbers of the session, ready for JSON; seconds count from the first IMU sample."""
+        """Statistics for JSON; seconds count from the first IMU sample."""
         start_ns, end_ns = int(self.imu_stamps_ns[0]), int(self.imu_stamps_ns[-1])
         alarm, warning = (
             alarm_time(self.alarms.time_ns, self.alarms.level, end_ns, level)
@@ -87,18 +87,17 @@ def run_session(
     parameters: Mapping[str, object] | None = None,
     on_alarm: Callable[[AlarmChange], None] | None = None,
 ) -> SessionResult:
-    """Start the live nodes, play the bag through them and collect until they fall silent.
+    """Start the live nodes, play the bag through them and collect their output until they fall silent.
 
-    Nodes and player run in processes of their own, in a ROS domain of their own on this machine only. They
-    end with the call, however it ends.
+    Nodes and player are child processes in a reserved ROS domain on this machine; they end with the call.
 
     Args:
         bag: with the standard topics imu, motion capture and rotor speeds.
         model: folder of a model of the vehicle.
-        vehicle: name of its vehicle file, or a path.
+        vehicle: name of the vehicle file, or a path.
         rate: speed of the replay; 1 is real time.
-        parameters: of the nodes, beside those that follow from bag and model.
-        on_alarm: called at every change of the alarm as it comes.
+        parameters: of the nodes, in addition to those that follow from bag and model.
+        on_alarm: called at once for every change of the alarm.
 
     Raises:
         PlayerError: if the bag lacks a topic.
@@ -128,7 +127,7 @@ def run_session(
 
 
 def await_start(nodes: Child, collector: Collector) -> None:
-    """Wait until the nodes publish every topic that the collector listens to.
+    """Wait until the nodes have publishers for every topic of the collector.
 
     Raises:
         SessionError: if they do not start.
@@ -148,13 +147,13 @@ def play(
     collector: Collector,
     managed: Sequence[str] = ("estimator", "monitor"),
 ) -> dict[str, Stamps]:
-    """Play topics of a bag through running nodes and collect until they fall silent.
+    """Play topics of a bag through running nodes and collect their output until they fall silent.
 
     The player waits until the `managed` nodes are active.
 
     Returns:
-        Of each standard topic (N, 2) nanoseconds: the stamp of each message, and when it was published by the
-        monotonic clock.
+        Per standard topic (N, 2) nanoseconds: stamp of each message, and its publication on the monotonic
+        clock.
 
     Raises:
         SessionError: if the nodes end before the bag does.
@@ -162,7 +161,7 @@ def play(
     """
     sent_file = folder / "sent.npz"
     arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
-    # Nodes that configure themselves for the first time on a machine compile the kernels meanwhile.
+    # The first start on a machine compiles the kernels.
     arguments += ("--wait", str(START_TIMEOUT_S))
     arguments += ("--nodes", *managed) if managed else ()
     with Child("quadpi_ros.player", arguments, folder) as player:

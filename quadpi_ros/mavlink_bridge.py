@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bridge node: an autopilot's MAVLink in, the standard sensor topics out.
+"""Bridge node: MAVLink of an autopilot in, standard sensor topics out.
 
-A thread reads the link and publishes, so that a sample waits for nothing; the executor only serves parameters
+A thread reads the link and publishes, so that samples wait for nothing; the executor serves only parameters
 and diagnostics.
 """
 
@@ -41,21 +41,24 @@ from quadpi_ros.parameters import ParameterError, read_parameters
 from quadpi_ros.runtime import run, spin
 
 _READ_TIMEOUT_S = 0.02
+# First and longest wait before a broken link is opened again.
 _BACK_OFF_S = (0.5, 8.0)
+# An autopilot that sends nothing for longer is reported.
 _SILENT_S = 2.0
 _STOP_TIMEOUT_S = 5.0
-# How long a log waits for a subscriber of imu, and how often it asks whether the node ends.
+# A log waits this long for a subscriber of imu, and checks this often whether the node ends.
 _SUBSCRIBER_WAIT_S, _SUBSCRIBER_POLL_S = 10.0, 1.0
-# Time for the last messages to leave before the participant closes.
+# Time for the last messages to be sent before the participant closes.
 _FLUSH_S = 0.2
-# Anybody can send in the name of many systems; the diagnostics name those that send most.
+# Ignored systems that the diagnostics name: those that send most, as a sender can claim any number of ids.
 _OTHERS_NAMED = 8
+# Values of a sample of each topic.
 _WIDTHS = {"imu": 6, "rotor_speeds": 4, "mocap/pose": 7, "odometry": 13}
 _LEVEL_ROW = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 class _Reported(NamedTuple):
-    """When the diagnostics were last published, and what counts they saw."""
+    """Time and counts of the last diagnostics."""
 
     at_s: float
     samples: dict[str, int]
@@ -63,15 +66,15 @@ class _Reported(NamedTuple):
 
 
 class MavlinkBridge(GuardedNode):
-    """Publishes `imu`, `rotor_speeds`, `mocap/pose` and `mocap/odometry` as far as the autopilot sends them.
+    """Publishes `imu`, `rotor_speeds`, `mocap/pose` and `mocap/odometry` if the autopilot sends them.
 
     Args:
-        node: further arguments of rclpy's Node.
+        node: keyword arguments of rclpy's Node.
 
     Raises:
         ParameterError: for wrong parameters.
-        LogError: if pymavlink is not installed, or a telemetry log holds no packets.
-        LinkError: for a wrong connection string.
+        LogError: if pymavlink is not installed, or a telemetry log has no packets.
+        LinkError: for an invalid connection string.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -80,7 +83,7 @@ class MavlinkBridge(GuardedNode):
         check_connection(self._given.connection)
         vehicle = Vehicle.load(self._given.vehicle)
         self._session = MavlinkSession(vehicle, _order(self._given, vehicle), _settings(self._given))
-        # Of a log that cannot be read nothing better comes by waiting.
+        # A link is opened again after a failure; a log that cannot be read is an error at once.
         self._link: Link | None = open_link(self._given.connection) if self._is_replay else None
         self._imu_publisher = self.create_publisher(Imu, "imu", SENSOR_QOS)
         self._publish: dict[str, Callable[[Any], None]] = {
@@ -90,7 +93,7 @@ class MavlinkBridge(GuardedNode):
             "odometry": self.create_publisher(Odometry, "mocap/odometry", SENSOR_QOS).publish,
         }
         for topic, width in _WIDTHS.items():
-            self._packed(topic, 0, _LEVEL_ROW[:width])  # the first sample must not wait for compiled kernels
+            self._packed(topic, 0, _LEVEL_ROW[:width])  # compile the kernels before the first sample
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._problem: str | None = "not connected yet"
@@ -106,7 +109,7 @@ class MavlinkBridge(GuardedNode):
         return is_replay(self._given.connection)
 
     def destroy_node(self) -> None:
-        """Also end the thread."""
+        """End the thread as well."""
         self._stop.set()
         self._thread.join(_STOP_TIMEOUT_S)
         super().destroy_node()
@@ -123,7 +126,7 @@ class MavlinkBridge(GuardedNode):
         return sensor_messages.pack_odometry(stream, frame_id=world, child_frame_id=body)[0]
 
     def _serve(self) -> None:
-        """Keep a link open until the node ends; wait longer after each failure."""
+        """Keep a link open until the node ends, waiting longer after each failure."""
         wait_s, longest_s = _BACK_OFF_S
         while not self._stop.is_set():
             heard = False
@@ -148,7 +151,7 @@ class MavlinkBridge(GuardedNode):
             except (QuadpiError, OSError) as error:
                 self._problem = str(error)
                 self.get_logger().warning(f"{self._problem}; next attempt in {wait_s:g} s")
-            except Exception as error:  # a thread that ends without a word would look like a silent autopilot
+            except Exception as error:  # the thread must go on: without it, the autopilot would seem silent
                 self._problem = f"error in the program: {one_line(error)}"
                 self.exceptions.take("link", error)
             if heard:
@@ -157,7 +160,7 @@ class MavlinkBridge(GuardedNode):
             wait_s = min(2.0 * wait_s, longest_s)
 
     def _await_subscriber(self) -> None:
-        """A log does not wait for those who are still to find it; an autopilot cannot be asked to."""
+        """Wait for a subscriber before a log is played from its start."""
         self._problem = "nobody subscribes to imu yet: the log waits"
         deadline = time.monotonic() + _SUBSCRIBER_WAIT_S
         while not self._stop.is_set():
@@ -171,9 +174,9 @@ class MavlinkBridge(GuardedNode):
         self._problem = None
 
     def _exchange(self, link: Link) -> bool:
-        """Read once, and make of it what can be made; whether anything came.
+        """Read the link once and process the data; returns whether any came.
 
-        An error in the program costs what was read, not the link; one in reading costs the link.
+        An error in processing loses that data only; an error in reading closes the link.
         """
         chunk = link.read(_READ_TIMEOUT_S)
         try:
@@ -185,7 +188,7 @@ class MavlinkBridge(GuardedNode):
         return chunk is not None
 
     def _answer(self, link: Link, chunk: Chunk | None) -> None:
-        """Publish what came, send what is due."""
+        """Publish the samples received and send the packets that are due."""
         with self._lock:
             received = []
             if chunk is not None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of a MAVLink connection: serial port, UDP, TCP, or a telemetry log in real time."""
+"""Byte transports for MAVLink: serial port, UDP, TCP, or a telemetry log in real time."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ FORMS = "udp:HOST:PORT (listens), udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE
 
 _READ_BYTES = 65_536
 _BUFFER_BYTES = 4 << 20
-# Linux's number, which the module socket lacks.
+# Linux constant that the module socket lacks.
 _SO_RCVBUFFORCE = 33
 _CONNECT_TIMEOUT_S = 3.0
 
 
 class LinkError(QuadpiError):
-    """A connection cannot be made, or is broken."""
+    """A connection cannot be opened, or is broken."""
 
 
 class Chunk(NamedTuple):
-    """Bytes, when they arrived (ns since 1970), and whether no packet goes on beyond them.
+    """Bytes received at once.
 
     Attributes:
-        address: where they come from; None if the link has one other end only.
+        data: the bytes.
+        arrival_ns: time of arrival, ns since 1970.
+        complete: whether packets are whole within the chunk, as in a datagram.
+        address: of the sender; None on a link with a single peer.
     """
 
     data: bytes
@@ -43,17 +46,17 @@ class Link(Protocol):
     """An open connection; every method raises LinkError when it is broken."""
 
     def read(self, timeout_s: float) -> Chunk | None:
-        """What arrives within a time; None if nothing does."""
+        """The next bytes; None if nothing arrives within the timeout."""
 
     def write(self, data: bytes, address: object, /) -> None:
-        """Send to the address of a chunk, or to the only other end; None: it is not known yet."""
+        """Send to the address of a chunk, or to the only peer; with None while no peer is known."""
 
     def close(self) -> None:
-        """Free the port."""
+        """Close the connection."""
 
 
 class UdpLink:
-    """A UDP port that listens to anyone, or one that sends first and hears nobody else."""
+    """A UDP port that receives from anyone, or one that sends first and receives from that peer only."""
 
     def __init__(self, host: str, port: int, *, listens: bool) -> None:
         self._listens = listens
@@ -74,7 +77,7 @@ class UdpLink:
         try:
             data, address = self._socket.recvfrom(_READ_BYTES)
         except (TimeoutError, ConnectionRefusedError):
-            # Refused is what Linux says of a datagram that nobody took; the peer may come.
+            # Linux reports that nobody received our last datagram; the peer may start later.
             return None
         return Chunk(data, time.time_ns(), complete=True, address=address)
 
@@ -94,7 +97,7 @@ class UdpLink:
 
 
 def _widen(receiver: socket.socket) -> None:
-    """Room for seconds of packets while the processor is busy, beyond the system's limit if allowed."""
+    """Enlarge the receive buffer to seconds of packets, beyond the system's limit if permitted."""
     try:
         receiver.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
     except PermissionError:
@@ -151,7 +154,7 @@ class SerialLink:
 
 
 class ReplayLink:
-    """A telemetry log, each packet when it is due since the first read; arrivals are those of the log."""
+    """A telemetry log that delivers each packet when it is due, with the arrival time of the log."""
 
     def __init__(self, path: Path) -> None:
         self._records = list(read_records(path.read_bytes(), TlogCounts()))
@@ -170,7 +173,7 @@ class ReplayLink:
             raise EOFError
         record = self._records[self._next]
         if self._ahead_ns is None:
-            # The first packet is due now, however long ago the log was opened.
+            # The first packet is due at the first read.
             self._ahead_ns = record.arrival_ns - time.monotonic_ns()
         wait_s = (record.arrival_ns - self._ahead_ns - time.monotonic_ns()) * 1e-9
         if wait_s > timeout_s:
@@ -182,10 +185,10 @@ class ReplayLink:
         return Chunk(record.frame.data, record.arrival_ns, complete=True)
 
     def write(self, data: bytes, _: object) -> None:
-        """A log does not listen."""
+        """Do nothing: a log has no peer."""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing."""
 
 
 def is_replay(connection: str) -> bool:
@@ -194,10 +197,10 @@ def is_replay(connection: str) -> bool:
 
 
 def check_connection(connection: str) -> None:
-    """Refuse what is no connection string before anything else begins.
+    """Refuse an invalid connection string.
 
     Raises:
-        LinkError: naming the forms.
+        LinkError: naming the valid forms.
     """
     if not is_replay(connection):
         _parts(connection)
@@ -207,8 +210,8 @@ def open_link(connection: str) -> Link:
     """Open a connection by its string (see :data:`FORMS`).
 
     Raises:
-        LinkError: naming the connection and what is wrong with it.
-        LogError: for a telemetry log without packets, and if pyserial is missing.
+        LinkError: naming the connection and the reason.
+        LogError: for a telemetry log without packets, or if pyserial is not installed.
     """
     try:
         if is_replay(connection):

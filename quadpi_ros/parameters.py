@@ -21,7 +21,7 @@ from quadpi_core.errors import QuadpiError
 from quadpi_ros.dds_profile import QOS_PREFIX
 from quadpi_ros.node_parameters import ALL_NAMES, Declaration
 
-# Declared by rclpy itself.
+# Declared by rclpy.
 _RCLPY_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 _ROS_NAMES = {
     str: "string",
@@ -38,10 +38,10 @@ class ParameterError(QuadpiError):
 
 
 class ParameterServer(Generic[Parameters]):
-    """Declares every field of a dataclass on a node, and keeps the values.
+    """Declares every field of a dataclass as a parameter of a node, and holds the current values.
 
-    An integer given for a double is taken as one, at the start and in flight. Parameters of the other nodes
-    of quadpi are passed over: one file, under `/**`, may hold those of all.
+    An integer is accepted for a double, at the start and in flight. Parameters of quadpi's other nodes are
+    ignored, as one file may hold the parameters of all nodes under `/**`.
 
     Args:
         node: created with `automatically_declare_parameters_from_overrides`.
@@ -61,11 +61,11 @@ class ParameterServer(Generic[Parameters]):
         self._fields: dict[str, Field[Any]] = {item.name: item for item in fields(parameters)}  # type: ignore[arg-type]
         self._where = f"node {node.get_name()}"
         self._changed = changed
-        # rclpy declares that it gives values; it gives parameters.
+        # rclpy annotates values, but returns parameters.
         overrides: Mapping[str, Any] = node.get_parameters_by_prefix("")
         given = {name: override.value for name, override in overrides.items()}
         for name in _RCLPY_PARAMETERS & given.keys():
-            # rclpy itself would go on without it.
+            # rclpy would ignore a value of the wrong type.
             _coerced(f"{self._where}: parameter `{name}`", bool, given[name])
         self._pass_over(node, given.keys() - self._fields.keys() - _RCLPY_PARAMETERS)
         self.values = parameters(**{name: self._declare(node, name, given) for name in self._fields})
@@ -74,7 +74,7 @@ class ParameterServer(Generic[Parameters]):
         node.add_post_set_parameters_callback(self._take)
 
     def _pass_over(self, node: Node, names: set[str]) -> None:
-        """Refuse parameters that no node has, and take off this one those that only others have."""
+        """Refuse parameters that no node has, and undeclare those that only other nodes have."""
         names = {name for name in names if not name.startswith(QOS_PREFIX)}
         for name in sorted(names - ALL_NAMES):
             raise ParameterError(
@@ -98,7 +98,7 @@ class ParameterServer(Generic[Parameters]):
         return value
 
     def _checked(self, name: str, value: Any) -> Any:
-        """The value as the dataclass takes it.
+        """The value in the type of the dataclass field.
 
         Raises:
             ParameterError: if it is of the wrong type or out of range.
@@ -143,7 +143,7 @@ class ParameterServer(Generic[Parameters]):
 
 
 def read_parameters(node: Node, parameters: type[Parameters]) -> Parameters:
-    """Declare every field on a node that keeps to the values it starts with, and return them.
+    """Declare the parameters of a node that cannot change in flight, and return their values.
 
     See :class:`ParameterServer`.
     """

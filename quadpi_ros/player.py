@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Play the sensor topics of a bag in real time: serialized messages as recorded, stamps untouched.
+"""Play the sensor topics of a bag in real time, messages and stamps as recorded.
 
-Messages of other packages are played as well, where the package that defines them is installed.
+Messages of other packages are played too if their package is installed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SENSOR_TYPES: dict[str, type] = {
     "mocap/twist": TwistStamped,
     "wind": Vector3Stamped,
 }
-# Standard topics that an adapter's messages stand in for.
+# Standard topics that the messages of an adapter replace, by the kind of the adapter.
 _STANDS_IN_FOR = {
     "imu": ("imu",),
     "rotor_speeds": ("rotor_speeds", "erpm"),
@@ -54,9 +54,9 @@ _STANDS_IN_FOR = {
     "odometry": ("mocap/pose", "mocap/odometry", "mocap/twist"),
 }
 
-# The longest that nodes may take to be active: the first start on a machine compiles the kernels.
+# Time for nodes to become active: the first start on a machine compiles the kernels.
 START_TIMEOUT_S = 300.0
-# Time for the last messages to leave before the participant closes.
+# Time for the last messages to be sent before the participant closes.
 _FLUSH_S = 0.2
 
 _TOPICS_HELP = (
@@ -75,10 +75,10 @@ class Playlist:
 
     Attributes:
         names: standard name of each topic, relative to the player's namespace, or key of `ADAPTERS`.
-        topics: their messages.
-        due_ns: (M,) when each message is due, since the first.
+        topics: messages of each.
+        due_ns: (M,) time of each message since the first.
         topic: (M,) index of the topic of each message.
-        message: (M,) its index within that topic.
+        message: (M,) index of each message within its topic.
     """
 
     names: tuple[str, ...]
@@ -89,11 +89,11 @@ class Playlist:
 
     @classmethod
     def read(cls, path: Path, names: Sequence[str] = tuple(SENSOR_TYPES)) -> Playlist:
-        """Read those of the named topics that the bag holds, in whatever namespace.
+        """Read those of the named topics that the bag has, in any namespace.
 
         Args:
             path: of the bag.
-            names: standard names, and keys of `ADAPTERS`, whose topics are found by their type.
+            names: standard names, and keys of `ADAPTERS`, whose topics are found by type.
 
         Raises:
             LogError: if the bag cannot be read.
@@ -124,14 +124,14 @@ class Playlist:
         return len(self.due_ns)
 
     def play(self, publishers: Sequence[Callable[[bytes], None]], rate: float) -> Stamps:
-        """Publish every message when it is due; late ones at once.
+        """Publish every message when it is due.
 
         Args:
             publishers: one per topic.
-            rate: speed, 1 is real time.
+            rate: speed; 1 is real time.
 
         Returns:
-            (M,) when each message was published, by the monotonic clock; fewer after a shutdown.
+            (M,) publication of each message, monotonic clock; fewer after a shutdown.
         """
         payloads = [self.topics[t].payloads[m] for t, m in zip(self.topic, self.message, strict=True)]
         publish = [publishers[t] for t in self.topic]
@@ -148,7 +148,7 @@ class Playlist:
         return sent_ns
 
     def save_sent(self, path: Path, sent_ns: Stamps) -> None:
-        """Write a .npz: stamp and publication time, (n, 2) nanoseconds, by standard name of the topic."""
+        """Write stamp and publication time, (n, 2) nanoseconds per standard topic, to a .npz file."""
         published = self.topic[: len(sent_ns)], self.message[: len(sent_ns)]
         columns = {}
         for index, (name, topic) in enumerate(self.by_name().items()):
@@ -162,9 +162,9 @@ class Playlist:
 
 
 def playable(path: Path) -> list[str]:
-    """The standard topics of a bag, and adapters for the inputs that it has no standard topic for.
+    """The standard topics of a bag, and adapters for inputs without a standard topic.
 
-    Says on stderr which messages cannot be played because their package is not installed.
+    Warns on stderr of messages whose package is not installed.
 
     Raises:
         LogError: if the bag cannot be read.
@@ -187,12 +187,12 @@ def playable(path: Path) -> list[str]:
     return standard + adapted
 
 
-def held(path: Path, names: Sequence[str]) -> list[str]:
-    """Those names, after a look at whether the bag has all that they name.
+def checked_names(path: Path, names: Sequence[str]) -> list[str]:
+    """Check that a bag has all named topics, and return the names.
 
     Raises:
         LogError: if the bag cannot be read.
-        PlayerError: for a name that is not known or that the bag lacks; see also :meth:`Playlist.read`.
+        PlayerError: for an unknown name or a missing topic; see also :meth:`Playlist.read`.
     """
     with Bag(path) as bag:
         for name in names:
@@ -206,11 +206,11 @@ def held(path: Path, names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class LiveInputs:
-    """What the live nodes take from a bag.
+    """Topics of a bag that the live nodes use.
 
     Attributes:
-        rotor_topic, mocap_topic: their parameters of these names.
-        topics: to play, as the player names them.
+        rotor_topic, mocap_topic: parameters of the nodes.
+        topics: to play, by the player's names.
     """
 
     rotor_topic: str
@@ -219,17 +219,17 @@ class LiveInputs:
 
 
 def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
-    """What the live nodes listen to so that they hear a bag: of several topics of a kind, the first.
+    """Choose the topics of a bag for the live nodes: the first of each kind of input.
 
     Args:
         path: of the bag.
-        topics: standard names and keys of `ADAPTERS` to choose from; all that can be played without them.
+        topics: standard names and keys of `ADAPTERS` to choose from; by default all that can be played.
 
     Raises:
         LogError: if the bag cannot be read.
-        PlayerError: see :func:`held`; if the bag lacks a kind of input.
+        PlayerError: see :func:`checked_names`; if the bag lacks a kind of input.
     """
-    names = held(path, topics) or playable(path)
+    names = checked_names(path, topics) or playable(path)
 
     def first_of(standard: Sequence[str], kind: str) -> str:
         candidates = (*standard, *adapters_of(kind))
@@ -249,7 +249,7 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
 
 
 def _topic_of(bag: Bag, name: str) -> str | None:
-    """The full name of a topic in the bag, by its standard name or the key of its adapter."""
+    """Full name in the bag of a topic given by its standard name or its adapter; None if it is missing."""
     if name in SENSOR_TYPES:
         connection = find_topic(bag, name)
         return connection.topic if connection else None
@@ -263,7 +263,7 @@ def _topic_of(bag: Bag, name: str) -> str | None:
 
 
 def _announcement(name: str) -> tuple[type, str]:
-    """Message type and topic to publish; the topic is relative to the player's namespace.
+    """Message type and topic to publish, relative to the player's namespace.
 
     Raises:
         AdapterError: if the package that defines the messages is not installed.
@@ -302,13 +302,13 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def player_node() -> GuardedNode:
-    """A node without services: it publishes in a loop, so that nobody would answer them."""
+    """A node without services, as nothing would answer them while the player publishes."""
     silent = Parameter("start_type_description_service", value=False)
     return GuardedNode("player", start_parameter_services=False, parameter_overrides=[silent])
 
 
 def _play(options: argparse.Namespace) -> None:
-    named = held(options.bag, options.topics or ())
+    named = checked_names(options.bag, options.topics or ())
     playlist = Playlist.read(options.bag, named or playable(options.bag) or tuple(SENSOR_TYPES))
     node = player_node()
     publishers = [node.create_publisher(*_announcement(name), SENSOR_QOS) for name in playlist.names]

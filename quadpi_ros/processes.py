@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes that never outlive their parent's block, in a ROS domain of their own."""
+"""Child processes that end with a `with` block, and a reserved ROS domain for them."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class ChildError(QuadpiError):
 
 
 class Child:
-    """A Python module in a process of its own, which ends with the block.
+    """A Python module run as a child process; a context manager that ends it.
 
     Args:
         module: run as `python -m`.
         arguments: of its command line.
-        folder: for what it writes to stderr.
+        folder: for a file with its stderr.
     """
 
     def __init__(self, module: str, arguments: Sequence[str], folder: Path) -> None:
@@ -59,10 +59,10 @@ class Child:
             self._process.wait()
 
     def finished(self) -> bool:
-        """Whether it has ended well.
+        """Whether it has ended with status 0.
 
         Raises:
-            ChildError: with the last line that it said, if it has failed.
+            ChildError: if it has failed, with the last line of its stderr.
         """
         status = self._process.poll()
         if status:
@@ -71,22 +71,22 @@ class Child:
         return status is not None
 
     def cpu_seconds(self) -> float:
-        """User and system time that it has used so far, all threads (proc(5), fields utime and stime)."""
+        """User and system time of all its threads (proc(5), utime and stime)."""
         after_name = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         user_ticks, system_ticks = after_name[11:13]
         return (int(user_ticks) + int(system_ticks)) / os.sysconf("SC_CLK_TCK")
 
     def resident_bytes(self) -> int:
-        """Memory that it holds in RAM (proc(5), statm)."""
+        """Resident memory (proc(5), statm)."""
         pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 @contextmanager
 def isolated_domain() -> Iterator[Path]:
-    """A scratch folder, and a ROS domain that nobody else has, for this process and its children.
+    """Reserve a ROS domain for this process and its children; gives a scratch folder.
 
-    SIGTERM unwinds the stack within, as Ctrl-C does, so that the blocks of the children end.
+    Within the block SIGTERM unwinds the stack as Ctrl-C does, so that children are ended.
     """
     before = dict(os.environ)
     with scratch_folder() as scratch, _unwinding_on_sigterm(), _reserved_domain() as domain:
@@ -95,7 +95,7 @@ def isolated_domain() -> Iterator[Path]:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_DOMAIN_ID": str(domain),
             "ROS_LOG_DIR": str(folder),
-            # A second thread of a linear-algebra library costs more than it brings for one sample.
+            # For one sample at a time, threads of the linear algebra cost more than they save.
             "OMP_NUM_THREADS": "1",
         }
         try:

@@ -22,15 +22,15 @@ from quadpi_core.errors import QuadpiError
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.parameters import Parameters, ParameterServer
 
-# EventsExecutor does not wake on a signal; this is how long a shutdown may go unnoticed.
+# EventsExecutor does not wake up on a signal; a shutdown is noticed within this time.
 _SHUTDOWN_POLL_S = 0.2
 
 
 class ManagedNode(GuardedNode, LifecycleNode, Generic[Parameters]):
-    """A lifecycle node that comes up by itself, unless its parameter `autostart` is false.
+    """A lifecycle node that configures and activates itself unless its parameter `autostart` is false.
 
-    Subclasses override :meth:`configure`, :meth:`activate`, :meth:`deactivate` and :meth:`cleanup`; the last
-    two also undo what an attempt that failed has left, so they must not rely on it being whole.
+    Subclasses override :meth:`configure`, :meth:`activate`, :meth:`deactivate` and :meth:`cleanup`. The last
+    two also run after a failed attempt at the first two, so they must cope with a partial set-up.
 
     Args:
         name: of the node.
@@ -49,30 +49,30 @@ class ManagedNode(GuardedNode, LifecycleNode, Generic[Parameters]):
 
     @property
     def parameters(self) -> Parameters:
-        """The values as they stand."""
+        """Current values."""
         return self._parameter_server.values
 
     def configure(self) -> None:
-        """Load what is needed and create the publishers."""
+        """Load files and create the publishers."""
 
     def activate(self) -> None:
-        """Begin to listen."""
+        """Create the subscriptions."""
 
     def deactivate(self) -> None:
-        """Stop listening."""
+        """Destroy the subscriptions."""
 
     def cleanup(self) -> None:
-        """Free what :meth:`configure` made."""
+        """Destroy what :meth:`configure` created."""
 
     def parameters_changed(self) -> None:
-        """Follow a change in flight of :attr:`parameters`."""
+        """Apply a change of :attr:`parameters` while the node runs."""
 
     def must(self, trigger: Callable[[], TransitionCallbackReturn]) -> None:
-        """Go through a transition at the start of the process.
+        """Make a transition at the start of the process, where failure ends the process.
 
         Raises:
-            QuadpiError: saying what the user can mend.
-            Exception: whatever else the transition met.
+            QuadpiError: for what a user can correct.
+            Exception: any other error of the transition.
         """
         self._starting = True
         self._failure = None
@@ -82,11 +82,11 @@ class ManagedNode(GuardedNode, LifecycleNode, Generic[Parameters]):
         self._starting = False
 
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Configure; what a failed attempt left is undone."""
+        """Configure; a failed attempt is undone."""
         return self._attempt(self.configure, "inactive", undo=(self.cleanup,))
 
     def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Activate; what a failed attempt left is undone."""
+        """Activate; a failed attempt is undone."""
         return self._attempt(self.activate, "active", undo=(self.deactivate,))
 
     def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
@@ -98,11 +98,11 @@ class ManagedNode(GuardedNode, LifecycleNode, Generic[Parameters]):
         return self._attempt(self.cleanup, "unconfigured")
 
     def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Undo everything, whatever the state."""
+        """Deactivate and clean up from any state."""
         return self._attempt(self._undo_all, "finalized")
 
     def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Undo everything after an error in a transition: the node can be configured again."""
+        """Deactivate and clean up after an error in a transition; the node can be configured again."""
         return self._attempt(self._undo_all, "unconfigured")
 
     def _undo_all(self) -> None:
@@ -112,13 +112,13 @@ class ManagedNode(GuardedNode, LifecycleNode, Generic[Parameters]):
     def _attempt(
         self, step: Callable[[], None], goal: str, undo: Sequence[Callable[[], None]] = ()
     ) -> TransitionCallbackReturn:
-        """Run one transition; rclpy itself would drop its exception without a word."""
+        """Run one transition and log its exception, which rclpy would swallow."""
         try:
             step()
         except QuadpiError as error:
             self._failure = error
-            for back in undo:
-                back()
+            for undo_step in undo:
+                undo_step()
             if not self._starting:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -136,7 +136,7 @@ class ManagedNode(GuardedNode, LifecycleNode, Generic[Parameters]):
 
 
 def start(nodes: Sequence[ManagedNode[Any]]) -> None:
-    """Configure those nodes that start by themselves, which takes seconds, then activate them.
+    """Configure all nodes with `autostart`, which takes seconds, then activate them.
 
     Raises:
         QuadpiError: if one of them cannot start.
@@ -149,7 +149,7 @@ def start(nodes: Sequence[ManagedNode[Any]]) -> None:
 
 
 class ArgumentError(QuadpiError):
-    """ROS cannot use the arguments after `--ros-args`."""
+    """The arguments after `--ros-args` are invalid."""
 
 
 def initialise() -> None:
@@ -168,7 +168,7 @@ def initialise() -> None:
 
 
 def serve(nodes: Sequence[ManagedNode[Any]]) -> None:
-    """Bring up those nodes that start by themselves, and spin.
+    """Start the nodes with `autostart`, then spin all of them.
 
     Raises:
         QuadpiError: if one of them cannot start.
@@ -178,16 +178,16 @@ def serve(nodes: Sequence[ManagedNode[Any]]) -> None:
 
 
 def spin(nodes: Sequence[Node]) -> None:
-    """Serve the nodes on one EventsExecutor until the context shuts down, as on Ctrl-C.
+    """Spin the nodes on one EventsExecutor until the context shuts down, as on Ctrl-C.
 
-    What their callbacks raise, guarded nodes keep to themselves; an exception of rclpy's own, as where it
-    takes a request apart, is logged and counted by all of them, and ends none.
+    Guarded nodes catch the exceptions of their callbacks. An exception of rclpy itself, as on a malformed
+    request, is logged and counted by all guarded nodes and ends none of them.
     """
     guarded = [node for node in nodes if isinstance(node, GuardedNode)]
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
-    # What exists by now stays: the garbage collector need not walk through it in flight.
+    # What exists now is never garbage: exclude it from collections in flight.
     gc.collect()
     gc.freeze()
     never = Future()
@@ -204,9 +204,9 @@ def spin(nodes: Sequence[Node]) -> None:
 
 
 def run(work: Callable[[], None]) -> int:
-    """Do the work of a process between start and shutdown of ROS, and return the exit status.
+    """Initialise ROS, do the work of the process, shut ROS down, and return the exit status.
 
-    Errors that a user can mend print one line and give status 2.
+    An error that the user can correct prints one line and gives status 2.
     """
     try:
         initialise()

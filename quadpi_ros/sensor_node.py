@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of the nodes: serialized messages into the core and back out, diagnostics once a second."""
+"""Base of estimator and monitor node: serialized messages to and from the core, diagnostics once a second."""
 
 from __future__ import annotations
 
@@ -35,13 +35,14 @@ from quadpi_ros.runtime import ManagedNode
 
 Sample = TypeVar("Sample", bound=Stream)
 
-# No clock of a sensor or a simulation stops it.
+# Timers on this clock run whatever the sensors or `/clock` do.
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-# After the first sample that needs one.
+# How long static transforms may take to arrive after the first sample that needs one.
 _TRANSFORMS_COME_S = 1.0
+# A warning about the same thing is logged at this period.
 _WARNING_PERIOD_S = 5.0
 DIAGNOSTICS_PERIOD_S = 1.0
-# How often in a row a problem is seen before it is logged.
+# A problem is logged when this many diagnostics in a row report it.
 _LOGGED_AT = 2
 # Why a topic gave no sample.
 _SILENT, _UNREAD = "nothing arrives on", "every message is refused on"
@@ -49,7 +50,7 @@ _SILENT, _UNREAD = "nothing arrives on", "every message is refused on"
 
 @dataclass
 class _Input:
-    """A topic that the node listens to; `mismatch` says why a publisher cannot be heard."""
+    """A subscribed topic; `mismatch` is the reason why a publisher on it is incompatible."""
 
     subscription: Subscription
     health: TopicHealth
@@ -60,7 +61,7 @@ class _Input:
 
 @dataclass
 class _Output:
-    """A topic that the node publishes; `mismatch` says why a subscriber cannot hear it."""
+    """A published topic; `mismatch` is the reason why a subscriber to it is incompatible."""
 
     publisher: Publisher | None = None
     mismatch: str | None = None
@@ -68,20 +69,20 @@ class _Output:
 
 @dataclass
 class _Problem:
-    """What keeps a node from working, and how often in a row it was seen."""
+    """What keeps a node from working, and in how many diagnostics in a row it was found."""
 
     text: str | None = None
     seen: int = 0
 
 
 class SensorNode(ManagedNode[Parameters]):
-    """A node whose messages stay serialized in rclpy: `messages.sensor_messages` knows their bytes.
+    """A node that leaves messages serialized and decodes them with `messages.sensor_messages`.
 
-    That is the code that bags go through, and it costs less than rclpy's own conversion. Subscriptions
-    exist while the node is active, publishers while it is configured.
+    Bags are read by the same code, and it is faster than rclpy's conversion. Subscriptions exist while the
+    node is active, publishers while it is configured.
 
     Attributes:
-        lacking: topics that gave no sample in the period before the last status, and why.
+        lacking: topics without a sample in the last diagnostics period, and the reason.
     """
 
     def __init__(self, name: str, parameters: type[Parameters]) -> None:
@@ -106,10 +107,10 @@ class SensorNode(ManagedNode[Parameters]):
         required: bool = True,
         rate_hz: float | None = None,
     ) -> TopicHealth:
-        """Subscribe best effort; every message becomes a stream of one sample for `handle`.
+        """Subscribe best effort and pass every message to `handle` as a stream of one sample.
 
-        A required topic that stays silent is an error in the diagnostics and in the log, and so is one whose
-        stamps are not `rate_hz` apart. Gives the health of the topic, to count what `handle` refuses.
+        In diagnostics and log it is an error if a required topic is silent, or if its stamps contradict
+        `rate_hz`. Returns the health of the topic, which counts the samples that `handle` refuses too.
         """
         health = TopicHealth(rate_hz)
 
@@ -134,11 +135,11 @@ class SensorNode(ManagedNode[Parameters]):
         return health
 
     def frames_of(self, body_frame: str, frames: str) -> BodyFrames:
-        """Frames as the parameters `body_frame` and `frames` say, with the static transforms that come.
+        """Body frames by the parameters `body_frame` and `frames`, with the static transforms received.
 
-        Those are heard from the next :meth:`hear_transforms` on.
+        Transforms are received after :meth:`hear_transforms`.
         """
-        Mounting(np.eye(3), np.zeros(3))  # compiled before the flight
+        Mounting(np.eye(3), np.zeros(3))  # compile now, not at the first sample
         try:
             message_class(TF_TYPE)
             patience_s, hint = _TRANSFORMS_COME_S, ""
@@ -153,7 +154,7 @@ class SensorNode(ManagedNode[Parameters]):
         )
 
     def hear_transforms(self, frames: BodyFrames) -> None:
-        """Listen to static transforms, where their message type is installed."""
+        """Subscribe to static transforms if their message type is installed."""
         try:
             message_type = message_class(TF_TYPE)
         except AdapterError:
@@ -172,10 +173,10 @@ class SensorNode(ManagedNode[Parameters]):
     def announce(
         self, message_type: type, topic: str, qos: QoSProfile = OUTPUT_QOS
     ) -> Callable[[bytes], None]:
-        """Create a publisher and return its function for serialized messages.
+        """Create a publisher and return its function that publishes a serialized message.
 
-        Lifecycle publishers would ask at every message whether the node is active; this node hears nothing
-        that it could answer while it is not.
+        An ordinary publisher, as a lifecycle publisher checks the node's state at every message; a node that
+        is not active receives nothing and so publishes nothing.
         """
         output = self._outputs[topic] = _Output()
         events = PublisherEventCallbacks(incompatible_qos=lambda event: self._note_policy(output, event))
@@ -184,7 +185,7 @@ class SensorNode(ManagedNode[Parameters]):
         return publish
 
     def deactivate(self) -> None:
-        """Stop listening."""
+        """Destroy the subscriptions."""
         for topic in self._inputs.values():
             self.destroy_subscription(topic.subscription)
         self._inputs.clear()
@@ -193,16 +194,16 @@ class SensorNode(ManagedNode[Parameters]):
             self._transforms = None
 
     def cleanup(self) -> None:
-        """Stop publishing."""
+        """Destroy the publishers."""
         for output in self._outputs.values():
             if output.publisher is not None:
                 self.destroy_publisher(output.publisher)
         self._outputs.clear()
 
     def warn(self, about: str, text: str) -> None:
-        """Log a warning, at most one about the same thing every few seconds.
+        """Log a warning, at most one every few seconds with the same `about`.
 
-        rclpy's own throttle counts all that is logged from one line of code as the same.
+        rclpy's throttle would treat everything logged from this line as the same.
         """
         now_s = time.monotonic()
         if now_s >= self._next_warning_s.get(about, now_s):
@@ -210,7 +211,7 @@ class SensorNode(ManagedNode[Parameters]):
             self.get_logger().warning(f"{about}: {text}")
 
     def problem(self) -> str | None:
-        """What keeps the node from working although it is active; None if nothing does."""
+        """Why the active node cannot work, such as a silent topic; None if it can."""
         found = []
         for why in (_SILENT, _UNREAD):
             names = sorted(
@@ -223,19 +224,19 @@ class SensorNode(ManagedNode[Parameters]):
         return "; ".join(found) or None
 
     def lack(self, topic: str) -> str | None:
-        """Why a topic gave no sample in the period before the last status; None if it gave some."""
+        """Why a topic had no sample in the last diagnostics period; None if it had some."""
         why = self.lacking.get(topic)
         return f"{why} {topic}" if why else None
 
     def count_refused(self) -> None:
-        """Bring the health of the topics up to date with what became of samples since they came."""
+        """Count in the health of the topics the samples that were refused after they were received."""
 
     def statuses(self) -> list[DiagnosticStatus]:
-        """What `/diagnostics` says of the core, beside the topics."""
+        """Statuses of the core, which `/diagnostics` adds to those of the topics."""
         return []
 
     def _diagnose(self) -> None:
-        """Publish the health of every topic, and log a problem that stays; once, until it changes."""
+        """Publish the health of every topic, and log a persistent problem once until it changes."""
         now_s = time.monotonic()
         period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         problem = None
@@ -268,7 +269,7 @@ class SensorNode(ManagedNode[Parameters]):
             self.get_logger().warning(problem)
 
     def status(self, name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
-        """A status under the node's name."""
+        """A status named after the node."""
         return diagnostics.status(diagnostics.full_name(self, name), level, message, values)
 
     def _input_status(self, name: str, topic: _Input, period_s: float) -> DiagnosticStatus:
@@ -290,7 +291,7 @@ class SensorNode(ManagedNode[Parameters]):
         )
 
     def _other_types(self, endpoint: Subscription | Publisher) -> str | None:
-        """Which nodes use a topic with another message type; the middleware passes them over."""
+        """Nodes that use the topic with another message type, which DDS silently does not connect."""
         topic, expected = endpoint.topic_name, diagnostics.type_name(endpoint.msg_type)
         if isinstance(endpoint, Subscription):
             others, what = self.get_publishers_info_by_topic(topic), "publishes"
@@ -319,7 +320,7 @@ class SensorNode(ManagedNode[Parameters]):
         topic.lost = total
 
     def _standing_mismatch(self, output: _Output) -> str | None:
-        """Why a subscriber that is still there cannot hear this output; forgets a mismatch that is gone."""
+        """Why a present subscriber cannot receive this output; a mismatch that is gone is forgotten."""
         if output.publisher is None:
             return None
         if self.count_subscribers(output.publisher.topic_name) == output.publisher.get_subscription_count():
@@ -329,11 +330,11 @@ class SensorNode(ManagedNode[Parameters]):
 
 
 class ConsistencyWatch:
-    """Looks for mistakes in frames, units, clocks and vehicle while the node goes on.
+    """Checks the first seconds of motion for mistakes in frames, units, clocks and vehicle, in a thread.
 
     Args:
-        node: whose samples they are.
-        vehicle: whose rotor speeds are among the samples; without one only the motion is looked at.
+        node: receives the samples; problems go to its log and diagnostics.
+        vehicle: for samples with rotor speeds; without it only the motion is checked.
     """
 
     def __init__(self, node: SensorNode[Any], vehicle: Vehicle | None) -> None:
@@ -345,11 +346,11 @@ class ConsistencyWatch:
 
     @property
     def complete(self) -> bool:
-        """Whether no more samples are needed."""
+        """Whether all stretches of motion have been collected."""
         return self._samples.complete
 
     def take(self, *streams: Stream) -> None:
-        """Take samples; those of the IMU last, as they complete a stretch."""
+        """Collect samples; pass those of the IMU last, as they complete a stretch."""
         stretch = self._samples.take(*streams)
         if stretch is not None:
             work = self._node.guard("consistency check", self._judge)
@@ -362,7 +363,7 @@ class ConsistencyWatch:
         self._judged += 1
 
     def status(self) -> DiagnosticStatus:
-        """What `/diagnostics` says: every contradiction that was found since the node became active."""
+        """Status for `/diagnostics`: every contradiction found since the node became active."""
         found, judged = list(self._found), self._judged
         level, message = diagnostics.OK, "sensors and vehicle agree"
         if found:

@@ -18,7 +18,7 @@ from px4_msgs.msg import EscReport, EscStatus
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.dds_profile import SENSOR_QOS
 from quadpi_ros.input_sources import AdaptedSources
-from quadpi_ros.parameters import parameter
+from quadpi_ros.node_parameters import parameter
 from quadpi_ros.runtime import start
 from quadpi_ros.sensor_node import SensorNode
 
