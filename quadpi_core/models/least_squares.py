@@ -87,10 +87,13 @@ def fit_coefficients(gram: Gram, active: list[int]) -> tuple[Array, Array]:
         the leverage of a regressor row z is |W z|².
 
     Raises:
-        numpy.linalg.LinAlgError: if the regressors are linearly dependent.
+        numpy.linalg.LinAlgError: if a regressor is zero on all samples, or they are linearly dependent.
     """
     matrix = gram.matrix[np.ix_(active, active)]
-    scale = 1.0 / np.sqrt(np.diag(matrix))
+    squares = np.diag(matrix)
+    if not np.all(squares > 0.0):
+        raise np.linalg.LinAlgError("a regressor is zero on all samples")
+    scale = 1.0 / np.sqrt(squares)
     factor = np.linalg.cholesky(matrix * np.outer(scale, scale))
     whitening = solve_triangular(factor, np.diag(scale), lower=True)
     return whitening.T @ (whitening @ gram.moment[active]), whitening

@@ -147,6 +147,16 @@ def test_leave_one_flight_out_refuses_a_term_that_only_one_flight_supports() -> 
     assert 2 not in select_from(Z, y, SelectionSettings(stop="leave-one-flight-out"), flights=4)
 
 
+def test_a_term_that_one_flight_alone_excites_is_left_out() -> None:
+    """The others cannot fit it: its regressor is zero on all of their samples."""
+    rng = np.random.default_rng(19)
+    flights = [rng.normal(size=(500, 2)) for _ in range(2)]
+    flights[1][:, 1] = 0.0
+    Z = with_bias(np.concatenate(flights))
+    y = Z @ np.array([0.0, 1.0, 2.0]) + 0.1 * rng.normal(size=1000)
+    assert 2 not in select_from(Z, y, SelectionSettings(stop="leave-one-flight-out"), flights=2)
+
+
 def test_flights_that_do_not_excite_the_target_do_not_stop_selection() -> None:
     """There a true term brings nothing but the noise of its input."""
     rng = np.random.default_rng(18)

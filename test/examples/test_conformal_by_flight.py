@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from examples.conformal_by_flight import ConformalByFlight, main
 from quadpi_core.errors import ModelError
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.conformal import ConformalByFlight
 from quadpi_core.models.polynomial import StepwisePolynomial
 
 SAMPLES = 150
@@ -169,3 +169,9 @@ def test_polynomial_of_the_paper_is_calibrated():
     conformal = ConformalByFlight(polynomial).conformalize(*fly(19))
     assert covered(polynomial, *new[:2]) < 0.5
     assert covered(conformal, *new[:2]) > 0.85
+
+
+def test_example_runs(capsys):
+    pytest.importorskip("torch")
+    main()
+    assert capsys.readouterr().out == "91% of new flights reach their confidence\n"
