@@ -50,13 +50,13 @@ FALSE_ALARMS = Threshold(
     0.01,
     "share of searches without any effect",
     "half of the 2 % that the blind benchmark allows: a wrong name costs more than a missed small effect",
-    "drawn anew in each search: 1000 residuals within tolerances and noise, on the flights at hand",
+    "drawn for each search: 1000 residuals within tolerances and noise, on the flights at hand",
 )
 LEAST_EVIDENCE = Threshold(
     "least evidence",
     5.0,
     "nat",
-    "odds of about a hundred and fifty, whatever the calibration by draws says",
+    "odds of about a hundred and fifty, even where calibration by draws asks for less",
     _CONVENTION,
 )
 FURTHER_SHARE = Threshold(
@@ -122,7 +122,7 @@ FEW_FLIGHTS = Threshold(
     "flights to leave one out",
     4.0,
     "flights",
-    "each of fewer flights is flown in its own way, and the others do not tell what it takes",
+    "fewer flights are each flown in their own way, and do not predict each other",
     _DEVELOPMENT,
 )
 NAMED_ALONE = Threshold(
@@ -285,7 +285,7 @@ def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
 
 
 def judge_loudness(loudness: float) -> Verdict:
-    """Whether what an effect adds can be told from the noise."""
+    """Whether what an effect adds is distinguishable from the noise."""
     return Verdict(
         "loudness",
         loudness >= LOUDNESS.value,

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.discrepancy.bias_response import BiasResponse
-from quadpi_core.discrepancy.effect_response import expected, undone
+from quadpi_core.discrepancy.effect_response import predicted_flight, without_sensor_effect
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
@@ -42,7 +42,7 @@ class AugmentedSimulation(Simulation):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Of the base, and of the effects."""
+        """Name of the base and of the effects."""
         return " + ".join((self.base.name, *self.effects))
 
     @property
@@ -62,17 +62,17 @@ class AugmentedSimulation(Simulation):
 
     @property
     def memoryless(self) -> bool:  # type: ignore[override]
-        """As the base; but what effects on sensors change depends on the whole flight."""
+        """As the base, but not with effects on sensors: what they change depends on the whole flight."""
         return self.base.memoryless and not self._of("sensor")
 
     @cached_property
     def vehicle(self) -> Vehicle:  # type: ignore[override]
-        """As it truly is, by the effects on it."""
+        """The vehicle with the effects on it."""
         return altered_vehicle(self.effects, self.base.vehicle)
 
     @property
     def hover_rotor_speed(self) -> float:
-        """Of the base, which the coefficients of effects refer to."""
+        """Rotor speed of the base, which the coefficients of effects refer to."""
         return self.base.hover_rotor_speed
 
     @cached_property
@@ -84,7 +84,7 @@ class AugmentedSimulation(Simulation):
         """The flight as sensors without the effects on them would have reported it."""
         biases = BiasResponse(flight, self.vehicle, flight.rate_hz)
         for effect in reversed(self._of("sensor")):
-            flight = undone(flight, effect, self.vehicle, self._values(effect), biases)
+            flight = without_sensor_effect(flight, effect, self.vehicle, self._values(effect), biases)
         return flight
 
     def wrench(self, flight: Flight) -> Array:
@@ -92,7 +92,7 @@ class AugmentedSimulation(Simulation):
         wrench = self._physics(flight)["wrench"]
         if not self._of("sensor"):
             return wrench
-        seen = expected(flight, self.physical)
+        seen = predicted_flight(flight, self.physical)
         corrected = self.corrected(seen)
         return wrench + self._left(seen) - self._left(corrected)
 
@@ -112,7 +112,7 @@ class AugmentedSimulation(Simulation):
         return record
 
     def uncertain(self, flight: Flight) -> list[Column]:
-        """Those of the base, and that the law of each effect may be off, axis by axis."""
+        """Columns of the base, and one per effect and axis for a law that may be off."""
         columns = self.base.uncertain(self._in_wind(flight))
         whole = self.wrench(flight)
         for effect in self._of():
@@ -122,7 +122,7 @@ class AugmentedSimulation(Simulation):
             share = max(effect.form, self.tolerances.coefficient)
             added = share * (whole - replace(self, effects=others).wrench(flight))
             for axis, name in enumerate(AXES):
-                # Those of every flight are the same, whether it feels the effect or not.
+                # Every flight must have the same columns, also one that the effect does not act on.
                 if name in effect.axes:
                     single = np.zeros_like(added)
                     single[:, axis] = added[:, axis]
@@ -130,7 +130,7 @@ class AugmentedSimulation(Simulation):
         return columns
 
     def _physics(self, flight: Flight) -> npt.NDArray[np.void]:
-        """Records STATE (N,) with the wrench of base and effects, but for those on sensors."""
+        """Records STATE (N,) with the wrench of the base and all effects except those on sensors."""
         flight = self._in_wind(flight)
         states = self.base.states(flight)
         if self.adjusted:
@@ -142,14 +142,14 @@ class AugmentedSimulation(Simulation):
         return states
 
     def _left(self, flight: Flight) -> Array:
-        """Measured less simulated wrench (N, 6), but for the effects on sensors."""
+        """Measured less simulated wrench (N, 6), without the effects on sensors."""
         left: Array = measured_wrench(flight, self.vehicle) - self._physics(flight)["wrench"]
         return left
 
     def _in_wind(self, flight: Flight) -> Flight:
         if not self._of("wind"):
             return flight
-        # Only gusts need random numbers, and these no search finds.
+        # Only gusts need random numbers, and no search looks for gusts.
         added = added_wind(self.effects, flight.time, np.random.default_rng(0))
         return replace(flight, wind=flight.wind + added)
 

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the smoother takes for IMU biases when the IMU reports what did not happen.
+"""Response of the estimated IMU biases to systematic errors of the IMU.
 
-An IMU that is turned, or sits elsewhere, reports rates and forces that motion capture contradicts. The
-smoother follows the slow part of that with its biases, and a flight holds what is left. How slow depends on
-the noise in the vehicle file and on the flight: a wrong rate tilts the attitude, a tilt passes for a force.
+An IMU that is turned or displaced reports rates and forces that motion capture contradicts. The smoother
+absorbs the slow part of that error in its biases; the flight keeps the rest. How slow depends on the noise in
+the vehicle file and on the flight: a wrong rate tilts the attitude, and a tilt looks like a force.
 
-To first order that is a least-squares problem in the errors of the EKF's model, linear in what is reported
-wrongly, so one factorisation serves everything that is asked of a flight. It is solved in steps of STEP_S, as
-biases change over seconds.
+To first order this is a least-squares problem in the error state of the EKF, linear in the error of the IMU,
+so one factorisation per flight serves every error. It is solved in steps of STEP_S, as biases change over
+seconds.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
 STEP_S = 0.04
-# No flight tells how often motion capture came; twice or half as often changes a tenth of what is followed.
+# Assumed, since a flight does not record it; twice or half of it changes a tenth of what the biases follow.
 MOCAP_HZ = 120.0
-# Of the EKF's velocity once it has settled.
+# Standard deviation of the EKF's velocity once it has converged.
 _VELOCITY_STD_M_S = 0.01
-# Beyond any bias: of a flight of a few samples nothing tells one.
+# Priors far wider than any bias: they only keep a flight of a few samples solvable.
 _GYRO_BIAS_STD_RAD_S, _ACCELEROMETER_BIAS_STD_M_S2 = 1.0, 10.0
-# A bias that wanders less does not wander over a flight; and numbers stay within what can be solved.
+# Smallest random walk of a bias: less is none over a flight, and would make the equations singular.
 _LEAST_WALK = 1e-5
-# A delay that is known is known to this, and wanders by no more.
+# Standard deviation and random walk of a delay that is known.
 _EXACT_S = 1e-6
 
 
 class BiasResponse:
-    """Biases that the smoother makes of errors of the IMU over one flight.
+    """Biases that the smoother estimates from errors of the IMU over one flight.
 
     Args:
         flight: as it was estimated.
@@ -138,9 +138,12 @@ class BiasResponse:
         velocity, rates = self._means(self._flight.velocity), self._means(self._flight.rates)
         acceleration = self._into_world(self._means(self._flight.specific_force))
         acceleration[:, 2] += noise.gravity
-        # As the EKF: an uncertain delay widens a pose, motion that stands out tells the delay.
+        # As in the EKF: an uncertain delay widens a pose, and motion well above its own noise observes it.
         pushed = np.square(acceleration).sum(axis=1) / 3.0
-        moving, turning = _told(velocity, _VELOCITY_STD_M_S**2), _told(rates, noise.rates)
+        moving, turning = (
+            _significant_squares(velocity, _VELOCITY_STD_M_S**2),
+            _significant_squares(rates, noise.rates),
+        )
         weight = np.zeros((self._steps + 1, ERROR_STATES))
         delay = known = max(noise.delay_prior, _EXACT_S**2)
         for step in range(self._steps):
@@ -201,8 +204,8 @@ class BiasResponse:
         return np.stack([np.interp(time, ends, column) for column in values.T], axis=1)
 
 
-def _told(motion: Array, variance: float) -> Array:
-    """Squares (K,) of what of a motion (K, 3) tells the delay, of that variance in each component."""
+def _significant_squares(motion: Array, variance: float) -> Array:
+    """Squares (K,) of the significant part of motions (K, 3) with that variance in each component."""
     shares = np.array([significance((x, y, z), 3.0 * variance) for x, y, z in motion])
     squares: Array = np.square(motion * shares[:, None]).sum(axis=1)
     return squares

@@ -15,7 +15,7 @@ from quadpi_core.discrepancy.residual_bins import (
     SEGMENT_S,
     VARIABLES,
     Cells,
-    Held,
+    CellTest,
     Residual,
     against_draws,
     residuals,
@@ -24,10 +24,12 @@ from quadpi_core.discrepancy.search import Found
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
-# Of the energy that noise and tolerances do not account for: ranges hold as much, in the fewest samples.
+# Share of the energy beyond noise and tolerances that the named ranges hold, in the fewest samples: most of
+# it, without the tail that every bin has.
 _BULK = 0.8
+# Share of that energy below which a range is not worth a line.
 _LEAST_SHARE = 0.03
-# A range tells something where its share of the energy exceeds its share of the time by this factor.
+# Factor by which the share of the energy in a range has to exceed its share of the time to be informative.
 _LIFT = 1.5
 WORDS = {
     "speed": ("airspeed", "m/s"),
@@ -112,7 +114,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Profile:
-    """An axis over the variable that tells most of it.
+    """The residual of an axis over its most informative variable.
 
     Attributes:
         axis, variable: see :class:`Range`.
@@ -131,12 +133,11 @@ class Profile:
 
 @dataclass(frozen=True)
 class Where:
-    """All of it.
+    """Where simulation and flights disagree.
 
     Attributes:
-        ranges: that hold more energy than their share of the time: of each axis those of the variable that
-            tells most, then those of the next; among these the axes that stand furthest above their noise
-            first.
+        ranges: that hold more energy than their share of the time: of each axis those of the most informative
+            variable, then those of the next; among these, axes furthest above their noise first.
         segments: of axes that have ranges, most energy first.
         profiles: of each axis.
         residuals: of the flights, in their order.
@@ -149,7 +150,7 @@ class Where:
 
     @property
     def telling(self) -> tuple[Range, ...]:
-        """Of each axis the ranges of the variable that tells most."""
+        """Of each axis the ranges of its most informative variable."""
         first: dict[str, str | None] = {}
         for part in self.ranges:
             first.setdefault(part.axis, part.variable)
@@ -160,7 +161,7 @@ def locate(found: Found, seed: int = 0) -> Where:
     """Find where the flights of a search disagree with its simulation.
 
     Coefficients of the simulation are first put where they fit best within their tolerances, beside the
-    effects that were found, so that what one of them explains stands nowhere.
+    effects that were found, so that what a coefficient explains is not located anywhere.
 
     Args:
         found: by a search.
@@ -171,7 +172,9 @@ def locate(found: Found, seed: int = 0) -> Where:
     result = against_draws(found, flights, cells, seed)
     profiles, groups = [], []
     for axis in range(len(AXES)):
-        order = sorted(VARIABLES, key=lambda name: -_told(result.excess[cells.bins[name], axis], cells, name))
+        order = sorted(
+            VARIABLES, key=lambda name: -_divergence(result.excess[cells.bins[name], axis], cells, name)
+        )
         profiles.append(_profile(axis, order[0], flights, cells, result))
         groups.append(_of_axis(axis, order, cells, result))
     energy = result.excess[cells.bins["time"]].sum(axis=0) / found.regression.noise.sum(axis=1)
@@ -185,8 +188,8 @@ def locate(found: Found, seed: int = 0) -> Where:
     return Where(ranges, tuple(segments), tuple(profiles), tuple(flights))
 
 
-def _of_axis(axis: int, order: Sequence[str], cells: Cells, result: Held) -> list[tuple[Range, ...]]:
-    """Ranges of an axis by variable, those that tell most first."""
+def _of_axis(axis: int, order: Sequence[str], cells: Cells, result: CellTest) -> list[tuple[Range, ...]]:
+    """Ranges of an axis by variable, most informative first."""
     found = [tuple(_ranges(axis, name, cells, result)) for name in order]
     telling = [tuple(part for part in parts if part.share > _LIFT * part.time_share) for parts in found]
     if any(telling) or not any(found):
@@ -195,8 +198,8 @@ def _of_axis(axis: int, order: Sequence[str], cells: Cells, result: Held) -> lis
     return [(Range(AXES[axis], None, None, None, 1.0, 1.0, smallest),)]
 
 
-def _told(excess: Array, cells: Cells, name: str) -> float:
-    """How much the bins of a variable tell of where energy lies: its divergence from that of time."""
+def _divergence(excess: Array, cells: Cells, name: str) -> float:
+    """Divergence (Kullback–Leibler) of the energy over the bins of a variable from the time in them."""
     if not excess.any():
         return 0.0
     samples = cells.samples[cells.bins[name]]
@@ -205,7 +208,7 @@ def _told(excess: Array, cells: Cells, name: str) -> float:
     return float(np.sum(share[some] * np.log(share[some] / time_share[some])))
 
 
-def _ranges(axis: int, name: str, cells: Cells, result: Held) -> Iterator[Range]:
+def _ranges(axis: int, name: str, cells: Cells, result: CellTest) -> Iterator[Range]:
     own, edges = cells.bins[name], cells.edges[name]
     excess, samples, p_value = result.excess[own, axis], cells.samples[own], result.p_value[own, axis]
     last = len(excess) - 1
@@ -223,7 +226,7 @@ def _ranges(axis: int, name: str, cells: Cells, result: Held) -> Iterator[Range]
             )
 
 
-def _segments(flights: Sequence[Residual], cells: Cells, result: Held) -> Iterator[Segment]:
+def _segments(flights: Sequence[Residual], cells: Cells, result: CellTest) -> Iterator[Segment]:
     first = cells.seconds[0].start
     for axis, name in enumerate(AXES):
         excess, p_value = result.excess[first:, axis], result.p_value[first:, axis]
@@ -244,25 +247,25 @@ def _segments(flights: Sequence[Residual], cells: Cells, result: Held) -> Iterat
 
 
 def _bulk(excess: Array, samples: Array, stands_out: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Of the cells (C,) that stand out those that hold the bulk of the energy in the fewest samples."""
+    """Those of the cells (C,) that stand out which hold the bulk of the energy in the fewest samples."""
     kept = np.zeros(len(excess), dtype=bool)
-    held, bulk = 0.0, _BULK * excess.sum()
+    energy, bulk = 0.0, _BULK * excess.sum()
     for cell in np.argsort(-excess / samples):
-        if held >= bulk:
+        if energy >= bulk:
             break
         if stands_out[cell]:
             kept[cell] = True
-            held += excess[cell]
+            energy += excess[cell]
     return kept
 
 
 def _runs(kept: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last but one of each run of cells that are kept."""
+    """First cell, and the one after the last, of each run of kept cells."""
     steps = np.diff(np.concatenate(([0], kept.astype(int), [0])))
     return list(zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True))
 
 
-def _profile(axis: int, name: str, flights: Sequence[Residual], cells: Cells, result: Held) -> Profile:
+def _profile(axis: int, name: str, flights: Sequence[Residual], cells: Cells, result: CellTest) -> Profile:
     own = cells.bins[name]
 
     def rms(energy: Array) -> Array:

@@ -26,9 +26,9 @@ _HOVER_ROUNDS = 10
 class CallableSimulation(Simulation):
     """Any function from a flight to its wrench.
 
-    It is known by its answers alone: what it says of the same rotor speeds in still air without rotation is
-    taken for thrust and torque of the rotors, what rates add and what the airspeed adds for coefficients of
-    their own, axis by axis.
+    It is known only by its answers: that to the same rotor speeds in still air without rotation counts as
+    thrust and torque of the rotors; what rates add, and what the airspeed adds, as coefficients of their own,
+    axis by axis.
     """
 
     name: str

@@ -27,8 +27,8 @@ from quadpi_core.vehicle import Vehicle
 _TYPICAL_MASS_KG, _TYPICAL_ARM_M = 0.374, 0.1445
 # Prior standard deviation of a parameter, in typical sizes.
 _PRIOR = 1.5
-# Of the prior: half the step of a difference quotient. Wind turns the airspeed of a hover around: a small
-# step would see no more of that than the cusp at rest.
+# Half the step of a difference quotient, in prior standard deviations. Wind reverses the airspeed of a hover:
+# a small step would see only the cusp at rest.
 _STEP, _WIDE_STEP = 1e-3, 0.2
 
 
@@ -57,7 +57,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """The name with the whole numbers that tell this candidate from others of the effect."""
+        """The name with the whole-number parameters, which distinguish the candidates of one effect."""
         whole = [
             f"{p.name} {value:.0f}"
             for p, value in zip(self.effect.parameters, self.start, strict=True)
@@ -92,7 +92,7 @@ class Candidate:
 def typical_sizes(effect: Effect, vehicle: Vehicle) -> Array:
     """Typical size (P,) of each parameter on a vehicle; one whose default is 0 is like its neighbours.
 
-    Forces grow with mass, moments with mass times arm, as their units tell.
+    Forces grow with mass, moments with mass times arm, according to their units.
     """
     mass = vehicle.mass_kg / _TYPICAL_MASS_KG
     arm = float(np.linalg.norm(vehicle.rotor_positions[:, :2], axis=1).mean()) / _TYPICAL_ARM_M
@@ -115,7 +115,7 @@ def candidates(vehicle: Vehicle, names: Sequence[str] | None = None) -> list[Can
     """The candidates for a vehicle, in the order of the registry.
 
     Args:
-        vehicle: whose size tells what is typical.
+        vehicle: whose mass and arm the typical sizes scale with.
         names: of effects; unless given, all that a search looks for.
 
     Raises:

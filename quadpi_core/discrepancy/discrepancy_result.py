@@ -39,7 +39,7 @@ class FoundEffect:
             itself.
         axes: in which it shows.
         rivals: effects that do about as well in its place.
-        shown_by: what to fly to tell them apart.
+        shown_by: what to fly to distinguish them.
     """
 
     name: str

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect adds to the residual of a flight: the difference that undoing it would make.
+"""What an effect adds to the residual of a flight: the difference that removing it would make.
 
 The residual is the measured wrench less the simulated one. An effect can hide in either: a force that the
 simulation lacks, a mass that the vehicle file has wrong, wind that nothing measured, a sensor that reports
-what did not happen. All are brought to one form, the residual as it is less the residual with the effect
-undone, so that one search treats them alike.
+what did not happen. All are brought to one form, the residual less the residual with the effect removed, so
+that one search treats them alike.
 
 Accelerations that an effect is proportional to are those that the simulation predicts. The measured ones
 carry the noise of the residual itself: a vehicle of no mass in no air would fit every flight to the last bit.
@@ -32,21 +32,21 @@ from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.vehicle import Vehicle
 
-# Content of a flight above a quarter of this is not looked at: see `whitening.BAND_HZ`.
+# Rate of columns and residuals: more than six times the highest frequency compared, `whitening.BAND_HZ`.
 RATE_HZ = 125.0
-# Angular accelerations are slow below this.
+# Angular accelerations below this frequency are taken as measured.
 SLOW_HZ = 1.0
 _NO_NUMBERS = np.random.default_rng(0)
 
 
 class Compared:
-    """A flight beside a simulation.
+    """A flight and the simulation it is compared with.
 
-    Columns and residuals are thinned: the low-pass that a flight has passed leaves nothing that needs more.
+    Columns and residuals are thinned: a flight has been low-passed far below their rate.
 
     Attributes:
-        flight: that the simulation is asked for: at its own rate, or thinned where that makes no difference.
-        simulation: that it is compared with.
+        flight: as given to the simulation: at its own rate, or thinned where that makes no difference.
+        simulation: that the flight is compared with.
         thinned: the flight at about RATE_HZ.
     """
 
@@ -75,13 +75,14 @@ class Compared:
     @cached_property
     def expected(self) -> Flight:
         """The flight, with the accelerations that the simulation predicts of it."""
-        return expected(self.flight, self.simulation)
+        return predicted_flight(self.flight, self.simulation)
 
     @cached_property
     def states(self) -> npt.NDArray[np.void]:
         """Records (M,) that wrench effects look at, thinned; the force in them is the measured one.
 
-        A force acts where it acts whatever the simulation knows of it, and its noise has no part in moments.
+        The measured force acts even where the simulation does not know it, and its noise does not affect
+        moments.
         """
         states = self.simulation.states(self.flight)[:: self.step].copy()
         states["wrench"][:, :3] = self.measured[:, :3]
@@ -135,7 +136,7 @@ class Compared:
 
 
 def body_tolerances(tolerances: Tolerances) -> tuple[tuple[Effect, float], ...]:
-    """Effects that stand for what is uncertain in the body, with the standard deviation of their parameters.
+    """Effects that represent what is uncertain in the body, with the standard deviation of their parameters.
 
     In the order of the tolerances, then of the effects that declare them (`Effect.tolerance`).
     """
@@ -159,15 +160,15 @@ def share_of_wrench(effect: Effect, vehicle: Vehicle, values: Array) -> Array:
     return share
 
 
-def expected(flight: Flight, simulation: Simulation) -> Flight:
-    """A flight with the accelerations that a simulation predicts of it; slowly turning as it did."""
+def predicted_flight(flight: Flight, simulation: Simulation) -> Flight:
+    """A flight with the accelerations that a simulation predicts, but its slow angular ones as measured."""
     vehicle = simulation.vehicle
     wrench = simulation.wrench(flight)
     momentum = flight.rates @ vehicle.inertia
     moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
     turning = moment @ np.linalg.inv(vehicle.inertia)
-    # A moment that the simulation has wrong would spin up the vehicle of its prediction, and another inertia
-    # would seem to have a share of that moment. Of slow turning as measured, noise is a small part.
+    # A moment that the simulation has wrong would spin up the predicted vehicle, and another inertia would
+    # seem to explain a share of it. Slow angular acceleration is measured with little noise.
     smoothing = flight.rate_hz / (2.0 * np.pi * SLOW_HZ)
     turning += gaussian_filter1d(flight.angular_acceleration - turning, smoothing, axis=0, mode="nearest")
     return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
@@ -204,14 +205,17 @@ def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
     vehicle, biases = compared.simulation.vehicle, compared.bias_response
-    altered = undone(compared.expected, effect, vehicle, values, biases)
+    altered = without_sensor_effect(compared.expected, effect, vehicle, values, biases)
     return compared.expected_residual - residual(altered, compared.simulation)[:: compared.step]
 
 
-def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array, biases: BiasResponse) -> Flight:
-    """The flight as sensors without this effect would have given it, through the same estimator.
+def without_sensor_effect(
+    flight: Flight, effect: Effect, vehicle: Vehicle, values: Array, biases: BiasResponse
+) -> Flight:
+    """The flight that the same estimator would give with sensors without this effect.
 
-    What an effect adds to the IMU for long, the estimator took for a bias: the flight is without it.
+    A sustained IMU contribution of the effect has been absorbed by the estimated biases, so it is removed
+    from those too.
     """
     time_ns = np.round(1e9 * flight.time).astype(np.int64)
     recording = Recording(
@@ -252,7 +256,7 @@ def undone(flight: Flight, effect: Effect, vehicle: Vehicle, values: Array, bias
 
 
 def _delayed(time: Array, values: Array, delay_s: float) -> Array:
-    """Values (N, C) that come later by a delay; the first and the last hold beyond the ends."""
+    """Values (N, C) delayed by a time, constant beyond their ends."""
     at = time - delay_s
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was found, added: the simulation with its effects, as files that are a simulation again."""
+"""The simulation with the effects that were found, as a value and as files that can be simulated again."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from quadpi_core.vehicle import Vehicle
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
     """The simulation with the effects that were found, and its coefficients as the flights have them.
 
-    Coefficients move within their tolerances, all by their posterior means, if that brings flights that were
-    left out closer; otherwise none of them does.
+    Coefficients move by their posterior means within their tolerances, if that brings flights left out
+    closer; otherwise none of them moves.
 
     Args:
         discovery: its search.
-        without: index of a flight that parameters shall not come from, so that they can be judged on it.
+        without: index of a flight to leave out of the fit, so that the result can be judged on it.
 
     Raises:
-        DiscrepancyError: where an effect cannot stand beside what the simulation already has.
+        DiscrepancyError: where an effect cannot be added to one that the simulation already has.
     """
     found = discovery.found
     regression, columns = found.regression, found.regression.columns
@@ -80,7 +80,7 @@ def _adjusting_helps(found: Found) -> bool:
 
 
 def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[dict[str, float], Effects]:
-    """Multiples of tolerances: those of the simulation's own coefficients; the others as small effects."""
+    """Multiples of tolerances split into those of the simulation's own coefficients and small effects."""
     own, small = dict(multiples), {}
     for effect, deviation in body_tolerances(tolerances):
         values = [deviation * own.pop(f"{effect.name}.{p.name}") for p in effect.parameters]
@@ -123,15 +123,15 @@ def merged(one: Effects, other: Effects) -> Effects:
 
 
 def _both_shapes(name: str, one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """Shape of the law of two that add up: each has its say by its part in their sum."""
+    """Shape of the law of two effects that add up: each weighted by its part in their sum."""
     free = [p for p in EFFECTS[name].parameters if not p.whole]
     parts = np.array([[own[p.name] / (abs(p.default) or 1.0) for p in free] for own in (one, other)])
     total = parts.sum(axis=0)
     if not total.any():
         return {}
-    say = parts @ total / (total @ total)
+    weights = parts @ total / (total @ total)
     shape = {
-        p.name: float(np.clip(say @ [own.get(p.name, 0.0) for own in (one, other)], p.lowest, p.highest))
+        p.name: float(np.clip(weights @ [own.get(p.name, 0.0) for own in (one, other)], p.lowest, p.highest))
         for p in EFFECTS[name].shape
     }
     return {key: value for key, value in shape.items() if value != 0.0}
@@ -140,7 +140,7 @@ def _both_shapes(name: str, one: Mapping[str, float], other: Mapping[str, float]
 def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float]) -> AugmentedSimulation:
     before: Mapping[str, float] = {}
     if isinstance(simulation, AugmentedSimulation):
-        # How far laws of earlier effects are off has no place of its own.
+        # A simulation has no setting for how far the laws of its earlier effects are off.
         own = {name for name in adjusted if not any(name.endswith(f" of {e}") for e in simulation.effects)}
         adjusted = {name: adjusted[name] for name in own}
         effects, before = merged(simulation.effects, effects), simulation.adjusted
@@ -155,8 +155,8 @@ def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float])
 def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
     """Write the simulation with what was found added, and the formulas of the effects.
 
-    A vehicle file becomes a vehicle file of the same name, with `simulation.effects`; to any other simulation
-    an `addition.json` refers, which `load_simulation` takes in its place. Without effects nothing is written.
+    A vehicle file becomes a vehicle file of the same name, with `simulation.effects`; any other simulation
+    gets an `addition.json` that refers to it and loads in its place. Without effects nothing is written.
 
     Args:
         discovery: of the search.
@@ -166,7 +166,7 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
         Paths of the files, the simulation first.
 
     Raises:
-        DiscrepancyError: where an effect cannot stand beside what the simulation already has.
+        DiscrepancyError: where an effect cannot be added to one that the simulation already has.
     """
     if not discovery.effects:
         return []
@@ -188,7 +188,7 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
 
 
 def _absolute(text: str) -> str:
-    """The name of what lies in a folder or file, so that it is found from anywhere."""
+    """A name, or the absolute path of a file or folder, so that it is found from any working directory."""
     return str(Path(text).resolve()) if is_config_path(text) or Path(text).exists() else text
 
 

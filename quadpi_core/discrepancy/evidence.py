@@ -3,10 +3,10 @@
 """Bayesian evidence for sets of effects, from Gram matrices alone.
 
 For columns X with prior N(0, 1) on every coefficient and white noise of unit variance, the evidence of a
-residual r is, up to a constant, ln p = −½ (r·r − bᵀA⁻¹b) − ½ ln det A with A = XᵀX + 1 and b = Xᵀr. What the
-simulation is uncertain in takes part in every set, so that an effect has to explain what no coefficient
-within its tolerance can. An effect of the library is no exact law either: its form takes part as columns of
-its own, in proportion to its size, once the effect does.
+residual r is, up to a constant, ln p = −½ (r·r − bᵀA⁻¹b) − ½ ln det A with A = XᵀX + 1 and b = Xᵀr. The
+tolerances of the simulation are part of every set, so that an effect has to explain what no coefficient
+within its tolerance can. The law of an effect may be off as well: once the effect is in a set, so are columns
+for its form, in proportion to its size.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array
 
-# Precision of what may not differ at all.
+# Prior precision of form columns of an effect without size, which may not differ at all.
 _PRECISE = 1e12
 Indices = npt.NDArray[np.intp]
 
@@ -64,27 +64,22 @@ class Fit(NamedTuple):
 
     def of(self, wanted: Indices) -> Array:
         """Coefficients of some columns; 0 for those that a bound took out."""
-        found = np.zeros(len(wanted))
-        for place, index in enumerate(wanted):
-            at = np.flatnonzero(self.columns == index)
-            if len(at):
-                found[place] = self.coefficients[at[0]]
-        return found
+        return self._at(wanted, self.coefficients)
 
     def deviation(self, wanted: Indices) -> Array:
         """Posterior standard deviation of some columns; 0 for those that a bound took out."""
-        found = np.zeros(len(wanted))
-        for place, index in enumerate(wanted):
-            at = np.flatnonzero(self.columns == index)
-            if len(at):
-                found[place] = np.sqrt(self.covariance[at[0], at[0]])
+        return self._at(wanted, np.sqrt(np.diag(self.covariance)))
+
+    def _at(self, wanted: Indices, values: Array) -> Array:
+        found: Array = (self.columns == wanted[:, None]) @ values
         return found
 
 
 def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None:
     """Fit tolerances and a set of effects; None where bounds leave nothing of an effect.
 
-    A parameter whose mean lies beyond its bounds is held at none, which stands for the bound next to it.
+    A parameter whose posterior mean violates its bound is set to zero, its nearest bound, and the rest are
+    fitted again.
 
     Args:
         gram: (K, K); column 0 is the residual.
@@ -98,7 +93,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
     while True:
         kept = [[i for i in block.parameters if i not in out] for block in blocks]
         if any(len(own) == 0 for own in kept):
-            # Of a law that its form would turn round the law as it is remains, if anything.
+            # If the form columns would flip the sign of the effect, fall back to the fit without them.
             return exact
         parts, precisions = [tolerances], [np.ones(len(tolerances))]
         for place, (own, block) in enumerate(zip(kept, blocks, strict=True)):
@@ -116,29 +111,29 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         if not any(len(block.form) for block in blocks):
             return found
         if exact is not None:
-            # A law may be off or exact. Room for its form that is not needed must not count against it.
+            # A law may be off or exact: form columns that are not needed must not cost it evidence.
             return found if found.log_evidence > exact.log_evidence else exact
         exact = found
-        # Once the sizes of the effects are known, so is by how much their forms may differ.
+        # The sizes of the effects, now known, scale by how much their forms may differ.
         form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
 
 
 def fit_forms(
-    gram: Array, tolerances: Indices, blocks: Sequence[Block], held: Fit, formed: Sequence[Block]
+    gram: Array, tolerances: Indices, blocks: Sequence[Block], fixed: Fit, formed: Sequence[Block]
 ) -> Fit:
-    """Fit tolerances and the forms of some effects, while the parameters of all stay as they are.
+    """Fit tolerances and the forms of some effects, with the parameters of all effects fixed.
 
     Args:
         gram: (K, K); column 0 is the residual.
         tolerances: indices of the columns of the simulation's tolerances.
         blocks: of the effects.
-        held: the fit that their parameters are of.
+        fixed: the fit that their parameters come from.
         formed: those of the blocks whose forms are fitted.
     """
     residual = residual_weights(len(gram), blocks)
     for block in blocks:
-        residual[block.parameters] -= held.of(block.parameters)
-    precisions = [np.full(len(block.form), _form_precision(held, block)) for block in formed]
+        residual[block.parameters] -= fixed.of(block.parameters)
+    precisions = [np.full(len(block.form), _form_precision(fixed, block)) for block in formed]
     columns = np.concatenate([tolerances, *(block.form for block in formed)]).astype(np.intp)
     return _evidence(gram, columns, residual, np.concatenate([np.ones(len(tolerances)), *precisions]))
 

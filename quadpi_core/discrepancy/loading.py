@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulations as they are named on the command line."""
+"""Loads simulations by the names that the command line takes."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from quadpi_core.simulation.simulated_vehicle import own_effects
 from quadpi_core.vehicle import Vehicle
 
 RECORDED = "recorded"
+# Bytes in the name of a file that a file system takes.
+_NAME_MAX = 250
 # A coefficient further off than this many of its tolerances is not a correction of the simulation.
 _ADJUSTED_MAX = 10.0
 
@@ -58,12 +60,12 @@ def load_simulation(
     Args:
         text: name or path of a vehicle file that can be simulated; folder of an identified model;
             `module:function` of Python, found from the working directory or installed; `recorded`, a wrench
-            that stands in the bags; or an `addition.json` that an earlier search wrote.
+            in the bags; or an `addition.json` that an earlier search wrote.
         vehicle: name or path of the vehicle file, for those that do not name one.
         bags: that a recorded wrench is read from.
         allow_code: whether an `addition.json` may name a function. Its module is then imported, so whoever
-            wrote the file chooses what runs here. A function that `text` names itself needs no leave.
-        within: files of additions that name this simulation.
+            wrote the file chooses what runs here. A function named by `text` itself is always allowed.
+        within: files of additions that led here, so that none refers to itself.
 
     Raises:
         DiscrepancyError: for what names no simulation, a function that cannot be imported, a vehicle that is
@@ -107,7 +109,7 @@ def _required(text: str, vehicle: str | Path | None) -> str:
 
 def _callable(text: str, vehicle: str) -> CallableSimulation:
     module, _, name = text.partition(":")
-    # As for `python -m`: what stands in the working directory can be imported.
+    # As for `python -m`: modules in the working directory can be imported.
     sys.path.insert(0, str(Path.cwd()))
     try:
         function = getattr(importlib.import_module(module), name)
@@ -155,7 +157,3 @@ def _addition(
     if isinstance(base, CallableSimulation) and base.code:
         base = replace(base, code=f"{base.code}, named by {path}")
     return AugmentedSimulation(base, read_effects(addition.effects, str(path)), addition.adjusted)
-
-
-# Bytes in the name of a file.
-_NAME_MAX = 250

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated wrench that stands in the bags beside what the sensors sent."""
+"""A simulated wrench that was recorded in the bags of the flights."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Recorded(NamedTuple):
 class RecordedSimulation(Simulation):
     """What a simulation of any kind gave for each flight, on the topic `simulation/wrench`.
 
-    It cannot be asked for other winds or rotor speeds than it was given: wind and effects on rotor speeds
-    are not found by it. What of it grows with the rotor speeds squared is taken for thrust and torque.
+    It cannot answer for other winds or rotor speeds than it was given, so wind and effects on rotor speeds
+    are not found with it. The part in proportion to the rotor speeds squared counts as thrust and torque.
 
     Attributes:
         wrenches: by the source of the flight.

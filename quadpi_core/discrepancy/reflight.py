@@ -126,8 +126,8 @@ def closed_loops(
 ) -> ClosedLoops:
     """References of flights flown again by the simulation, before and after, beside the measured flights.
 
-    Only flights of quadpi's own simulation hold their reference; what a controller was to do in others
-    is not known. The floor is the error of the estimator, where the bag holds the truth.
+    Only flights of quadpi's own simulation record their reference; that of other controllers is not known.
+    The floor is the error of the estimator, where the bag holds the truth.
     """
     base = before.base if isinstance(before, AugmentedSimulation) else before
     if not isinstance(base, VehicleSimulation):
@@ -174,7 +174,7 @@ def _beyond(rms: float, floor: float) -> float:
 
 
 def fly_again(plan: FlightPlan, vehicle: SimulatedVehicle) -> Track:
-    """The reference of a plan flown by a vehicle with its own effects, whatever those of the plan were.
+    """The reference of a plan flown by a vehicle with its own effects, without those of the plan.
 
     Raises:
         SimulationError: if it gets out of control or to the ground.
@@ -186,7 +186,7 @@ def fly_again(plan: FlightPlan, vehicle: SimulatedVehicle) -> Track:
 
 
 def _plan(flight: Flight) -> FlightPlan | None:
-    """The plan that stands in the bag of a flight; None where it is of no simulation, or no bag."""
+    """The plan recorded in the bag of a flight; None where there is no bag, or the bag is not simulated."""
     path = Path(flight.source)
     if not path.exists():
         return None
@@ -221,8 +221,8 @@ def coverages(
         lower, upper = model.intervals(flight)
         for when, simulation in (("before", before), ("after", added)):
             left = residual(flight, simulation)
-            held = (left >= lower - predicted) & (left <= upper - predicted)
-            inside[when] += held.sum(axis=0)
+            covered = (left >= lower - predicted) & (left <= upper - predicted)
+            inside[when] += covered.sum(axis=0)
         samples += len(flight)
     return {
         axis: Coverage(**{when: float(count[index]) / samples for when, count in inside.items()})

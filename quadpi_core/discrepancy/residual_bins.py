@@ -31,22 +31,23 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotation_matrix
 
-# Chance that some coefficient of a simulation is further off than it is allowed to be here.
+# Chance that some coefficient of a simulation is further off than is allowed for here: half of the 5 % by
+# which a range may be named in flights without a discrepancy.
 _BEYOND = 0.025
 VARIABLES = ("speed", "u", "v", "w", "height", "rotor_speed", "rates", "heading", "north", "east", "time")
 DRAWS = 200
 _MOST_BINS = 12
-# As much again is the chance that a coefficient of the simulation is beyond its tolerance.
+# Adjusted p-value of a cell that stands out: the other half of the 5 %.
 _SIGNIFICANT = 0.025
-# Noise grows with speed and load, and a coefficient has a form: a cell stands out from twice the root mean
-# square that draws have.
+# Energy of a cell that stands out, over the mean of the draws: twice their root mean square, since noise
+# grows with speed and load, and a coefficient has a form.
 _MATTERS = 4.0
 SEGMENT_S = 1.0
-# A bin that a smaller share of all samples falls into goes with its neighbour.
+# Share of all samples below which a bin is merged with its neighbour.
 _FEWEST = 0.01
 # Air near the ground changes with powers of the height.
 _HEIGHTS_M = np.array([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-# The draws' energies are close to sums of squares: a gamma distribution of their mean and variance.
+# Quantile of the draws that is shown as allowed.
 _QUANTILE = 0.95
 
 
@@ -87,7 +88,7 @@ def residuals(found: Found) -> list[Residual]:
     result = []
     for place, (flight, held_out) in enumerate(zip(regression.flights, found.closing.left_out, strict=True)):
         samples = len(flight.thinned)
-        at = places(len(columns.bands[place]), samples)
+        at = sample_indices(len(columns.bands[place]), samples)
         rows = [columns.combined(place, weights) for weights in (before, beyond, held_out.left)]
         series = over_time(np.stack(rows, axis=2), samples)
         result.append(
@@ -118,21 +119,21 @@ def over_time(rows: Array, samples: int) -> Array:
     return np.ascontiguousarray(np.moveaxis(series, 0, 1))
 
 
-def places(count: int, samples: int) -> npt.NDArray[np.intp]:
-    """Indices (count,) of the samples that lie where :func:`over_time` has its own."""
+def sample_indices(count: int, samples: int) -> npt.NDArray[np.intp]:
+    """Indices (count,) of the samples of a flight at the times of :func:`over_time`."""
     at: npt.NDArray[np.intp] = np.minimum(
         np.round(np.arange(count) * (samples / count)).astype(np.intp), samples - 1
     )
     return at
 
 
-def most_off(count: int) -> float:
-    """Tolerances that the furthest of so many coefficients may be off: nearly all simulations are within."""
+def largest_deviation(count: int) -> float:
+    """Tolerances that the furthest of `count` coefficients may be off, by the chance of `_BEYOND`."""
     return float(norm.isf(_BEYOND / (2.0 * count)))
 
 
 def within_tolerance(gram: Array, projected: Array) -> Array:
-    """Coefficients (K, D) that fit best, none further off than :func:`most_off`.
+    """Coefficients (K, D) that fit best, none further off than :func:`largest_deviation`.
 
     One that would go further is held at its bound, and the others are fitted again.
 
@@ -140,7 +141,7 @@ def within_tolerance(gram: Array, projected: Array) -> Array:
         gram: (K, K) of the columns of tolerances, whitened.
         projected: (K, D) of D residuals on them.
     """
-    matrix, most = gram + np.eye(len(gram)), most_off(len(gram))
+    matrix, most = gram + np.eye(len(gram)), largest_deviation(len(gram))
     best = np.linalg.solve(matrix, projected).astype(float)
     for draw in np.flatnonzero((np.abs(best) > most).any(axis=0)):
         own = best[:, draw]
@@ -204,7 +205,9 @@ class Cells:
             # What is left over at the end belongs to the last whole one.
             second = np.minimum(second, max(int((flight.time[-1] - flight.time[0]) / SEGMENT_S) - 1, 0))
             seconds.append(slice(first, first + int(second[-1]) + 1))
-            within = [bins[name].start + place(flight.variables[name], edges[name]) for name in VARIABLES]
+            within = [
+                bins[name].start + bin_indices(flight.variables[name], edges[name]) for name in VARIABLES
+            ]
             owned.append(np.stack([*within, first + second]))
             first = seconds[-1].stop
         members = [
@@ -232,8 +235,8 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Held:
-    """What cells hold.
+class CellTest:
+    """The energy of cells, tested against draws without any effect.
 
     Attributes:
         excess: (C, 6) energy beyond the mean of the draws; 0 where there is less.
@@ -248,11 +251,12 @@ class Held:
     allowed: Array
 
 
-def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed: int) -> Held:
-    """Hold the energy beyond tolerances against that of draws without any effect."""
+def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed: int) -> CellTest:
+    """Test the energy beyond tolerances against that of draws without any effect."""
     energy = cells.energy([flight.beyond for flight in flights])
     drawn = _drawn_energy(found, cells, seed)
     mean, variance = drawn.mean(axis=2), drawn.var(axis=2)
+    # Energies of draws are sums of squares: close to a gamma distribution of their mean and variance.
     shape, scale = np.square(mean) / variance, variance / mean
     chance = gamma.sf(energy, shape, scale=scale)
     chance_drawn = gamma.sf(drawn, shape[:, :, None], scale=scale[:, :, None])
@@ -262,7 +266,7 @@ def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed:
         smallest = np.sort(chance_drawn[family].min(axis=(0, 1)))
         below = np.searchsorted(smallest, chance[family], side="right")
         p_value[family] = (1.0 + below) / (1.0 + len(smallest))
-    return Held(
+    return CellTest(
         excess=np.maximum(energy - mean, 0.0),
         p_value=p_value,
         stands_out=(p_value <= _SIGNIFICANT) & (energy >= _MATTERS * mean),
@@ -275,7 +279,7 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     regression, columns = found.regression, found.regression.columns
     tolerances = columns.tolerances
     gram = regression.gram[np.ix_(tolerances, tolerances)]
-    most = most_off(len(tolerances))
+    most = largest_deviation(len(tolerances))
     rng = np.random.default_rng(seed)
     off = np.clip(rng.standard_normal((len(tolerances), DRAWS)), -most, most)
 
@@ -284,7 +288,7 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
 
     def noise(place: int) -> Array:
         rng, band = np.random.default_rng((seed, place)), columns.bands[place]
-        # Noise differs from flight to flight: no better known than its own squares in a band could tell.
+        # Noise differs from flight to flight: it is known no better than its own squares in a band allow.
         count = np.maximum(np.bincount(band, minlength=BANDS), 1)[:, None]
         share = rng.chisquare(count, (len(AXES), BANDS, DRAWS)) / count
         deviation = np.sqrt(spectrum[:, :, None] / share)
@@ -304,7 +308,7 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     return energy
 
 
-def place(values: Array, edges: Array) -> Indices:
+def bin_indices(values: Array, edges: Array) -> Indices:
     """Bin (B,) of each value; the first and the last are open."""
     return np.searchsorted(edges[1:-1], values, side="right")
 
@@ -319,7 +323,7 @@ def _edges(name: str, flights: Sequence[Residual]) -> Array:
         edges = round_edges(values, _MOST_BINS)
     fewest = _FEWEST * len(values)
     while len(edges) > 2:
-        counts = np.bincount(place(values, edges), minlength=len(edges) - 1)
+        counts = np.bincount(bin_indices(values, edges), minlength=len(edges) - 1)
         small = int(np.argmin(counts))
         if counts[small] >= fewest:
             break

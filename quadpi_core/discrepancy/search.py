@@ -104,7 +104,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         gain += more
         accepted, dropped = without_idle(larger, threshold)
         judgements += dropped
-        # What was dropped does not come back: two could take turns for ever.
+        # A dropped effect is not tried again: two effects could take turns for ever.
         idle |= set(larger.chosen) - set(accepted.chosen)
     names, spectra = generic_spectra(flights)
     left = predicted(accepted.regression.left(accepted.fit), spectra, names)
@@ -170,7 +170,7 @@ def _one_more(
 
 
 def _fits_with_one_more(before: Accepted) -> list[tuple[int, Fit | None]]:
-    """Candidates that may stand beside the set, with the fit of all together; most evidence first."""
+    """Candidates that can be added to the set, with the fit of all together; most evidence first."""
     regression, fits = before.regression, []
     beside = [regression.candidates[index] for index in before.chosen]
     for index, candidate in enumerate(regression.candidates):
@@ -228,7 +228,7 @@ def _rivals(accepted: Accepted) -> dict[int, list[tuple[int, float]]]:
         for rival, candidate in enumerate(regression.candidates):
             if candidate.name == own.name or any(map(candidate.excludes, beside)):
                 continue
-            # What was taken for the error of a law does not come back as a rival.
+            # An effect that explains the error of a law is no rival of one that scales what acts.
             if scales and not candidate.effect.scales_existing:
                 continue
             swapped = regression.fit(tuple(sorted((*others, rival))))

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a flight is compared with: a simulation gives the wrench of a flight as it was flown.
+"""What a flight is compared with: a simulation that gives the wrench of the flight, and quadpi's own.
 
-Any simulation will do; :class:`Simulation` says what the search for discrepancies asks of one. What a
-simulation is known to be uncertain in by itself is stated as tolerances: each is a column of wrench that one
-standard deviation of a coefficient makes. A discrepancy is what these cannot explain.
+:class:`Simulation` is what the search for discrepancies needs of any simulation. The known uncertainty of its
+coefficients is stated as tolerances: each is a column of wrench, that of one standard deviation of a
+coefficient. A discrepancy is what no coefficient within its tolerance explains.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from quadpi_core.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Tolerances(Section):
-    """One standard deviation of what a simulation is known to be uncertain in.
+    """Standard deviations of the coefficients of a simulation.
 
     Attributes:
-        thrust: share of the thrust of rotors at rest in the air, of all alike and of each by itself.
+        thrust: share of the thrust of rotors at rest in the air, of all together and of each.
         coefficient: share of every other coefficient.
         inertia: share of each moment of inertia.
         cg_m: of the centre of gravity along each axis.
@@ -81,8 +81,7 @@ class Simulation(ABC):
         vehicle: as the simulation has it.
         vehicle_file: name or path that the vehicle was read from; empty where it was not.
         tolerances: what it is known to be uncertain in.
-        code: that gives its answers and is no part of quadpi: which function, of which file, and what named
-            it; empty without such code.
+        code: the user's code that it runs: the function, its file, and the file that named it; empty without.
         memoryless: whether the wrench at an instant depends on that instant alone.
     """
 

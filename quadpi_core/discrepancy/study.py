@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a simulation and bags to what is missing, where, and a simulation that has it: the whole workflow."""
+"""The whole study: from a simulation and bags to what the simulation lacks, where, and how it then flies."""
 
 from __future__ import annotations
 
@@ -26,13 +26,16 @@ from quadpi_core.parallel import map_files
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
-# Airspeeds in induced velocities of hover, about half of which a gentle manoeuvre of any vehicle reaches.
+# A manoeuvre has been flown where a quantity reaches these, about half of what a gentle one of any vehicle
+# does: airspeeds in induced velocities of hover, body rates, extent of the heading, and extent of the sum of
+# squared rotor speeds over its mean.
 _SPEED, _CLIMB = 0.25, 0.12
 _RATE_RAD_S = 0.6
 _HEADING_RAD = 0.8
 _LOAD = 0.15
+# Extent of a rotor speed that does not change: below the resolution of any sensor.
 _STUCK_RAD_S = 1e-3
-# Of samples: what lies beyond is taken for noise.
+# Share of the samples that is beyond the largest value, as noise.
 _TAIL = 0.01
 
 
@@ -109,11 +112,11 @@ def study(
 
 
 def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str, ...]:
-    """Manoeuvres that no flight holds, as a pilot would be told them; refuse flights that hold none of all.
+    """Names of the manoeuvres that no flight holds, in a pilot's words.
 
     Raises:
-        DiscrepancyError: for hover alone, naming what is missing; and naming the file, for rotor speeds that
-            do not change, as a sensor that is stuck or a log that was filled in has them.
+        DiscrepancyError: for flights of hover alone, naming what is missing; and, naming the file, for rotor
+            speeds that do not change, as of a stuck sensor or a log that was filled in.
     """
     for flight in flights:
         stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < _STUCK_RAD_S)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What no effect of the library explains: is there anything left that one flight tells of another?
+"""What no effect of the library explains: the part of the residual that other flights predict.
 
-Noise cannot be predicted. So what the effects leave is given to many functions of motion, rotors, place,
-heading and time that know no physics; if coefficients found on all other flights predict a flight, something
-is there that has no name.
+Noise cannot be predicted. So what the effects leave is fitted by many generic functions of motion, rotors,
+place, heading and time; if coefficients from all other flights predict a flight, something is left that has
+no name.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from quadpi_core.frames import Array
 from quadpi_core.rotations import rotation_matrix
 
 _LAGS_S = (0.1, 0.4)
-# A force that depends on the place alone, as of a draught, is looked for at points so many arms of the
-# vehicle apart, where two flights at least were for so long, and at so many points at most.
+# A force that depends on the place alone, such as a draught, is looked for at points of the ground: their
+# spacing in arms of the vehicle, the time that at least two flights were there, and the largest number of
+# points.
 _SPACING_ARMS, _STAY_S, _POINTS = 7.0, 0.25, 60
 _CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
 _ROUNDS = 4
@@ -97,11 +98,11 @@ def functions(compared: Compared) -> tuple[list[str], Array]:
     return list(named), np.stack(list(named.values()), axis=1)
 
 
-def places(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
+def functions_of_place(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
     """Names and, per flight, values (M, 3, 3 P) of a vector of the world at P points of the ground.
 
-    It falls to nothing at the points around. What an axis of the body sees of north, east and down is a
-    function of that axis, for a force as for a moment.
+    It decreases linearly to zero at the neighbouring points. Its components in body axes are functions of the
+    axes of the force, and of the moment.
     """
     arm = np.linalg.norm(flights[0].simulation.vehicle.rotor_positions[:, :2], axis=1).mean()
     positions = [flight.thinned.position[:, :2] / (_SPACING_ARMS * arm) for flight in flights]
@@ -126,10 +127,10 @@ def places(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
     return names, values
 
 
-def courses(flight: Compared) -> tuple[list[str], Array]:
-    """Names and values (M, 3, 18) of a vector of the world that goes with the velocity through the air.
+def functions_of_course(flight: Compared) -> tuple[list[str], Array]:
+    """Names and values (M, 3, 18) of a vector of the world in proportion to the velocity through the air.
 
-    As of a cable that unrolls, or of air that one direction of flight stirs up.
+    Such as the force of a cable that unrolls, or of air that one direction of flight stirs up.
     """
     rotation = rotation_matrix(flight.thinned.attitude)
     scale = flight.simulation.vehicle.hover_induced_velocity
@@ -149,12 +150,12 @@ def _hats(away: Array) -> Array:
 
 def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectrum]]:
     """Names of the functions and their spectra for each flight: rows (6, B, J)."""
-    place_names, place_values = places(flights)
+    place_names, place_values = functions_of_place(flights)
     names: list[str] = []
     spectra = []
     for flight, place in zip(flights, place_values, strict=True):
         names, values = functions(flight)
-        course_names, course = courses(flight)
+        course_names, course = functions_of_course(flight)
         rate = flight.thinned.rate_hz
         alike = spectrum(values[:, None, :], rate)
         local = spectrum(np.concatenate((course, place), axis=2), rate)
@@ -166,7 +167,8 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
 def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:
     """What the functions predict of each flight from the others.
 
-    The noise is what the functions leave: what the effects leave is more, where something has no name.
+    The noise is estimated from what the functions leave; what the effects leave is more where something has
+    no name.
 
     Args:
         left: per flight, rows (6, B) that effects leave of the residual.

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Autocorrelated residuals made white: least squares among the frequencies of each flight.
+"""Whitening of autocorrelated residuals: least squares in the frequencies of each flight.
 
-The noise of a measured wrench is anything but white: a moment comes from the derivative of a rate, and what
-the estimator got wrong changes slowly. Textbook criteria that count samples as independent then find effects
-where there are none. In frequency, stationary noise is independent from bin to bin, and only its spectrum
-has to be known; it is estimated axis by axis from what the fit of everything leaves.
+The noise of a measured wrench is not white: a moment is the derivative of a rate, and errors of the estimator
+change slowly. Criteria that count samples as independent then find effects where there are none. In
+frequency, stationary noise is independent from bin to bin, and only its spectrum has to be known; it is
+estimated axis by axis from what the fit of all columns leaves.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
-# What is compared: beyond it measured moments are noise of the gyro.
+# Highest frequency compared: above it measured moments are noise of the gyro.
 BAND_HZ = 20.0
-# The noise is taken as white between these. The lowest band takes what is constant in a flight.
+# Edges of the bands in which the noise counts as white. The lowest band holds what is constant in a flight.
 _EDGES_HZ = (0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, BAND_HZ)
 _TAPER_S = 0.5
 _ROUNDS = 4
@@ -86,12 +86,12 @@ def estimate_noise(spectra: Sequence[Spectrum]) -> Array:
     alone = []
     for axis in range(len(AXES)):
         own = [Spectrum(flight.rows[axis : axis + 1], flight.band) for flight in spectra]
-        # From below, where the fit is that of least squares, the rounds settle quickly.
+        # Starting from too little noise, where the fit is that of least squares, the rounds converge quickly.
         highest = np.concatenate([flight.rows[0, flight.band == BANDS - 1, 0] for flight in own])
         lowest = max(np.mean(np.square(highest)), np.finfo(float).tiny)
         alone.append(_settled(own, np.full((1, BANDS), lowest)))
-    # Together from the start, an axis that is taken for exact would bend the fit, and what that leaves of
-    # another would be taken for its noise for good.
+    # Fitted together from the start, an axis with too little noise would bend the fit, and the error that
+    # this leaves in another axis would count as its noise for good.
     return _settled(spectra, np.concatenate(alone))
 
 

@@ -14,10 +14,10 @@ from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.residual_bins import (
     Cells,
     against_draws,
-    most_off,
+    largest_deviation,
     over_time,
-    places,
     residuals,
+    sample_indices,
     within_tolerance,
 )
 from quadpi_core.discrepancy.search import search
@@ -130,7 +130,7 @@ def test_a_force_in_one_place_is_found_there_and_whenever_a_flight_is_there(simu
 def test_coefficients_within_tolerance_explain_what_they_can_and_no_more():
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((200, 4)) * 30.0
-    most = most_off(4)
+    most = largest_deviation(4)
     assert 2.0 < most < 3.5
     truth = np.array([[0.5, 0.5], [-1.0, -1.0], [0.2, 0.2], [1.0, 9.0]])
     gram = columns.T @ columns
@@ -149,7 +149,7 @@ def test_rows_come_back_as_the_signal_that_they_were_made_of(samples):
     columns = np.repeat((signal[:, None] * np.arange(1.0, 7.0))[:, :, None], 2, axis=2)
     rows = spectrum(columns, rate_hz).rows
     series = over_time(rows, samples)
-    at = places(rows.shape[1], samples)
+    at = sample_indices(rows.shape[1], samples)
     assert series.shape == (len(at), 6, 2)
     assert np.square(series).mean(axis=0) == pytest.approx(np.square(rows).sum(axis=1) / samples)
     inner = (time[at] > 1.0) & (time[at] < time[-1] - 1.0)
