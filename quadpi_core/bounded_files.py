@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that others wrote: how large they may be, and JSON whose numbers are finite."""
+"""Reading of untrusted files: limits on their size, and JSON with finite numbers and no duplicate keys."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def read_bounded(path: Path, most: int) -> bytes:
     if path.exists() and not path.is_file():
         raise ValueError("not a file")
     with path.open("rb") as file:
-        # Python takes memory for as much as is asked for, however small the file.
+        # Python allocates as much as `read` is asked for, however small the file.
         size = os.fstat(file.fileno()).st_size
         data = file.read(size + 1) if size <= most else b""
     if max(len(data), size) > most:
@@ -40,10 +40,10 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """What a JSON text holds; each key stands once, and each number is finite.
+    """The content of a JSON text without duplicate keys, whose numbers are finite.
 
     Raises:
-        ValueError: saying what is wrong with it; nesting too deep for Python included.
+        ValueError: saying what is wrong with the text, such as nesting too deep for Python.
     """
     try:
         return json.loads(
@@ -79,5 +79,5 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) != len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in found if keys.count(key) > 1)
-        raise ValueError(f"the key `{twice[:80]}` stands twice")
+        raise ValueError(f"duplicate key `{twice[:80]}`")
     return found

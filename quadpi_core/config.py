@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files under config, or of the user's own: all kinds are found and read alike."""
+"""Reading of YAML configuration, from the folder config or a user's own path, by a safe and bounded loader."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from quadpi_core.paths import config_directory
 
 
 def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -> tuple[Path, Any]:
-    """Path and content of a YAML file, by its name in the folder of its kind or by its path.
+    """Path and content of a YAML file, found by its name in config's folder of its kind, or by its path.
 
     Args:
         kind: "vehicle", "mapping", "adapter", "candidate", "scenario" or "noise".
@@ -27,7 +27,7 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
         error: class of the error to raise.
 
     Raises:
-        QuadpiError: of that class, naming the file that is absent or no YAML.
+        QuadpiError: of that class, naming the file that does not exist or is not YAML.
     """
     path = Path(name_or_path)
     own = config_directory() / (kind if kind == "noise" else f"{kind}s")
@@ -48,15 +48,15 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
 
 
 def is_config_path(name_or_path: str | Path) -> bool:
-    """Whether it is the path of a file, and not a name in config."""
+    """Whether a text is the path of a YAML file, rather than the name of one in config."""
     return Path(name_or_path).suffix in {".yaml", ".yml"}
 
 
-# No quantity is larger, or smaller unless it is zero; powers and products of such numbers stay finite.
+# Beyond any physical quantity; powers and products of such numbers stay finite.
 _LARGEST = 1e30
 _OF_SIZE = f"numbers must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, or 0"
 _DIGITS_MAX = 100
-# With every alias written out: an alias of aliases of aliases names as much as anyone likes.
+# Entries with every alias expanded: nested aliases grow exponentially ("billion laughs").
 _NODES_MAX = 100_000
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?[0-9]+")
@@ -64,11 +64,11 @@ _FLOAT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?\.(
 
 
 class _Loader(yaml.SafeLoader):
-    """Knows mappings, lists, text, decimal numbers, true, false and null, and no other tag.
+    """Accepts mappings, lists, text, decimal numbers, booleans and null, and no other tag.
 
-    YAML 1.1 reads 1:30 as 90, 010 as 8, 2024-01-01 as a date, and 1e-3 as text; here the first and the third
-    are text and the others the decimal numbers that they look like. Refused are numbers that no quantity has,
-    a key that stands twice, of which YAML would take the last, and aliases that repeat too much.
+    YAML 1.1 reads 1:30 as 90, 010 as 8, 2024-01-01 as a date, and 1e-3 as text; this loader reads the first
+    and the third as text, the others as the decimal numbers 10 and 0.001. It refuses numbers beyond any
+    physical quantity, duplicate keys (YAML would keep the last), and aliases that expand too far.
     """
 
     yaml_constructors: ClassVar[dict[Any, Any]] = {}
@@ -83,13 +83,13 @@ class _Loader(yaml.SafeLoader):
     def construct_int(self, node: yaml.ScalarNode) -> int:
         """A whole decimal number."""
         self._require(_INT, node, "a whole number")
-        if len(node.value) > _DIGITS_MAX:  # Python reads no whole numbers of thousands of digits
+        if len(node.value) > _DIGITS_MAX:  # Python refuses to convert thousands of digits
             raise _refused(_OF_SIZE, node)
         self._sized(float(node.value), node)
         return int(node.value)
 
     def construct_float(self, node: yaml.ScalarNode) -> float:
-        """A decimal number; what is infinite or none is judged where its key is known."""
+        """A decimal number; infinity and NaN pass, for the type of the key to refuse by name."""
         self._require(_FLOAT, node, "a number")
         text = node.value.lower()
         return self._sized(float(text.replace(".inf", "inf").replace(".nan", "nan")), node)
@@ -116,7 +116,7 @@ class _Loader(yaml.SafeLoader):
         seen = set()
         for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
             if key.value in seen:
-                raise _refused(f"the key `{key.value}` stands twice", key)
+                raise _refused(f"duplicate key `{key.value}`", key)
             seen.add(key.value)
         return yaml.constructor.BaseConstructor.construct_mapping(self, node, deep)
 
@@ -126,10 +126,10 @@ def _refused(problem: str, node: yaml.Node) -> yaml.constructor.ConstructorError
 
 
 def _count(node: yaml.Node, known: dict[int, int]) -> int:
-    """Nodes at and below a node, with every alias written out; 0 stands for one that is being counted."""
+    """Nodes at and below a node, every alias expanded; `known` holds 0 for a node that is being counted."""
     if id(node) in known:
         if known[id(node)] == 0:
-            raise _refused("an alias of what it stands in", node)
+            raise _refused("an alias of the entry that contains it", node)
         return known[id(node)]
     known[id(node)] = 0
     below: list[yaml.Node] = []
@@ -139,7 +139,7 @@ def _count(node: yaml.Node, known: dict[int, int]) -> int:
         below = node.value
     total = 1 + sum(_count(part, known) for part in below)
     if total > _NODES_MAX:
-        raise _refused(f"more than {_NODES_MAX} entries, with every alias written out", node)
+        raise _refused(f"more than {_NODES_MAX} entries, with every alias expanded", node)
     known[id(node)] = total
     return total
 
@@ -165,6 +165,6 @@ for _name, _pattern, _first in (
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The known name most like the one that was not found, as a question for its error; else nothing."""
+    """The known name most similar to an unknown one, as the question that ends its refusal; else nothing."""
     similar = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean `{similar[0]}`?" if similar else ""

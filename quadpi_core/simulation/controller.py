@@ -28,11 +28,12 @@ _TILT_GAIN = 8.0
 _YAW_GAIN = 3.0
 _RATE_GAIN = 18.0
 _YAW_RATE_GAIN = 6.0
-# A motor that follows its command with one time constant is led by as much.
+# The command leads the wanted rotor speed by this factor, to make up for the lag of a first-order motor.
 _MOTOR_LEAD = 2.0
-# Greatest tilt that the position may demand.
+# Largest tilt that a position error may demand.
 TILT_MAX_DEG = 65.0
 _TAN_TILT_MAX = math.tan(math.radians(TILT_MAX_DEG))
+# Smallest upward specific force [m/s²] demanded, below which the attitude of the thrust is undefined.
 _LEAST_SPECIFIC_FORCE = 2.0
 
 
@@ -92,7 +93,7 @@ class Controls(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def observe(controls: Controls, rotor_speeds: Any, wrench: Any) -> None:
-    """Remember which part of the wrench at an instant the rotors in hover do not explain."""
+    """Update the disturbance: the wrench less that of rotors in hover at the present rotor speeds."""
     disturbance, effectiveness = controls.disturbance, controls.effectiveness
     for axis in range(6):
         disturbance[axis] = wrench[axis]

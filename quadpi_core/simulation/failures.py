@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors that fail for a while: each kind of failure is one small function on what a sensor sends."""
+"""Temporary sensor failures: each kind is one small function on the stream that a sensor sends."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The plan of one simulated flight: all that it takes to fly it again."""
+"""The plan of one simulated flight, complete enough to repeat it bit for bit."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from quadpi_core.simulation.reference_signals import (
 )
 from quadpi_core.simulation.truth import LOG_HZ, Reference
 
-# Instants per second at which a flight is looked at for contact with the ground.
+# Rate at which a reference is checked for contact with the ground.
 _LOOK_HZ = 100.0
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
@@ -114,7 +114,7 @@ class FlightPlan(Section):
         return parse_config(cls, data, where, SimulationError)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan as JSON can hold it; :meth:`from_dict` makes the plan of it again."""
+        """The plan as JSON; :meth:`from_dict` reads it back."""
         parts = {
             "motion": motion_as_dict(self.motion),
             "orbit": None if self.orbit is None else signal_as_dict(self.orbit),
@@ -137,7 +137,7 @@ class FlightPlan(Section):
         return None if self.head_wind_m_s is None else np.array([-self.head_wind_m_s, 0.0, 0.0])
 
     def reference(self, rate_hz: float) -> Reference:
-        """What the vehicle is to follow, from the first to the last instant of the flight."""
+        """The reference, from the first to the last instant of the flight."""
         time = np.arange(math.floor(self.duration_s * rate_hz + 0.5) + 1) / rate_hz
         jets = {axis: self._jets(axis, time) for axis in AXES}
         if self.orbit is not None:

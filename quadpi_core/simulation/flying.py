@@ -25,14 +25,16 @@ from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth
 from quadpi_core.vehicle import ROTORS
 
-# Stamps of every simulated flight begin here; a fixed one, for equal plans give equal bytes.
+# First stamp of every simulated flight: fixed, so that equal plans give equal bytes.
 START_NS = 1_700_000_000_000_000_000
 _NO_EFFECTS: Effects = {}
 
 _NEWTON_STEPS_MAX = 30
+# Of force over weight, and of moment over weight and arm.
 _CONVERGED = 1e-10
-# The wind is raised in steps of this [m/s]: each trim starts from the one before.
+# The wind is raised in steps [m/s]; Newton's method starts from the trim of the step before.
 _WIND_STEP = 0.5
+# Of the unknowns, for central differences.
 _DIFFERENCE = 1e-6
 
 
@@ -49,7 +51,7 @@ def simulate_flight(
 ) -> Truth:
     """Fly a vehicle along a reference, from trim at its first instant.
 
-    The controller knows the vehicle as in its file: effects that alter it come as a surprise.
+    The controller knows the vehicle as in its file, without the effects that alter it.
 
     Args:
         name: of the flight.
@@ -123,7 +125,7 @@ def simulate_flight(
 
 
 def _demand(reference: Reference, wind: Array, last: int) -> Demand:
-    """What the compiled flight follows, up to the instant `last`."""
+    """The reference and wind of the compiled flight, up to the instant `last`."""
     jerk = np.zeros_like(reference.acceleration)
     jerk[:-1] = np.diff(reference.acceleration, axis=0) * STEP_HZ
     columns = (
@@ -141,7 +143,7 @@ def _demand(reference: Reference, wind: Array, last: int) -> Demand:
 
 
 def _lost(motion: np.void, position: Array, step: int) -> str:
-    """Time and state at which the vehicle got out of control or to the ground, in words."""
+    """Message with the time and state at which the vehicle lost control or hit the ground."""
     rotation = rotations.matrix(motion["attitude"])
     tilt = np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
     rates = ", ".join(f"{rate:.1f}" for rate in motion["rates"])
@@ -205,7 +207,7 @@ def _solve(model: RotorLocalModel, wind: Array, heading: Array, start: Array) ->
 
 
 def _unbalance(model: RotorLocalModel, wind: Array, heading: Array, unknowns: Array) -> Array:
-    """What is left (K, 6) of force over weight, and of moment over weight and arm, for unknowns (K, 6)."""
+    """Residuals (K, 6) of force over weight, and of moment over weight and arm, for unknowns (K, 6)."""
     vehicle = model.vehicle
     turns = np.array([rotations.matrix(_tilted(heading, row)) for row in unknowns])
     velocity = np.array([matrix_times(np.ascontiguousarray(turn.T), -wind) for turn in turns])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From flight plans to bags: fly each, sense it, write all or none."""
+"""Simulation of flight plans: fly each, sample its sensors, and write the bags, all of them or none."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from quadpi_core.simulation.truth import STEP_HZ, Reference, Truth
 
 Progress = Callable[[str, float], None]
 _POLL_S = 0.1
-# The rotor-local model was measured up to 14 m/s; flights against such a wind go forward in it too.
+# The rotor-local model was measured up to 14 m/s; a flight against such a wind moves forward in it too.
 AIRSPEED_MAX_M_S = 16.0
-# With what is put on top of the path's.
+# Tilt of the path and of the excitation together.
 EXCITED_TILT_MAX_DEG = 75.0
 YAW_RATE_MAX_DEG_S = 360.0
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors add to the truth: sensor suites, read from config/noise, and noise as pure functions.
+"""Sensor noise: suites of sensors, read from config/noise, and noise as pure functions.
 
-Everything random comes from one seed, through a stream of its own for each name: what one sensor is set to
-leaves the noise of the others alone.
+All random numbers come from one seed, through a separate stream for each name: a change to one sensor leaves
+the noise of the others unchanged.
 """
 
 from __future__ import annotations

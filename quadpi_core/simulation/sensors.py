@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors of a simulated vehicle send: the truth on their own clocks, then all that mars it.
+"""Sensor streams of a simulated vehicle: the truth sampled on each sensor's clock, then degraded.
 
-In the order of the signal: where a sensor sits and what it cannot see, effects, noise, faults.
+In the order of the signal: mounting and lost frames, effects, noise, faults.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import Vehicle
 
 _FIELDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap/pose": "pose", "wind": "wind"}
-# Of a frame's period: frames keep their order whatever the jitter.
+# Share of a frame's period: with less than half, frames keep their order.
 _JITTER_MAX = 0.4
 
 
@@ -68,14 +68,14 @@ class Sensed:
 def sense(
     truth: Truth, vehicle: Vehicle, suite: SensorSuite, effects: Effects, faults: Iterable[Fault], seed: int
 ) -> Sensed:
-    """Sensor streams of a flight; wind only where the truth has a known one.
+    """Sensor streams of a flight; wind only where the truth has one that an anemometer measures.
 
     Args:
         truth: of the flight, evenly sampled.
         vehicle: as its owner knows it, without the effects.
         suite: sensors and their noise.
-        effects: of which those of the sensors act here.
-        faults: applied last, but for the rounding of electrical speeds.
+        effects: only those of kind "sensor" act here.
+        faults: applied last, before electrical speeds are rounded.
         seed: of all that is random.
 
     Raises:
@@ -104,7 +104,7 @@ def sense(
 
 
 def ideal_recording(truth: Truth, vehicle: Vehicle, suite: SensorSuite, seed: int) -> Recording:
-    """What the sensors would send without noise, where they sit, less the frames that motion capture loses.
+    """Noise-free sensor streams at the sensors' mounting, less the frames that motion capture loses.
 
     Raises:
         SimulationError: for a sensor whose rate does not divide that of the truth.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated flights as bags: what the sensors sent on the standard topics, and on /truth/… what happened."""
+"""Simulated flights as bags: sensor streams on the standard topics, the true states under /truth/."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 from quadpi_core import __version__
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.compiled import njit
+from quadpi_core.config_schema import Positive, Section, Vector, parse_config
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
 from quadpi_core.frames import Array
@@ -38,7 +39,7 @@ _Content = TypeVar("_Content")
 
 @dataclass(frozen=True)
 class RecordedTruth:
-    """What a bag says of the truth at N instants; body axes forward-right-down, world north-east-down, SI.
+    """The truth in a bag at N instants; body axes forward-right-down, world north-east-down, SI.
 
     Attributes:
         mass, gravity: [kg], [m/s²] of the vehicle as it truly flew.
@@ -73,7 +74,7 @@ def write_simulated_bag(path: Path | str, plan: FlightPlan, truth: Truth, sensed
     """Write a simulated flight as an MCAP bag; equal input gives equal bytes.
 
     The metadata record "quadpi" names vehicle, version, scenario, flight and seed; as JSON it holds the
-    effects, the whole plan, and what the vehicle truly was. Messages of sensors are logged at their arrival.
+    effects, the whole plan, and mass and inertia as flown. Messages of sensors are logged at their arrival.
 
     Args:
         path: .mcap file to write; it appears whole or not at all.
@@ -185,7 +186,11 @@ def read_truth(path: Path | str) -> RecordedTruth:
         text = bag.metadata.get("truth")
     if text is None:
         raise LogError(f"{path}: no `truth` in its metadata: no flight of quadpi's simulation")
-    mass, gravity, inertia = _body(f"{path}: `truth` in its metadata", text)
+    where = f"{path}: `truth` in its metadata"
+    try:
+        body = parse_config(_FlownBody, parse_json(text), where, LogError)
+    except ValueError as error:
+        raise LogError(f"{where}: {one_line(error)}") from error
 
     def unpacked(name: str, unpack: Callable[[Payloads], _Content]) -> _Content:
         return unpacked_topic(path, topics[names[f"truth/{name}"]], unpack)
@@ -198,9 +203,9 @@ def read_truth(path: Path | str) -> RecordedTruth:
         "acceleration", lambda found: sensor_messages.unpack_body_vectors(found, sensor_messages.ACCELERATION)
     )
     return RecordedTruth(
-        mass=mass,
-        gravity=gravity,
-        inertia=inertia,
+        mass=body.mass_kg,
+        gravity=body.gravity_m_s2,
+        inertia=np.array(body.inertia_kg_m2),
         odometry=odometry,
         acceleration=rotate_body_to_world(odometry.attitude, accelerations[:, :3]),
         angular_acceleration=accelerations[:, 3:],
@@ -211,14 +216,14 @@ def read_truth(path: Path | str) -> RecordedTruth:
     )
 
 
-def _body(where: str, text: str) -> tuple[float, float, Array]:
-    """Mass kg, gravity m/s² and inertia (3, 3) kg m² out of the metadata of a bag."""
-    try:
-        vehicle = parse_json(text)
-        mass, gravity = float(vehicle["mass_kg"]), float(vehicle["gravity_m_s2"])
-        inertia = np.array(vehicle["inertia_kg_m2"], dtype=float)
-    except (ValueError, KeyError, TypeError) as error:
-        raise LogError(f"{where}: {type(error).__name__} {one_line(error)}") from error
-    if not (mass > 0.0 and gravity > 0.0 and inertia.shape == (3, 3) and is_rigid_body(inertia)):
-        raise LogError(f"{where}: mass, gravity and inertia are not those of a vehicle")
-    return mass, gravity, inertia
+@dataclass(frozen=True, kw_only=True)
+class _FlownBody(Section):
+    """The metadata `truth` of a bag: the rigid body as it truly flew."""
+
+    mass_kg: Positive
+    inertia_kg_m2: tuple[Vector, Vector, Vector]
+    gravity_m_s2: Positive
+
+    def __post_init__(self) -> None:
+        if not is_rigid_body(np.array(self.inertia_kg_m2)):
+            raise ValueError("`inertia_kg_m2` is not the inertia of a rigid body")

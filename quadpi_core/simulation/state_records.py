@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the compiled physics sees: one record of the state at an instant, one of the vehicle.
+"""Records that the compiled physics works on: the state at an instant, and the vehicle.
 
 Body axes forward-right-down, world north-east-down with the ground at height 0, SI units. Rotors in the
-order of the vehicle file. Records rather than bare arrays, so that kernels say `state.rates[2]`.
+order of the vehicle file. Kernels read `state.rates[2]` instead of an offset into a bare array.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STATE = np.dtype(
         ("hub_velocity", "f8", (4, 3)),
         ("thrusts", "f8", (4,)),
         ("torques", "f8", (4,)),
-        # Wrench [N, Nm] of the aerodynamics and of the effects before the one that looks at it.
+        # Wrench [N, Nm] of the aerodynamics and of the effects applied so far.
         ("wrench", "f8", (6,)),
     ],
     align=True,

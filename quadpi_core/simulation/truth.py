@@ -29,8 +29,8 @@ class Reference:
         acceleration: (N, 3) m/s², its second derivative.
         yaw: (N,) rad, not wrapped.
         yaw_rate: (N,) rad/s, its derivative.
-        tilt: (N, 2) rad of roll and pitch put on top of the controller's demand, to excite moments.
-        thrust: (N,) put on top of the controller's demand, as a share of the weight.
+        tilt: (N, 2) rad of roll and pitch added to the controller's demand, to excite moments.
+        thrust: (N,) added to the controller's demand, as a share of the weight.
     """
 
     position: Array
@@ -122,7 +122,7 @@ class Truth:
         return airspeed
 
     def flight(self) -> Flight:
-        """The truth in the place of an estimated flight; its wind is the true one."""
+        """The truth as a flight, as if the estimator were perfect."""
         return Flight(
             name=self.name,
             vehicle=self.vehicle.name,

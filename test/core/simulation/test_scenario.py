@@ -254,7 +254,7 @@ class TestComposition:
     def test_a_name_that_stands_twice_in_a_file_is_refused(self, tmp_path: Path):
         path = tmp_path / "twice.yaml"
         path.write_text("description: a test\nflights:\n  one: {}\n  one: {}\n")
-        with pytest.raises(SimulationError, match=r"twice\.yaml: .*the key `one` stands twice.* line 4"):
+        with pytest.raises(SimulationError, match=r"twice\.yaml: .*duplicate key `one`.* line 4"):
             load_scenario(path)
 
 

@@ -12,7 +12,6 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import TOPIC_TYPES, bag_topics, has_topic, read_bag, write_bag
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
-from quadpi_core.simulation.failures import read_faults
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import simulate_flight
 from quadpi_core.simulation.sensor_noise import SensorSuite
@@ -206,7 +205,7 @@ def test_faults_survive_the_bag(tmp_path, plan, truth):
         {"kind": "half_reading", "topic": "rotor_speeds", "rotors": [2], "at_s": 2.0, "for_s": 0.5},
         {"kind": "stamps_backward", "topic": "imu", "at_s": 3.0, "for_s": 0.1, "size_s": 0.02},
     ]
-    sent = sensed_of(replace(plan, faults=read_faults(faults, "here")), truth)
+    sent = sensed_of(plan.overridden(faults=faults), truth)
     write_simulated_bag(tmp_path / "faults.mcap", plan, truth, sent)
     found = read_bag(tmp_path / "faults.mcap", BEBOP)
     assert_same_streams(found, sent.recording)
