@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading of YAML configuration, from the folder config or a user's own path, by a safe and bounded loader."""
+"""Safe and bounded reading of YAML configuration, from the folder config or from a user's own path."""
 
 from __future__ import annotations
 

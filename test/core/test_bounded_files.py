@@ -83,7 +83,7 @@ def test_what_is_no_plain_yaml_is_refused(yaml, text):
 def test_aliases_may_repeat_but_not_explode(yaml):
     assert yaml("a: &a {x: 1}\nb: *a\nc: [*a, *a]")["c"] == [{"x": 1}, {"x": 1}]
     layers = "".join(f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9)}]\n" for n in range(1, 9))
-    with pytest.raises(VehicleError, match="more than 100000 entries, with every alias written out"):
+    with pytest.raises(VehicleError, match="more than 100000 entries, with every alias expanded"):
         yaml(f"l0: &l0 [x]\n{layers}")
 
 
