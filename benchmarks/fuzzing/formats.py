@@ -283,7 +283,7 @@ def _ros1_seeds() -> list[bytes]:
 
 def _ros1_records(data: bytes) -> list[bytes]:
     """The first line, then headers and data in turn, each with its length in front."""
-    border = data.index(b"\n") + 1
+    border = data.find(b"\n") + 1
     pieces, at = [data[:border]], border
     while at + 4 <= len(data):
         size = 4 + int.from_bytes(data[at : at + 4], "little")

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
@@ -14,13 +14,11 @@ from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import AXES
 from quadpi_core.messages.cdr import Codec, Field
-from quadpi_core.messages.foreign_arrays import ArrayCodec, ItemsField
 from quadpi_core.paths import message_directory
 
-_FORMATS = {
+FORMATS = {
     "bool": "?",
     "byte": "u1",
     "char": "u1",
@@ -39,7 +37,7 @@ _SEPARATOR = "=" * 80
 _REASON_LENGTH = 80
 _TYPE_NAME = re.compile(r"\w+(/\w+)+", re.ASCII)
 # No vehicle has more speed controllers, and no flying arena more bodies or markers.
-FIXED_ITEMS_MAX = 1024
+ITEMS_MAX = 1024
 
 
 @cache
@@ -66,7 +64,7 @@ def parsed_definition(type_name: str, text: str) -> Typesdict:
         for name, description in fields:
             match description:
                 case (Nodetype.ARRAY, ((Nodetype.NAME, _) | (Nodetype.BASE, ("string", _)), int(count))):
-                    if count > FIXED_ITEMS_MAX:
+                    if count > ITEMS_MAX:
                         raise TypesysError(f"the array {name} has {count} items")
     return types
 
@@ -94,46 +92,7 @@ def codec(type_name: str) -> Codec:
     array field, and so are six scalars named for the axes of a wrench (`lower_fx` … `lower_mz`: `lower`).
     """
     fields = list(_flat_fields(typestore().fielddefs, type_name, ""))
-    if any(isinstance(field, ItemsField) for field in fields):
-        raise TypeError(f"{type_name} holds an array of messages: that takes an array codec")
     return Codec(type_name, tuple(_join_wrenches(fields)))
-
-
-@cache
-def array_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int], ...]) -> ArrayCodec:
-    """The codec of a type that others define, and that may hold arrays of messages.
-
-    Args:
-        type_name: such as `px4_msgs/msg/EscStatus`.
-        definition: of that type and all that it contains, as a bag embeds it (`ros2msg`).
-        wanted: columns that are needed, those of items included, and how many numbers each has; 0 for text.
-
-    Raises:
-        LogError: for a definition that is none, or lacks a wanted column.
-    """
-    try:
-        types = parsed_definition(type_name, definition)
-        fields = tuple(_flat_fields({**typestore().fielddefs, **types}, type_name, ""))
-        _refuse_repeated(fields)
-    except (TypesysError, TypeError, KeyError, RecursionError) as error:
-        reason = one_line(error)[:_REASON_LENGTH]
-        raise LogError(f"the definition of {type_name} cannot be used: {reason}") from error
-    made = ArrayCodec(type_name, fields, [name for name, _ in wanted])
-    for name, width in wanted:
-        field = made.columns.get(name)
-        if field is None or width != ((field.count or 1) if field.is_number else 0):
-            raise LogError(f"this version of {type_name} has no field {name} of the kind known here")
-    return made
-
-
-def _refuse_repeated(fields: Sequence[Field]) -> None:
-    names = [field.name for field in fields]
-    for name in names:
-        if names.count(name) > 1:
-            raise TypeError(f"the field {name} stands twice")
-    for field in fields:
-        if isinstance(field, ItemsField):
-            _refuse_repeated(field.members)
 
 
 def _join_wrenches(fields: list[Field]) -> Iterator[Field]:
@@ -154,15 +113,11 @@ def _flat_fields(fielddefs: Mapping[str, Any], type_name: str, prefix: str) -> I
             case (Nodetype.BASE, ("string", _)):
                 yield Field(path, "string")
             case (Nodetype.BASE, (str(base), _)):
-                yield Field(path, _FORMATS[base])
+                yield Field(path, FORMATS[base])
             case (Nodetype.ARRAY, ((Nodetype.BASE, (str(base), _)), int(count))):
-                yield Field(path, _FORMATS[base], count)
+                yield Field(path, FORMATS[base], count)
             case (Nodetype.SEQUENCE, ((Nodetype.BASE, ("string", _)), _)):
                 yield Field(path, "strings")
-            case (Nodetype.ARRAY, ((Nodetype.NAME, str(contained)), int(count))):
-                yield ItemsField(path, "items", count, tuple(_flat_fields(fielddefs, contained, "")))
-            case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(contained)), _)):
-                yield ItemsField(path, "items", None, tuple(_flat_fields(fielddefs, contained, "")))
             case (Nodetype.NAME, str(contained)):
                 members = list(_flat_fields(fielddefs, contained, f"{path}."))
                 formats = {member.format for member in members}

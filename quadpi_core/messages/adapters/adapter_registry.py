@@ -19,8 +19,7 @@ from quadpi_core.messages.adapters.px4_messages import OdometryReader, read_sens
 from quadpi_core.messages.adapters.rigid_bodies import BodyReader
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
 from quadpi_core.messages.cdr import Columns
-from quadpi_core.messages.definitions import array_codec
-from quadpi_core.messages.foreign_arrays import ArrayCodec, Items
+from quadpi_core.messages.foreign_messages import ForeignCodec, Items, foreign_codec
 from quadpi_core.messages.message_stamps import header_stamps
 from quadpi_core.messages.payloads import Indices, Payloads
 from quadpi_core.vehicle import Vehicle
@@ -67,14 +66,14 @@ class Adapter:
         own = getattr(settings, self.kind)
         if own is None:
             raise LogError(f"{self.type_name} needs settings for `{self.kind}`")
-        codec = array_codec(self.type_name, definition, tuple(self.columns.items()))
+        codec = foreign_codec(self.type_name, definition, tuple(self.columns.items()))
         return Unpacker(codec, self.start(own, vehicle))
 
 
 class Unpacker:
     """Unpacks the messages of one topic, in their order: all at once or one by one."""
 
-    def __init__(self, codec: ArrayCodec, reading: _Reading) -> None:
+    def __init__(self, codec: ForeignCodec, reading: _Reading) -> None:
         self._codec = codec
         self._reading = reading
 
@@ -90,7 +89,7 @@ class Unpacker:
             LogError: naming the sample, for bytes that are no message of this type, or values that
                 contradict each other.
         """
-        columns, items = self._codec.decode_arrays(payloads)
+        columns, items = self._codec.decode(payloads)
         return self._reading.read(columns, items)
 
 

@@ -19,7 +19,7 @@ from quadpi_core.frames import (
     world_eus_to_enu,
 )
 from quadpi_core.messages.adapters.adapter_settings import FRD_NED, FUR_EUS, BodySettings
-from quadpi_core.messages.foreign_arrays import Items
+from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.units import NORM_TOLERANCE
 
 _WXYZ = [3, 0, 1, 2]

@@ -20,7 +20,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.cdr import Columns
-from quadpi_core.messages.foreign_arrays import Items
+from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.message_stamps import header_stamps, microsecond_stamps
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotor_order import ERPM, RotorOrder

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.messages.definitions import array_codec, codec, definition_text, typestore
-from quadpi_core.messages.foreign_arrays import ITEMS_MAX
+from quadpi_core.messages.definitions import ITEMS_MAX, codec, definition_text, typestore
+from quadpi_core.messages.foreign_messages import foreign_codec
 from quadpi_core.messages.payloads import Payloads
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -38,8 +38,8 @@ def serialized(frames_of_messages, seed=0):
 
 
 def decode(payloads):
-    made = array_codec(TRANSFORMS, definition_text(TRANSFORMS), WANTED)
-    _, items = made.decode_arrays(payloads)
+    made = foreign_codec(TRANSFORMS, definition_text(TRANSFORMS), WANTED)
+    _, items = made.decode(payloads)
     return items["transforms"]
 
 
@@ -77,9 +77,9 @@ def test_messages_that_are_cut_or_announce_too_much_are_refused():
 
 def test_definitions_that_are_none_or_of_another_version_are_refused():
     with pytest.raises(LogError, match=r"has no field transforms\.rpm"):
-        array_codec(TRANSFORMS, definition_text(TRANSFORMS), (("transforms.rpm", 1),))
+        foreign_codec(TRANSFORMS, definition_text(TRANSFORMS), (("transforms.rpm", 1),))
     with pytest.raises(LogError, match=r"has no field transforms\.transform\.rotation"):
-        array_codec(TRANSFORMS, definition_text(TRANSFORMS), (("transforms.transform.rotation", 3),))
+        foreign_codec(TRANSFORMS, definition_text(TRANSFORMS), (("transforms.transform.rotation", 3),))
     for broken in (
         "",
         "uint8",
@@ -90,10 +90,10 @@ def test_definitions_that_are_none_or_of_another_version_are_refused():
         "Part[] x\n" + "=" * 80 + "\nMSG: a/Part\nuint8 y\nuint8 y",
     ):
         with pytest.raises(LogError) as caught:
-            array_codec("a/msg/B", broken, (("x.y", 1),))
+            foreign_codec("a/msg/B", broken, (("x.y", 1),))
         assert len(str(caught.value)) < 200
 
 
 def test_a_codec_of_plain_messages_takes_no_arrays_of_messages():
-    with pytest.raises(TypeError, match="array of messages"):
+    with pytest.raises(TypeError, match="no codec for this kind of field"):
         codec(TRANSFORMS)
