@@ -266,7 +266,7 @@ def judge_evidence(gain: float, needed: float) -> Verdict:
         gain,
         needed,
         "nat",
-        f"gains {gain:.1f} nat of evidence where {needed:.1f} are needed",
+        f"gains {gain:.1f} nat, {needed:.1f} needed",
     )
 
 
@@ -279,8 +279,7 @@ def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
         smallest,
         SMALLEST.value,
         SMALLEST.unit,
-        f"the smallest of the set, {name}, has a size of {smallest:.2f} where more than "
-        f"{SMALLEST.value:g} is needed",
+        f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed",
     )
 
 
@@ -292,7 +291,7 @@ def judge_loudness(loudness: float) -> Verdict:
         loudness,
         LOUDNESS.value,
         LOUDNESS.unit,
-        f"adds {loudness:.2f} of the noise in its loudest axis where {LOUDNESS.value:g} is needed",
+        f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed",
     )
 
 
@@ -311,9 +310,9 @@ def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
         worst,
         GROWTH.value,
         GROWTH.unit,
-        f"is not judged on flights left out, for there are only {flights}"
+        f"not judged on flights left out, of {flights} flights"
         if few
-        else f"lets the worst axis of flights left out grow by {worst:.2f} where {GROWTH.value:g} is allowed",
+        else f"worst axis of flights left out grows by {worst:.2f}, {GROWTH.value:g} allowed",
     )
 
 
@@ -455,7 +454,7 @@ def _not_dropped(trial: Trial) -> Verdict:
 def _precedence(trial: Trial) -> Verdict:
     beside = [trial.regression.candidates[index] for index in trial.chosen]
     passed = not trial.behind or scales_beside_law(trial.candidate, beside)
-    sentence = f"does less well than {trial.behind}, which was rejected: it would be named for the same"
+    sentence = f"gains less than {trial.behind}, which was rejected"
     if passed:
         sentence = "no better candidate was rejected for good"
     return Verdict("precedence", passed, float(passed), 1.0, "", sentence)

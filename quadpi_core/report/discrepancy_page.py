@@ -8,6 +8,7 @@ The same tables and sentences are shown on the terminal and on a self-contained 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from latex2mathml.converter import convert as mathml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from quadpi_core.discrepancy.acceptance import Judgement
 from quadpi_core.discrepancy.discrepancy_result import (
     BeforeAfter,
     Discovery,
@@ -43,6 +45,8 @@ from quadpi_core.simulation.effect_registry import EFFECTS
 _DRAWN_SAMPLES = 300_000
 # Rows of the tables of conditions and of times; the terminal shows fewer.
 _MOST_RANGES, _MOST_ON_TERMINAL, _MOST_SEGMENTS = 12, 8, 12
+# Rejected candidates that the terminal shows of the last round of the search; the page shows all.
+_MOST_REJECTED = 3
 _FLOWN = {
     "position_m": "position [m]",
     "velocity_m_s": "velocity [m/s]",
@@ -64,6 +68,7 @@ def discrepancy_summary(study: Study) -> Group:
         parts += [Text(f"Where: {no_range_sentence(study)}"), Text()]
     if discovery.effects:
         parts.append(terminal_table(_effect_table(study)))
+    parts.append(terminal_table(_judgement_table(_decisive_judgements(discovery))))
     parts.append(terminal_table(_gap_table(discovery)))
     if study.flown_again:
         parts += [terminal_table(_flown_again_table(study)), Text(flown_again_note(study), style="dim")]
@@ -109,6 +114,7 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         no_range=no_range_sentence(study),
         maps=bool(loud),
         effects=[EffectSection.of(effect) for effect in discovery.effects],
+        judgements=_judgement_table(discovery.found.judgements),
         reduction=percent(discovery.gap.reduction),
         gap=_gap_table(discovery),
         flown_again=_flown_again_table(study) if study.flown_again else None,
@@ -216,6 +222,31 @@ class EffectSection:
             parameters=Table(columns, rows),
             ambiguity=ambiguity_sentence(found) if found.rivals else "",
         )
+
+
+def _decisive_judgements(discovery: Discovery) -> list[Judgement]:
+    """The candidates that were accepted, and the best of those that were rejected in the last round."""
+    judgements = discovery.found.judgements
+    last = [own for own in judgements if own.beside == judgements[-1].beside and not own.accepted]
+    return [own for own in judgements if own.accepted or own in last[:_MOST_REJECTED]]
+
+
+def _judgement_table(judgements: Sequence[Judgement]) -> Table:
+    """Why candidates were accepted or rejected, in the order of the search."""
+    columns = [
+        Column("beside", is_text=True, wraps=True, once=True),
+        Column("candidate", is_text=True),
+        Column("verdict", is_text=True, wraps=True),
+    ]
+    rows: list[Row] = [
+        [
+            ", ".join(own.beside) or "nothing",
+            own.label,
+            f"{'accepted' if own.accepted else 'rejected'}: {own.reason.sentence}",
+        ]
+        for own in judgements
+    ]
+    return Table(columns, rows, title="Candidates, best first")
 
 
 def _gap_table(discovery: Discovery) -> Table:

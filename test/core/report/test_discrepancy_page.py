@@ -4,9 +4,11 @@
 
 import json
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from quadpi_core.discrepancy.callable_simulation import CallableSimulation
 from quadpi_core.discrepancy.discrepancy_result import study_json
@@ -74,3 +76,16 @@ def test_maps_hold_the_mean_of_what_was_measured_more_than_simulated():
         [flight._replace(variables={"u": u.ravel(), "v": np.abs(v.ravel()) * 0.01})], 0, "u", "v"
     )
     assert np.isfinite(empty[2]).any()
+
+
+def test_every_candidate_has_its_reason(page_file, read_page, found):
+    page = read_page(page_file).text
+    console = Console(width=80, file=StringIO())
+    console.print(discrepancy_summary(found))
+    shown = " ".join(console.file.getvalue().split())
+    judgements = found.discovery.found.judgements
+    for own in judgements:
+        assert own.reason.sentence in page
+    assert "accepted" in shown
+    assert shown.count("rejected") <= 3
+    assert judgements[0].label in shown
