@@ -17,10 +17,11 @@ from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
+from quadpi_core.records import Records
 from quadpi_core.simulation.effect_definition import SHAPE, Effect, Effects, Wrench
 from quadpi_core.simulation.effect_kernels import MODULATORS, modulators, shaped
 from quadpi_core.simulation.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
-from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
 # Of what `compose` gives: (state, vehicle, parameters (K, P)).
@@ -67,7 +68,7 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
 
 
 @njit(cache=True)
-def _registered(state: Any, vehicle: Any, parameters: Array) -> None:
+def _registered(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
     for row in range(len(parameters)):
         p = parameters[row]
         wrench = added_wrench(int(p[-1]), state, vehicle, p)
@@ -75,7 +76,7 @@ def _registered(state: Any, vehicle: Any, parameters: Array) -> None:
 
 
 @njit(cache=True)
-def _none(state: Any, vehicle: Any, parameters: Array) -> None:
+def _none(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
     pass
 
 
@@ -88,7 +89,7 @@ def _passable_whole(function: Any) -> Any:
 
 
 @njit(cache=True)
-def _add(state: Any, wrench: Wrench) -> None:
+def _add(state: State, wrench: Wrench) -> None:
     total = state.wrench
     for axis in range(6):
         total[axis] += wrench[axis]
@@ -102,7 +103,7 @@ def _chain(extra: tuple[Any, ...], row: int = 0) -> Any:
     first, others = extra[0], _chain(extra[1:], row + 1)
 
     @njit(SIGNATURE)
-    def both(state: Any, vehicle: Any, parameters: Array) -> None:
+    def both(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
         _add(state, first(state, vehicle, parameters[row, :_SHAPE_AT]))
         others(state, vehicle, parameters)
 
@@ -141,7 +142,7 @@ def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]
 
 
 @njit(cache=True)
-def _modulators_of_all(states: Any, vehicles: Any) -> Array:
+def _modulators_of_all(states: Records, vehicles: Records) -> Array:
     found = np.empty((len(states), MODULATORS))
     for i in range(len(states)):
         of = modulators(states[i], vehicles[0])
@@ -151,7 +152,7 @@ def _modulators_of_all(states: Any, vehicles: Any) -> Array:
 
 
 @njit(cache=True)
-def _added_to_all(index: int, states: Any, vehicles: Any, p: Array, shape: Array) -> Array:
+def _added_to_all(index: int, states: Records, vehicles: Records, p: Array, shape: Array) -> Array:
     added = np.empty((len(states), 6))
     for i in range(len(states)):
         wrench = added_wrench(index, states[i], vehicles[0], p)

@@ -19,7 +19,9 @@ import numpy as np
 from quadpi_core import rotations
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.linear_algebra import cross, inverse, product3
+from quadpi_core.records import Records
+from quadpi_core.simulation.linear_algebra import Vector, cross, inverse, product3
+from quadpi_core.simulation.state_records import VehicleNumbers
 from quadpi_core.vehicle import ROTORS
 
 _POSITION_GAIN = 5.0
@@ -63,7 +65,7 @@ class Controls(NamedTuple):
         command: (4,) commanded rotor speeds [rad/s].
     """
 
-    nominal: Any
+    nominal: Records
     thrust_slope: float
     allocation: Array
     effectiveness: Array
@@ -71,7 +73,7 @@ class Controls(NamedTuple):
     command: Array
 
     @classmethod
-    def of(cls, nominal: Any) -> Controls:
+    def of(cls, nominal: Records) -> Controls:
         """For a nominal vehicle, a record VEHICLE (1,)."""
         vehicle = nominal[0]
         disc = vehicle["air_density"] * np.pi * vehicle["rotor_radius"] ** 4
@@ -92,7 +94,7 @@ class Controls(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def observe(controls: Controls, rotor_speeds: Any, wrench: Any) -> None:
+def observe(controls: Controls, rotor_speeds: Array, wrench: Array) -> None:
     """Update the disturbance: the wrench less that of rotors in hover at the present rotor speeds."""
     disturbance, effectiveness = controls.disturbance, controls.effectiveness
     for axis in range(6):
@@ -114,7 +116,7 @@ def control(controls: Controls, motion: Any, demand: Demand, step: int) -> None:
         demand: what is to be followed.
         step: at which instant.
     """
-    vehicle = controls.nominal[0]
+    vehicle: VehicleNumbers = controls.nominal[0]
     jerk, tilt, thrust = demand.jerk[step], demand.tilt[step], demand.thrust[step]
     rotation = rotations.matrix(motion.attitude)
     # Specific force that the rotors have to give, in the world: what is demanded less what the air gives.
@@ -176,7 +178,7 @@ def control(controls: Controls, motion: Any, demand: Demand, step: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _attitude_of(force: Any, yaw: float, tilt: Any) -> Any:
+def _attitude_of(force: Array, yaw: float, tilt: Array) -> Array:
     """Rotation (3, 3) whose -z points along a specific force (3,), nose near the yaw, then tilted."""
     size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     z0, z1, z2 = -force[0] / size, -force[1] / size, -force[2] / size
@@ -204,7 +206,7 @@ def _attitude_of(force: Any, yaw: float, tilt: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _allocate(controls: Controls, rotor_speeds: Any, thrust: float, moments: Any) -> None:
+def _allocate(controls: Controls, rotor_speeds: Array, thrust: float, moments: Vector) -> None:
     """Command rotor speeds for thrust and moments; where they saturate, yaw gives way first, then thrust."""
     fastest = controls.nominal[0].rotor_speed_max
     largest = fastest**2

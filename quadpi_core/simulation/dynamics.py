@@ -8,48 +8,50 @@ evaluation of the equations of motion at that instant's state.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 from numba import from_dtype, types
 
 from quadpi_core import rotations
 from quadpi_core.compiled import njit, once
+from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
 from quadpi_core.simulation.applied_effects import FUNCTION_TYPE
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.linear_algebra import cross, product3
 from quadpi_core.simulation.rotor_local import aerodynamics
-from quadpi_core.simulation.state_records import STATE, STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.state_records import STATE, STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
 from quadpi_core.simulation.truth import STEP_HZ
 from quadpi_core.vehicle import ROTORS
 
-# State and its derivative; velocity [m/s] in the world.
-MOTION = np.dtype(
-    [
-        ("position", "f8", (3,)),
-        ("velocity", "f8", (3,)),
-        ("attitude", "f8", (4,)),
-        ("rates", "f8", (3,)),
-        ("rotor_speeds", "f8", (4,)),
-    ],
-    align=True,
-)
-# One logged instant; acceleration [m/s²] in the world, velocity in body axes.
-LOGGED = np.dtype(
-    [
-        ("position", "f8", (3,)),
-        ("attitude", "f8", (4,)),
-        ("velocity", "f8", (3,)),
-        ("rates", "f8", (3,)),
-        ("acceleration", "f8", (3,)),
-        ("angular_acceleration", "f8", (3,)),
-        ("rotor_speeds", "f8", (4,)),
-        ("rotor_accelerations", "f8", (4,)),
-        ("wrench", "f8", (6,)),
-    ],
-    align=True,
-)
+
+class Motion:
+    """The integrated state, or its derivative; position and velocity in the world."""
+
+    position: Vector3
+    velocity: Vector3
+    attitude: Quaternion4
+    rates: Vector3
+    rotor_speeds: Annotated[Array, 4]
+
+
+class Logged:
+    """One logged instant; position and acceleration in the world, velocity and rates in body axes."""
+
+    position: Vector3
+    attitude: Quaternion4
+    velocity: Vector3
+    rates: Vector3
+    acceleration: Vector3
+    angular_acceleration: Vector3
+    rotor_speeds: Annotated[Array, 4]
+    rotor_accelerations: Annotated[Array, 4]
+    wrench: Annotated[Array, 6]
+
+
+MOTION, LOGGED = record_dtype(Motion), record_dtype(Logged)
 
 
 class Memory(NamedTuple):
@@ -61,9 +63,9 @@ class Memory(NamedTuple):
         state: record STATE (1,), which effects read and add to.
     """
 
-    motions: Any
+    motions: Records
     flat: Array
-    state: Any
+    state: Records
 
     @classmethod
     def at(cls, position: Array, velocity: Array, attitude: Array, rotor_speeds: Array) -> Memory:
@@ -83,14 +85,14 @@ _POSITION_ERROR_MAX_M = 10.0
 
 @njit(cache=True, nogil=True)
 def fly(
-    vehicle: Any,
+    vehicle: Records,
     effects: Any,
-    parameters: Any,
+    parameters: Array,
     controls: Controls,
     demand: Demand,
     memory: Memory,
-    log: Any,
-    done: Any,
+    log: Records,
+    done: Stamps,
 ) -> None:
     """Fly until the demand ends, or until the vehicle is out of control or below the ground.
 
@@ -154,17 +156,18 @@ def flight_kernel() -> Any:
 
 @njit(cache=True, nogil=True)
 def _differentiate(
-    motion: Any,
-    command: Any,
-    wind: Any,
-    vehicles: Any,
+    motion: Motion,
+    command: Array,
+    wind: Array,
+    vehicles: Records,
     effects: Any,
-    parameters: Any,
-    states: Any,
-    slope: Any,
+    parameters: Array,
+    states: Records,
+    slope: Motion,
 ) -> None:
     """Equations of motion: m (v̇ − g) = R F, I Ω̇ = M − Ω × IΩ, q̇ = ½ q (0, Ω), ω̇ = (ω_c − ω)/τ."""
-    vehicle, state = vehicles[0], states[0]
+    vehicle: VehicleNumbers = vehicles[0]
+    state: State = states[0]
     rotation = rotations.matrix(motion.attitude)
     for axis in range(3):
         slope.position[axis] = motion.velocity[axis]
@@ -201,7 +204,7 @@ def _differentiate(
 
 
 @njit(cache=True, nogil=True)
-def _record(motion: Any, slope: Any, state: Any, row: Any) -> None:
+def _record(motion: Motion, slope: Motion, state: State, row: Logged) -> None:
     rotation = rotations.matrix(motion.attitude)
     for axis in range(3):
         row.position[axis] = motion.position[axis]
@@ -221,7 +224,7 @@ def _record(motion: Any, slope: Any, state: Any, row: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _is_lost(motion: Any, position: Any) -> bool:
+def _is_lost(motion: Motion, position: Array) -> bool:
     """Whether the vehicle is upside down, spins, is below the ground, off its reference, or no number."""
     cos_tilt = 1.0 - 2.0 * (motion.attitude[1] ** 2 + motion.attitude[2] ** 2)
     spin, error = 0.0, 0.0
@@ -235,7 +238,7 @@ def _is_lost(motion: Any, position: Any) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _normalise(attitude: Any) -> None:
+def _normalise(attitude: Array) -> None:
     norm = 0.0
     for component in range(4):
         norm += attitude[component] ** 2

@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.rotations import inverse, product
 from quadpi_core.simulation.effect_definition import SHAPE, Wrench
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 # A law that is shaped neither turns around nor grows without bound where no flight has been.
@@ -22,7 +21,9 @@ MODULATORS = len(SHAPE) - _AXES
 
 
 @njit(cache=True)
-def modulators(state: Any, vehicle: Any) -> tuple[float, float, float, float, float, float, float, float]:
+def modulators(
+    state: State, vehicle: VehicleNumbers
+) -> tuple[float, float, float, float, float, float, float, float]:
     """What a law may depend on other than it says: in the order of the last of `definition.SHAPE`.
 
     Airspeed and its components over the induced velocity of hover, mean square of the rotor speeds over that
@@ -46,7 +47,7 @@ def modulators(state: Any, vehicle: Any) -> tuple[float, float, float, float, fl
 
 
 @njit(cache=True)
-def shaped(wrench: Wrench, state: Any, vehicle: Any, shape: Array) -> Wrench:
+def shaped(wrench: Wrench, state: State, vehicle: VehicleNumbers, shape: Array) -> Wrench:
     """The wrench of a law as flights have shaped it, by the values of `definition.SHAPE`."""
     if not shape.any():
         return wrench
@@ -65,7 +66,9 @@ def shaped(wrench: Wrench, state: Any, vehicle: Any, shape: Array) -> Wrench:
 
 
 @njit(cache=True)
-def with_hub_force(wrench: Wrench, vehicle: Any, rotor: int, fx: float, fy: float, fz: float) -> Wrench:
+def with_hub_force(
+    wrench: Wrench, vehicle: VehicleNumbers, rotor: int, fx: float, fy: float, fz: float
+) -> Wrench:
     """The wrench with a force at the hub of a rotor added, and its moment r × F."""
     x = vehicle.rotor_positions[rotor, 0]
     y = vehicle.rotor_positions[rotor, 1]
@@ -81,7 +84,7 @@ def with_hub_force(wrench: Wrench, vehicle: Any, rotor: int, fx: float, fy: floa
 
 
 @njit(cache=True)
-def in_plane_speed(state: Any, rotor: int) -> float:
+def in_plane_speed(state: State, rotor: int) -> float:
     """Airspeed [m/s] of a hub within the plane of its disc."""
     u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
     speed: float = np.sqrt(u * u + v * v)
@@ -89,7 +92,7 @@ def in_plane_speed(state: Any, rotor: int) -> float:
 
 
 @njit(cache=True)
-def hub_height(state: Any, vehicle: Any, rotor: int) -> float:
+def hub_height(state: State, vehicle: VehicleNumbers, rotor: int) -> float:
     """Height [m] of a hub above the ground, negative below it."""
     x, y, z = world_to_body(state.attitude, 0.0, 0.0, 1.0)
     hub = vehicle.rotor_positions[rotor]

@@ -20,6 +20,7 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import Effect, Effects, Parameter, Wrench
 from quadpi_core.simulation.effect_kernels import NO_WRENCH
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 _KINDS = ("wrench", "vehicle", "wind", "sensor")
 
@@ -49,7 +50,7 @@ _WRENCH_FUNCTIONS = tuple(effect.function for effect in _WRENCH_EFFECTS)
 
 # In this file because its cache on disk must be renewed whenever the set or the order of effects changes.
 @njit(cache=True)
-def added_wrench(index: int, state: Any, vehicle: Any, p: Array) -> Wrench:
+def added_wrench(index: int, state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Wrench of the effect with this index of `WRENCH_INDEX`; zero for any other index."""
     wrench = NO_WRENCH
     candidate = 0

@@ -22,8 +22,9 @@ from quadpi_core.compiled import njit
 from quadpi_core.config_schema import Numbers, Real, Section, Text, Within, check_config, parse_config
 from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
+from quadpi_core.records import Records
 from quadpi_core.simulation.linear_algebra import inverse
-from quadpi_core.simulation.state_records import STATE, VEHICLE
+from quadpi_core.simulation.state_records import STATE, VEHICLE, State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS, Vehicle, simulation_section
 
 ADVANCE_RATIO_MAX = 0.6
@@ -272,7 +273,7 @@ def airframe_area(vehicle: Vehicle) -> float:
 
 
 @njit(cache=True, nogil=True)
-def aerodynamics(state: Any, vehicle: Any) -> None:
+def aerodynamics(state: State, vehicle: VehicleNumbers) -> None:
     """Fill hub velocities, thrusts, torques and wrench of a STATE from the rest of it.
 
     Source: equations of the Bebop 2 rotor-local model as in the module's docstring. A rotor at rest has the
@@ -322,7 +323,7 @@ def aerodynamics(state: Any, vehicle: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _coefficient(c: Any, m: float, a: float) -> float:
+def _coefficient(c: Array, m: float, a: float) -> float:
     """C_T or C_Q of advance ratio m and disc angle a, as nested products of the 16 terms."""
     free: float = c[0] + m * (c[1] + m * (c[2] + m * (c[3] + m * (c[4] + m * c[5]))))
     first = m * (c[6] + m * (c[7] + m * (c[8] + m * c[9])))
@@ -333,7 +334,7 @@ def _coefficient(c: Any, m: float, a: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _add_airframe(state: Any, vehicle: Any) -> None:
+def _add_airframe(state: State, vehicle: VehicleNumbers) -> None:
     u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
     square = u * u + v * v + w * w
     if square == 0.0:
@@ -353,16 +354,16 @@ def _add_airframe(state: Any, vehicle: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _odd(c: Any, x: float) -> float:
+def _odd(c: Array, x: float) -> float:
     return float(np.sign(x) * (c[0] * abs(x) + c[1] * x * x))
 
 
 @njit(cache=True, nogil=True)
-def _airframe_moment(c: Any, x: float, y: float) -> float:
+def _airframe_moment(c: Array, x: float, y: float) -> float:
     return float(x * (c[0] + x * (c[1] + x * c[3] + y * c[5]) + y * (c[2] + y * c[4])))
 
 
 @njit(cache=True, nogil=True)
-def _aerodynamics_of_all(states: Any, vehicles: Any) -> None:
+def _aerodynamics_of_all(states: Records, vehicles: Records) -> None:
     for i in range(len(states)):
         aerodynamics(states[i], vehicles[0])

@@ -8,65 +8,78 @@ order of the vehicle file. Kernels read `state.rates[2]` instead of an offset in
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numba
-import numpy as np
 
-STATE = np.dtype(
-    [
-        # Position [m] in the world and attitude (w, x, y, z) body to world.
-        ("position", "f8", (3,)),
-        ("attitude", "f8", (4,)),
-        # Relative to the air [m/s], body axes.
-        ("velocity_air", "f8", (3,)),
-        # Body rates [rad/s].
-        ("rates", "f8", (3,)),
-        # Speed [rad/s] of each rotor and its derivative [rad/s²].
-        ("rotor_speeds", "f8", (4,)),
-        ("rotor_accelerations", "f8", (4,)),
-        # Of each rotor: velocity [m/s] of its hub relative to the air, thrust [N] along -z, and torque [Nm]
-        # on the body about z, of the aerodynamics alone.
-        ("hub_velocity", "f8", (4, 3)),
-        ("thrusts", "f8", (4,)),
-        ("torques", "f8", (4,)),
-        # Wrench [N, Nm] of the aerodynamics and of the effects applied so far.
-        ("wrench", "f8", (6,)),
-    ],
-    align=True,
-)
+from quadpi_core.frames import Array
+from quadpi_core.records import Quaternion4, Vector3, record_dtype
 
-VEHICLE = np.dtype(
-    [
-        ("mass", "f8"),
-        ("gravity", "f8"),
-        ("air_density", "f8"),
-        ("inertia", "f8", (3, 3)),
-        ("inverse_inertia", "f8", (3, 3)),
-        ("rotor_positions", "f8", (4, 3)),
-        # +1 where the rotor turns clockwise seen from above.
-        ("rotor_spins", "f8", (4,)),
-        ("rotor_radius", "f8"),
-        # Hover of the vehicle as in its file: induced velocity [m/s] and rotor speed [rad/s].
-        ("hover_induced_velocity", "f8"),
-        ("hover_rotor_speed", "f8"),
-        ("motor_time_constant", "f8"),
-        ("rotor_speed_max", "f8"),
-        # Rotor-local aerodynamics; see `rotor_local`.
-        ("thrust", "f8", (16,)),
-        ("torque", "f8", (16,)),
-        ("rotor_force_along", "f8"),
-        ("rotor_force_across", "f8"),
-        ("rotor_moment_along", "f8"),
-        ("rotor_moment_across", "f8"),
-        ("airframe_area", "f8"),
-        ("airframe_fx", "f8", (2,)),
-        ("airframe_fy", "f8", (2,)),
-        ("airframe_fz", "f8", (2,)),
-        ("airframe_mx", "f8", (6,)),
-        ("airframe_my", "f8", (6,)),
-        ("airframe_mz", "f8", (6,)),
-    ],
-    align=True,
-)
 
-STATE_TYPE = numba.from_dtype(STATE)
-VEHICLE_TYPE = numba.from_dtype(VEHICLE)
+class State:
+    """State at an instant, with what the aerodynamics add to it.
+
+    Attributes:
+        position: m, world.
+        attitude: body to world.
+        velocity_air: m/s relative to the air, body axes.
+        rates: rad/s, body axes.
+        rotor_speeds: rad/s.
+        rotor_accelerations: rad/s².
+        hub_velocity: m/s of each rotor's hub relative to the air, body axes.
+        thrusts: N of each rotor along -z, of the aerodynamics alone.
+        torques: Nm of each rotor on the body about z, of the aerodynamics alone.
+        wrench: N and Nm of the aerodynamics and of the effects applied so far.
+    """
+
+    position: Vector3
+    attitude: Quaternion4
+    velocity_air: Vector3
+    rates: Vector3
+    rotor_speeds: Annotated[Array, 4]
+    rotor_accelerations: Annotated[Array, 4]
+    hub_velocity: Annotated[Array, 4, 3]
+    thrusts: Annotated[Array, 4]
+    torques: Annotated[Array, 4]
+    wrench: Annotated[Array, 6]
+
+
+class VehicleNumbers:
+    """A vehicle and its rotor-local aerodynamics, see `rotor_local`.
+
+    Attributes:
+        rotor_spins: +1 where the rotor turns clockwise seen from above.
+        hover_induced_velocity, hover_rotor_speed: m/s and rad/s in hover, of the vehicle as in its file.
+        motor_time_constant: s.
+        rotor_speed_max: rad/s.
+    """
+
+    mass: float
+    gravity: float
+    air_density: float
+    inertia: Annotated[Array, 3, 3]
+    inverse_inertia: Annotated[Array, 3, 3]
+    rotor_positions: Annotated[Array, 4, 3]
+    rotor_spins: Annotated[Array, 4]
+    rotor_radius: float
+    hover_induced_velocity: float
+    hover_rotor_speed: float
+    motor_time_constant: float
+    rotor_speed_max: float
+    thrust: Annotated[Array, 16]
+    torque: Annotated[Array, 16]
+    rotor_force_along: float
+    rotor_force_across: float
+    rotor_moment_along: float
+    rotor_moment_across: float
+    airframe_area: float
+    airframe_fx: Annotated[Array, 2]
+    airframe_fy: Annotated[Array, 2]
+    airframe_fz: Annotated[Array, 2]
+    airframe_mx: Annotated[Array, 6]
+    airframe_my: Annotated[Array, 6]
+    airframe_mz: Annotated[Array, 6]
+
+
+STATE, VEHICLE = record_dtype(State), record_dtype(VehicleNumbers)
+STATE_TYPE, VEHICLE_TYPE = numba.from_dtype(STATE), numba.from_dtype(VEHICLE)

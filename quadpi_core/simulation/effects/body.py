@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect, three
 from quadpi_core.simulation.effect_kernels import NO_WRENCH, world_to_body
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 
 @effect(
@@ -26,7 +25,7 @@ from quadpi_core.simulation.effect_kernels import NO_WRENCH, world_to_body
     symbols="k_x k_y k_z",
 )
 @njit(cache=True)
-def body_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+def body_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Parasitic drag of the airframe, with the square of the airspeed.
 
     F = −|V| (k_x u, k_y v, k_z w), each k = ½ ρ C_D S. Sizes in x and y: Bebop 2 in the wind tunnel; z as y.
@@ -44,7 +43,7 @@ def body_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     symbols="k",
 )
 @njit(cache=True)
-def cubic_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+def cubic_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """In-plane drag with the cube of the airspeed, as where induced and profile power grow in a dash.
 
     (Fx, Fy) = −k |V|² (u, v). Size: 0.075 N at 10 m/s.
@@ -64,7 +63,7 @@ def cubic_drag(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     symbols="k_x k_y k_z",
 )
 @njit(cache=True)
-def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+def rate_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Moment against the body rates.
 
     M = −(k_x p, k_y q, k_z r). Size: yaw of the Bebop 2.
@@ -91,7 +90,7 @@ def rate_damping(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     symbols="k L_0 a_N a_E a_h h",
 )
 @njit(cache=True)
-def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+def tether(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Elastic tether from a point of the world to the belly.
 
     F = −k (L − L0) n where L > L0, else 0; L and n are distance and direction of the centre of gravity from
@@ -115,7 +114,7 @@ def tether(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     symbols="b_x b_y b_z",
 )
 @njit(cache=True)
-def force_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+def force_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Constant force in body axes.
 
     Size: that of an accelerometer's bias of 0.2 m/s² on 0.5 kg.
@@ -134,7 +133,7 @@ def force_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     symbols="b_x b_y b_z",
 )
 @njit(cache=True)
-def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+def moment_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Constant moment in body axes.
 
     Size: that of a slightly bent frame, a quarter of the moment of a rotor that lost 10 %.
@@ -157,7 +156,7 @@ def moment_bias(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
     symbols="d_x d_y d_z",
 )
 @njit(cache=True)
-def cg_offset(state: Any, vehicle: Any, p: Array) -> Wrench:  # noqa: ARG001
+def cg_offset(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Centre of gravity away from where the vehicle file has it.
 
     M = −d × F with the force of the aerodynamics and of every effect before, d from the nominal centre to the

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
@@ -15,6 +13,7 @@ from quadpi_core.simulation.effect_kernels import (
     in_plane_speed,
     with_hub_force,
 )
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS
 
 # Of the rotor radius: nearer to a surface than this the formulas are not valid, and the effect grows no more.
@@ -35,7 +34,7 @@ NEAREST = 0.5
     symbols="k",
 )
 @njit(cache=True)
-def ground_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
+def ground_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained near the ground, at each rotor by its own height.
 
     T_i grows by k T_i [1/(1 − (R/4h_i)²/(1 + (V_i/v_h)²)) − 1], V_i being the speed in the rotor's plane, and
@@ -61,7 +60,7 @@ def ground_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k d",
 )
 @njit(cache=True)
-def ceiling_effect(state: Any, vehicle: Any, p: Array) -> Wrench:
+def ceiling_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained below a ceiling, at each rotor by its own distance.
 
     T_i grows by k T_i (R/d_i)², and grows no more below d = R/2. Source: leading term of Hsiao and

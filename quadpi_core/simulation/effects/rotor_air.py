@@ -8,8 +8,6 @@ has the share ¼ ω_i/ω_h of them. Forces act at the hubs, so that each gives i
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from quadpi_core.compiled import njit
@@ -17,11 +15,12 @@ from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
 from quadpi_core.simulation.effect_kernels import NO_WRENCH, in_plane_speed, with_hub_force
 from quadpi_core.simulation.rotor_local import ADVANCE_RATIO_MAX
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS
 
 
 @njit(cache=True)
-def _share(state: Any, vehicle: Any, rotor: int) -> float:
+def _share(state: State, vehicle: VehicleNumbers, rotor: int) -> float:
     share: float = state.rotor_speeds[rotor] / (ROTORS * vehicle.hover_rotor_speed)
     return share
 
@@ -36,7 +35,7 @@ def _share(state: Any, vehicle: Any, rotor: int) -> float:
     symbols="k",
 )
 @njit(cache=True)
-def rotor_drag(state: Any, vehicle: Any, p: Array) -> Wrench:
+def rotor_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Drag of the rotors in their plane (H-force), with rotor speed times airspeed.
 
     F_i = −k ¼ ω_i/ω_h (u_i, v_i, 0), with k < 0 where the rotors have less of it than their model. Source:
@@ -59,7 +58,7 @@ def rotor_drag(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def cross_flow(state: Any, vehicle: Any, p: Array) -> Wrench:
+def cross_flow(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Force of the rotors across the airflow in their plane; cancels where all turn at one speed.
 
     F_i = s_i k ¼ ω_i/ω_h (v_i, −u_i, 0). Source: term k5 of the rotor-local model. Size: Bebop 2.
@@ -82,7 +81,7 @@ def cross_flow(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def blade_flapping(state: Any, vehicle: Any, p: Array) -> Wrench:
+def blade_flapping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Moment at the hubs of blades that flap in translation: nose up in forward flight.
 
     M_i = k ¼ ω_i/ω_h (−v_i, u_i, 0). Source: term k6 of the rotor-local model. Size: Bebop 2.
@@ -105,7 +104,7 @@ def blade_flapping(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def translational_lift(state: Any, vehicle: Any, p: Array) -> Wrench:
+def translational_lift(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained by rotors in translation, with the square of the airspeed in their plane.
 
     T_i grows by ¼ k (u_i² + v_i²): blade element theory, C_T = ½ σ a (θ (⅓ + ½ μ²) − ½ λ), where ω² μ² does
@@ -131,7 +130,7 @@ def translational_lift(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def inflow_damping(state: Any, vehicle: Any, p: Array) -> Wrench:
+def inflow_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost in climb and gained in descent, by the inflow through each rotor; damps roll and pitch too.
 
     Fz_i = −k ¼ ω_i/ω_h w_i: blade element theory, the term −½ λ of C_T with λ = −w_i/(ω R). Source: Leishman.
@@ -155,7 +154,7 @@ def inflow_damping(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def rotor_dissymmetry(state: Any, vehicle: Any, p: Array) -> Wrench:
+def rotor_dissymmetry(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Moment of rotors that meet different airspeeds because the vehicle turns while it translates.
 
     T_i grows by k ¼ ω_i/ω_h (|V_i|² − |V|²), of which the moment alone is taken. Size: 3e-4 Nm, at 10 rad/s
@@ -186,7 +185,7 @@ def rotor_dissymmetry(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def vortex_ring(state: Any, vehicle: Any, p: Array) -> Wrench:
+def vortex_ring(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost by rotors that descend into their own wake.
 
     T_i falls by k T_i x e^((1 − x⁴)/4) e^(−μ²), x = w_i/v_h > 0 (descent) and μ = √(u_i² + v_i²)/v_h.
@@ -218,7 +217,7 @@ def vortex_ring(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def rotor_interaction(state: Any, vehicle: Any, p: Array) -> Wrench:
+def rotor_interaction(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost by the rotors that fly in the wake of those ahead.
 
     T_i falls by k T_i tanh(V/v_h) max(0, −r_i·e/|r_i|), V and e being speed and direction of the airspeed in

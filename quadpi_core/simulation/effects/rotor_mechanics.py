@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from quadpi_core.compiled import njit
@@ -18,6 +16,7 @@ from quadpi_core.simulation.effect_definition import (
     effect,
 )
 from quadpi_core.simulation.effect_kernels import NO_WRENCH, with_hub_force
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS
 
 _WHICH = Parameter("rotor", "", 1.0, 1.0, float(ROTORS), whole=True)
@@ -33,7 +32,7 @@ _INERTIA = Parameter("rotor_inertia_kg_m2", "kg m²", 8e-6, 0.0, 1e-3)
     symbols="I_r",
 )
 @njit(cache=True)
-def gyroscopic(state: Any, vehicle: Any, p: Array) -> Wrench:
+def gyroscopic(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Precession of the rotors when the body turns; does no work.
 
     M = −Ω × h z = (−q h, p h, 0) with h = I_r Σ s_i ω_i: a rotor that turns clockwise seen from above (s = 1)
@@ -54,7 +53,7 @@ def gyroscopic(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="I_r",
 )
 @njit(cache=True)
-def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
+def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Reaction of the body to rotors that change their speed.
 
     Mz = −I_r Σ s_i dω_i/dt. Size: 0.096 Nm when the rotors of the Bebop 2 begin a step of 100 rad/s.
@@ -75,7 +74,7 @@ def spin_up(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k",
 )
 @njit(cache=True)
-def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
+def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Another thrust and torque coefficient of all rotors, or another air density.
 
     T_i and the torque of rotor i grow by the share k. Size: 10 %.
@@ -95,7 +94,7 @@ def thrust_coefficient(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="k_1 k_2 k_3 k_4",
 )
 @njit(cache=True)
-def rotor_thrusts(state: Any, vehicle: Any, p: Array) -> Wrench:
+def rotor_thrusts(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Each rotor has a thrust and torque coefficient of its own.
 
     T_i and the torque of rotor i grow by the share k_i. Size: 1 %, as rotors of one batch differ.
@@ -119,7 +118,7 @@ def rotor_thrusts(state: Any, vehicle: Any, p: Array) -> Wrench:
     symbols="j k k_Q",
 )
 @njit(cache=True)
-def weak_rotor(state: Any, vehicle: Any, p: Array) -> Wrench:
+def weak_rotor(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """One rotor is damaged and gives less thrust than its speed promises, and another torque.
 
     T_i of that rotor falls by the share k; its torque and its drag in the plane H_i grow by k_Q, or fall: a
@@ -135,7 +134,7 @@ def weak_rotor(state: Any, vehicle: Any, p: Array) -> Wrench:
 
 @njit(cache=True)
 def _with_shares(
-    wrench: Wrench, state: Any, vehicle: Any, rotor: int, of_thrust: float, of_torque: float
+    wrench: Wrench, state: State, vehicle: VehicleNumbers, rotor: int, of_thrust: float, of_torque: float
 ) -> Wrench:
     more = -of_thrust * state.thrusts[rotor]
     fx, fy, fz, mx, my, mz = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, more)
@@ -156,7 +155,7 @@ def _with_shares(
     symbols=r"j \alpha \beta",
 )
 @njit(cache=True)
-def rotor_tilt(state: Any, vehicle: Any, p: Array) -> Wrench:
+def rotor_tilt(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """One rotor is mounted askew.
 
     Thrust and torque turn and stay as large: F = T_i n at its hub and M = −Q_i n, of
