@@ -37,7 +37,7 @@ from quadpi_core.messages.frame_ids import Framed
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import WATCH_S, Latency, Silence
-from quadpi_core.monitor.pairing import CAPACITY, Pairing, first_known
+from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
@@ -69,7 +69,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._newest_ns = NO_STAMP
         self._watch: Timer | None = None
         self._silence = Silence()
-        self._silence_told_s = -math.inf
+        self._silence_published_s = -math.inf
         self._rate = ImuRate()
         self._rate_problem = ""
 
@@ -165,7 +165,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         time_ns = int(imu.time_ns[0])
         self._note_arrival(time_ns)
         self._pairing.add_imu(time_ns, imu.specific_force[0])
-        self._advance()
+        self._judge_completed()
 
     @guarded
     def take_estimate(self, sample: FusedSamples) -> None:
@@ -173,7 +173,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         time_ns = int(sample.time_ns[0])
         self._note_arrival(time_ns)
         self._pairing.add_estimate(time_ns, sample.motion[0])
-        self._advance()
+        self._judge_completed()
 
     def _note_arrival(self, time_ns: int) -> None:
         if time_ns < self._newest_ns - MAX_JUMP_BACK_NS:
@@ -190,22 +190,21 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._pairing.add_state(
             int(odometry.time_ns[0]), odometry.velocity[0], odometry.attitude[0], odometry.rates[0]
         )
-        self._advance()
+        self._judge_completed()
 
     def _take_rotor_speeds(self, rotor_speeds: RotorSpeedStream) -> None:
         self._pairing.add_rotor_speeds(int(rotor_speeds.time_ns[0]), rotor_speeds.speeds[0])
-        self._advance()
+        self._judge_completed()
 
     def _take_wind(self, wind: WindStream) -> None:
         self._pairing.add_wind(int(wind.time_ns[0]), wind.velocity[0])
 
-    def _advance(self) -> None:
-        rate = self._pairing.rate
-        if rate is not self._rate:
-            if first_known(self._rate, rate):
-                self._pairing.begin_with_newest()
-            self._follow_rate()
+    def _judge_completed(self) -> None:
+        """Judge the samples that are complete by now, and publish what follows from them."""
         samples = self._pairing.take()
+        if self._pairing.rate is not self._rate:
+            self._follow_rate()
+        # In the first second the rate of the IMU is measured: nothing can be filtered.
         if samples is None or self._rate.begins:
             return
         if not self._consistency.complete:
@@ -213,7 +212,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
                 RotorSpeedStream(samples.time_ns, samples.rotor_speeds),
                 ImuStream(samples.time_ns, samples.rates, samples.specific_force),
             )
-        predicted_ns = self._results.take(samples)
+        predicted_ns = self._results.publish(samples)
         now_ns = time.monotonic_ns()
         for time_ns in predicted_ns.tolist():
             self._latency.published(time_ns, now_ns)
@@ -221,20 +220,20 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
 
     def _watch_inputs(self) -> None:
-        """Say that nothing comes, by a clock of this process, at the rate of the alarm or slower."""
+        """Raise the alarm while nothing arrives, by this process's clock, at the alarm's rate or slower."""
         now_s = time.monotonic()
         self._silence.follow(now_s, self._pairing.arrived)
-        since_s = now_s - self._silence_told_s
+        since_s = now_s - self._silence_published_s
         if not self._silence.reasons or since_s < 1.0 / self.parameters.alarm_rate_hz - 0.5 * WATCH_S:
             return
-        self._silence_told_s = now_s
+        self._silence_published_s = now_s
         time_ns = self.get_clock().now().nanoseconds
         if self._newest_ns != NO_STAMP:
             time_ns = self._newest_ns + round(1e9 * self._silence.elapsed_s)
-        self._results.tell_silence(time_ns, self._silence.reasons)
+        self._results.publish_silence(time_ns, self._silence.reasons)
 
     def _follow_rate(self) -> None:
-        """Make the filters for the rate that the IMU's stamps tell; nothing is predicted without one."""
+        """Design the filters for the rate of the IMU; nothing is predicted without one."""
         rate = self._rate = self._pairing.rate
         problems = [f"topic {IMU_TOPIC}: {rate}: set it to 0"] if rate.differs else []
         problems += self._results.monitors.retune(rate)
@@ -250,7 +249,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._follow_rate()
         self._dropped = self._judged = 0
         self._silence = Silence()
-        self._silence_told_s = -math.inf
+        self._silence_published_s = -math.inf
         self._newest_ns = NO_STAMP
         self._latency = Latency()
         self._results.monitors.reset()

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From complete samples to published messages: the one place of the nodes that knows what `Monitor` gives."""
+"""From paired samples to published predictions, alarms and events."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, TypedDict
 
 import numpy as np
 from quadpi.msg import AlarmEvent, ExtrapolationAlarm, WrenchPrediction
@@ -16,9 +16,8 @@ from quadpi_core.errors import ModelError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.flight import RotorSpeedStream, Stamps
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models import AerodynamicModel
-from quadpi_core.monitor import Monitor, Predictions
+from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
@@ -30,8 +29,17 @@ from quadpi_ros.sensor_node import SensorNode
 
 _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
 _LEVELS = ("ok", "warning", "alarm")
-# In cut-offs of the low-pass.
+# Sample rate of the warm-up, in cut-offs of the low-pass.
 _WARM_UP_RATE = 10.0
+
+
+class _Labels(TypedDict):
+    """Fields that are the same in all predictions of a monitor."""
+
+    model: str
+    confidence: float
+    axes: tuple[str, ...]
+    frame_id: str
 
 
 def topic_name(model: AerodynamicModel) -> str:
@@ -71,7 +79,7 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
     monitor.retune(ImuRate(_WARM_UP_RATE * monitor.model.cutoff_hz))
     for samples in (hover, missing):
         predictions, alarms, _ = monitor.step(*samples)
-        _pack(monitor, predictions, sensor_messages.BODY_FRAME)
+        result_messages.pack_predictions(predictions, **_labels(monitor, sensor_messages.BODY_FRAME))
         result_messages.pack_alarms(alarms, reasons_by_row(alarms))
     pairing = Pairing()
     for time_ns in (0, 1):
@@ -100,44 +108,48 @@ class Results:
     def __init__(self, node: SensorNode[Any], monitors: dict[str, Monitor], frame_id: str) -> None:
         self.monitors = Monitors(monitors)
         self._frame_id = frame_id
+        self._labels = {name: _labels(monitor, frame_id) for name, monitor in monitors.items()}
         self._first, *others = monitors
         self._publish_first = node.announce(WrenchPrediction, "prediction")
-        # Below the first one's, under whatever name that goes: a remapping says nothing of topics below it.
+        # Below the resolved topic of the first, as a remapping does not cover topics below the one it names.
         below = node.resolve_topic_name("prediction")
         self._publish_others = [(name, node.announce(WrenchPrediction, f"{below}/{name}")) for name in others]
         self._publish_alarm = node.announce(ExtrapolationAlarm, "extrapolation_alarm")
         self._publish_log = node.announce(AlarmEvent, "alarm_log", LOG_QOS)
         self._alarm = (LEVEL_OK, 0)
 
-    def take(self, samples: PairedSamples) -> Stamps:
-        """Publish what follows from samples; gives the stamps of the predictions of the first model."""
+    def publish(self, samples: PairedSamples) -> Stamps:
+        """Judge samples and publish the results; returns the stamps of the first model's predictions."""
         (predictions, alarms, events), others = self.monitors.step(samples)
-        if len(predictions.time_ns):
-            _publish_all(self._publish_first, _pack(self.monitors[self._first], predictions, self._frame_id))
+        for payload in result_messages.pack_predictions(predictions, **self._labels[self._first]):
+            self._publish_first(payload)
         if len(alarms.time_ns):
             self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
-            payloads = result_messages.pack_alarms(alarms, reasons_by_row(alarms), self._frame_id)
-            _publish_all(self._publish_alarm, payloads)
+            for payload in result_messages.pack_alarms(alarms, reasons_by_row(alarms), self._frame_id):
+                self._publish_alarm(payload)
         if events:
-            _publish_all(self._publish_log, result_messages.pack_events(events, self._frame_id))
+            for payload in result_messages.pack_events(events, self._frame_id):
+                self._publish_log(payload)
         for (name, publish), other in zip(self._publish_others, others, strict=True):
-            if len(other.time_ns):
-                _publish_all(publish, _pack(self.monitors[name], other, self._frame_id))
+            for payload in result_messages.pack_predictions(other, **self._labels[name]):
+                publish(payload)
         return predictions.time_ns
 
-    def tell_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
-        """Publish an alarm at an instant at which no sample is."""
+    def publish_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
+        """Publish an alarm at an instant without a sample."""
         alarms = self.monitors[self._first].alarm_without_sample(time_ns)
-        _publish_all(self._publish_alarm, result_messages.pack_alarms(alarms, [reasons], self._frame_id))
+        for payload in result_messages.pack_alarms(alarms, [reasons], self._frame_id):
+            self._publish_alarm(payload)
 
     def swap(
         self, name: str, monitor: Monitor | None, error: str | None, response: LoadModel.Response
     ) -> None:
-        """Put a monitor in the place of that of a name, if it could be loaded, and fill the response."""
+        """Replace the monitor of a name, if the new one could be loaded, and fill the response."""
         try:
             if monitor is None:
                 raise ModelError(error)
             self.monitors.replace(name, monitor)
+            self._labels[name] = _labels(monitor, self._frame_id)
             response.success = True
             response.message = f"{monitor.model.identity} flies as {name}"
         except ModelError as refused:
@@ -153,16 +165,11 @@ class Results:
         return severity, _LEVELS[level], {"level": level, "causes": causes} | models
 
 
-def _pack(monitor: Monitor, predictions: Predictions, frame_id: str) -> Payloads:
-    return result_messages.pack_predictions(
-        predictions,
-        model=monitor.model.identity,
-        confidence=monitor.confidence,
-        axes=monitor.model.axes,
-        frame_id=frame_id,
-    )
-
-
-def _publish_all(publish: Callable[[bytes], None], payloads: Payloads) -> None:
-    for payload in payloads:
-        publish(payload)
+def _labels(monitor: Monitor, frame_id: str) -> _Labels:
+    model = monitor.model
+    return {
+        "model": model.identity,
+        "confidence": monitor.confidence,
+        "axes": model.axes,
+        "frame_id": frame_id,
+    }

@@ -335,23 +335,25 @@ class ConsistencyWatch:
     Args:
         node: receives the samples; problems go to its log and diagnostics.
         vehicle: for samples with rotor speeds; without it only the motion is checked.
+
+    Attributes:
+        complete: whether all stretches of motion have been collected.
     """
 
     def __init__(self, node: SensorNode[Any], vehicle: Vehicle | None) -> None:
+        self.complete = False
         self._node = node
         self._vehicle = vehicle
         self._samples = FirstSeconds(node.get_name())
         self._found: dict[str, None] = {}
         self._judged = 0
 
-    @property
-    def complete(self) -> bool:
-        """Whether all stretches of motion have been collected."""
-        return self._samples.complete
-
     def take(self, *streams: Stream) -> None:
         """Collect samples; pass those of the IMU last, as they complete a stretch."""
+        if self.complete:
+            return
         stretch = self._samples.take(*streams)
+        self.complete = self._samples.complete
         if stretch is not None:
             work = self._node.guard("consistency check", self._judge)
             threading.Thread(target=work, args=(stretch,), name="consistency", daemon=True).start()

@@ -76,7 +76,8 @@ class Payloads:
         return self.data[start : start + self.lengths[index]].tobytes()
 
     def __iter__(self) -> Iterator[bytes]:
-        return (self[index] for index in range(len(self)))
+        for index in range(len(self.lengths)):
+            yield self[index]
 
     def take(self, order: npt.NDArray[Any]) -> Payloads:
         """The messages at the indices `order`, sharing the buffer."""

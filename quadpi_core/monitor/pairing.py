@@ -5,23 +5,23 @@
 An IMU sample is complete once the state for its stamp and a rotor speed at or after its stamp have
 arrived. Rotor speeds (and the state, where its stamps differ) are interpolated linearly to the IMU stamp;
 wind, slow and optional, holds its last value. Everything is bounded: fixed-size buffers, and an IMU sample
-that stays incomplete while the IMU runs ahead by the timeout is dropped and counted. The IMU's stamps also
-tell its rate, which the filters behind are made for.
+that stays incomplete while the IMU runs ahead by the timeout is dropped and counted. The rate of the IMU is
+measured from its stamps.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.estimator.imu_rate import CHANGES, LOST, ImuRate, Meter, follow, follow_arrays
+from quadpi_core.estimator.imu_rate import ImuRate, Meter, follow, is_known
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.monitor.health import Arrived
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,
@@ -37,20 +37,17 @@ TIMEOUT_S = 0.1
 # Samples kept per topic.
 CAPACITY = 256
 
-# The topics, and what is kept of each: index of the oldest sample, how many there are, the newest stamp.
-IMU, STATE, ROTORS, WIND_TOPIC, _TRACKS = 0, 1, 2, 3, 4
-_OLDEST, _COUNT, _NEWEST_NS = 0, 1, 2
-# A state is the widest row.
+# The topics.
+IMU, STATE, ROTORS, WIND_TOPIC, _TOPICS = 0, 1, 2, 3, 4
+# A state has the most numbers.
 _WIDEST = 10
-# How a stretch begins: as the one before it ended; with a stamp that is more than MAX_JUMP_BACK_NS before the
-# newest; with one that is so far before that of the last sample: the IMU's clock was set back.
+# How a stretch begins: where the previous one ended; with a stamp more than MAX_JUMP_BACK_NS before the
+# newest; with one that far before the stamp of the previous sample, as the IMU's clock was set back.
 CONTINUES, STEPS_BACK, SET_BACK = 0, 1, 2
-# Of PairingCounts.
-_PAIRED, _EARLY, _DROPPED, _DISORDERED = 0, 1, 2, 3
 
 
 class PairedSamples(NamedTuple):
-    """K complete samples.
+    """K samples, one per IMU stamp, with all that a monitor needs.
 
     Attributes:
         time_ns: (K,) stamps.
@@ -74,7 +71,7 @@ class PairedSamples(NamedTuple):
         rotor_speeds: Array,
         wind: Array,
     ) -> PairedSamples:
-        """Samples of the channels one by one."""
+        """Samples from their channels."""
         return cls(
             time_ns,
             np.concatenate((velocity, attitude, rates, specific_force, rotor_speeds, wind), axis=1),
@@ -117,7 +114,7 @@ class PairingCounts:
 
     Attributes:
         paired: IMU samples that were completed.
-        early: IMU samples from before the first state or rotor speed; nothing could complete them.
+        early: IMU samples before the first state or rotor speed, which nothing could complete.
         dropped: IMU samples given up because their state or rotor speeds did not arrive in time, or lie
             around a gap.
         disordered: samples of any topic refused because their stamp did not advance.
@@ -129,146 +126,12 @@ class PairingCounts:
     disordered: int = 0
 
 
-class Pairing:
-    """The bounded buffers between the topics and the monitor.
-
-    Args:
-        timeout_s: how far, in stamps, the IMU may run ahead of an incomplete sample before it is given up.
-        capacity: samples kept per topic; the oldest makes room.
-        rate_hz: that a user says the IMU has; 0 where its stamps alone tell.
-    """
-
-    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = CAPACITY, rate_hz: float = 0.0) -> None:
-        self._timeout_ns = round(timeout_s * 1e9)
-        self._tracks = _Tracks(
-            time_ns=np.zeros((_TRACKS, capacity), dtype=np.int64),
-            rows=np.zeros((_TRACKS, capacity, _WIDEST)),
-            places=np.array([[0, 0, NO_STAMP]] * _TRACKS),
-            counts=np.zeros(4, dtype=np.int64),
-        )
-        # Of the IMU: the newest stamp since one stepped back, and that of the last sample.
-        self._clock = np.full(2, NO_STAMP)
-        self._given_hz = rate_hz
-        self._meter = Meter.empty()
-        self._changes = self._meter.changes
-        self._rate = self._meter.rate(rate_hz)
-        self._taken_ns = np.empty(capacity, dtype=np.int64)
-        self._taken = np.empty((capacity, CHANNELS))
-        # Compiled now, not when the first sample waits for it.
-        self.take()
-
-    @property
-    def counts(self) -> PairingCounts:
-        """What became of the samples so far."""
-        return PairingCounts(*self._tracks.counts.tolist())
-
-    @property
-    def arrived(self) -> Arrived:
-        """How far the inputs have come."""
-        newest = self._tracks.places[:, _NEWEST_NS].tolist()
-        imu_ns, state_ns, rotors_ns, _ = (None if time_ns == NO_STAMP else time_ns for time_ns in newest)
-        judged = 0 if self.rate.begins else self.counts.paired + self.counts.dropped
-        return Arrived(imu_ns, state_ns, rotors_ns, judged)
-
-    @property
-    def rate(self) -> ImuRate:
-        """What the stamps of the IMU tell of its rate; it is that of the samples taken now."""
-        if self._meter.changes != self._changes:
-            self._changes = self._meter.changes
-            self._rate = self._meter.rate(self._given_hz)
-        return self._rate
-
-    def add_imu(self, time_ns: int, specific_force: Array) -> None:
-        """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        follow_arrays(*self._meter, time_ns)
-        _add_to(*self._tracks, IMU, time_ns, specific_force)
-
-    def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
-        """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        _add_state_to(*self._tracks, time_ns, velocity, attitude, rates)
-
-    def add_estimate(self, time_ns: int, motion: Array) -> None:
-        """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
-        follow_arrays(*self._meter, time_ns)
-        _add_estimate_to(*self._tracks, time_ns, motion)
-
-    def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
-        """Take one sample of the rotor speeds (4,) rad/s."""
-        _add_to(*self._tracks, ROTORS, time_ns, speeds)
-
-    def add_wind(self, time_ns: int, velocity: Array) -> None:
-        """Take one sample of the wind (3,) m/s in the world."""
-        _add_to(*self._tracks, WIND_TOPIC, time_ns, velocity)
-
-    def begin_with_newest(self) -> None:
-        """Forget the IMU samples that wait, but for the newest: see :func:`first_known`."""
-        oldest, count, _ = self._tracks.places[IMU].tolist()
-        if count > 1:
-            self._tracks.places[IMU, _OLDEST] = (oldest + count - 1) % self._tracks.time_ns.shape[1]
-            self._tracks.places[IMU, _COUNT] = 1
-
-    def take(self) -> PairedSamples | None:
-        """The IMU samples completed or given up since the last call, in order; None if there are none."""
-        count = _take_from(*self._tracks, self._timeout_ns, self._taken_ns, self._taken)
-        if count == 0:
-            return None
-        return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
-
-    @property
-    def settled_ns(self) -> int:
-        """No sample will be taken at or before this stamp, unless the IMU's clock is set back."""
-        oldest, count, newest_ns = self._tracks.places[IMU].tolist()
-        return int(self._tracks.time_ns[IMU, oldest]) - 1 if count else int(newest_ns)
-
-    def take_all(self, arriving: Arriving) -> list[Stretch]:
-        """What :meth:`take` gives after each arrival, joined.
-
-        Apart where the IMU's stamps step back, and where what they tell of its rate changes.
-        """
-        breaks = np.empty((arriving.kind.size, 3), dtype=np.int64)
-        spans_ns = np.empty(arriving.kind.size)
-        before = self.rate
-        count = _find_breaks(
-            arriving.kind, arriving.row, arriving.imu_ns, self._clock, self._meter, breaks, spans_ns
-        )
-        stretches = []
-        known = 0
-        begins = [(0, CONTINUES, before)]
-        for (place, begin, lost), span_ns in zip(breaks[:count].tolist(), spans_ns.tolist(), strict=False):
-            begins.append((place, begin, ImuRate.of_span(span_ns, self._given_hz, bool(lost))))
-        end = (arriving.kind.size, CONTINUES, before)
-        for (start, begin, rate), (stop, *_) in pairwise([*begins, end]):
-            if first_known(before, rate):
-                self._tracks.places[IMU, _COUNT] = 0
-            before = rate
-            if start == stop and len(begins) > 1:
-                continue
-            own = arriving._replace(kind=arriving.kind[start:stop], row=arriving.row[start:stop])
-            room = int(np.count_nonzero(own.kind == IMU)) + int(self._tracks.places[IMU, _COUNT])
-            taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, CHANNELS))
-            taken_count = _take_all(*self._tracks, self._timeout_ns, own, taken_ns, taken)
-            samples = PairedSamples(taken_ns[:taken_count], taken[:taken_count])
-            states = slice(known, known + int(np.count_nonzero(own.kind == STATE)))
-            known = states.stop
-            stretches.append(Stretch(begin, rate, samples, states, self.settled_ns))
-        return stretches
-
-
-def first_known(before: ImuRate, rate: ImuRate) -> bool:
-    """Whether the rate of the IMU has just become known, for the first time.
-
-    Samples are used from that one on. Whether those that wait were completed before depends on which topic
-    arrived first, and predictions must not.
-    """
-    return before.begins and not rate.begins
-
-
 class Stretch(NamedTuple):
-    """What came while the stamps of the IMU did not step back, and told the same of its rate.
+    """Samples between which the IMU's stamps do not step back and its rate does not change.
 
     Attributes:
         begin: how it begins, one of :data:`CONTINUES`, :data:`STEPS_BACK` and :data:`SET_BACK`.
-        rate: of its samples.
+        rate: of the IMU.
         samples: that were completed or given up.
         states: rows of the states that came.
         settled_ns: :attr:`Pairing.settled_ns` at its end.
@@ -285,7 +148,8 @@ class Arriving(NamedTuple):
     """Samples in the order in which they arrive.
 
     Attributes:
-        kind, row: (E,) topic of each (:data:`IMU`, …), and its row in the arrays of that topic.
+        kind: (E,) topic of each, :data:`IMU`, ….
+        row: (E,) its row in the arrays of that topic.
         imu_ns, specific_force: (N,), (N, 3).
         state_ns, states: (S,), (S, 10) velocity and attitude, rates; see :meth:`Pairing.add_state`.
         rotor_ns, rotor_speeds: (R,), (R, 4).
@@ -304,172 +168,308 @@ class Arriving(NamedTuple):
     wind: Array
 
 
-class _Tracks(NamedTuple):
-    """The last samples of each topic, in rings; stamps strictly increase within one.
+class _Track:
+    """Where the last samples of a topic are in its ring; their stamps strictly increase."""
+
+    oldest: int
+    count: int
+    newest_ns: int  # NO_STAMP before the first
+
+
+class _Entry:
+    """A sample of a topic: as many of the numbers as it has are used."""
+
+    time_ns: int
+    values: Annotated[Array, _WIDEST]
+
+
+class _State:
+    """What the pairing remembers beside the rings."""
+
+    tracks: Annotated[Records, _Track, _TOPICS]
+    meter: Meter
+    timeout_ns: int
+    # Of the IMU: the newest stamp since one stepped back, and that of the last sample. Of replays only.
+    newest_ns: int
+    last_ns: int
+    noted: bool  # whether the stamp at which a stretch begins has been noted
+    # See PairingCounts.
+    paired: int
+    early: int
+    dropped: int
+    disordered: int
+
+
+class Pairing:
+    """The bounded buffers between the topics and the monitor.
+
+    Args:
+        timeout_s: how far, in stamps, the IMU may run ahead of an incomplete sample before it is given up.
+        capacity: samples kept per topic; the oldest makes room.
+        rate_hz: of the IMU, as the user gives it; 0 where its stamps alone count.
 
     Attributes:
-        time_ns: (4, capacity) stamps.
-        rows: (4, capacity, 10) values, as many of a row as the topic has.
-        places: (4, 3) index of the oldest sample, how many there are, and the newest stamp.
-        counts: (4,) of :class:`PairingCounts`.
+        rate: of the IMU, by its stamps up to the last :meth:`take`; the samples taken have it.
     """
 
-    time_ns: Stamps
-    rows: Array
-    places: Stamps
-    counts: Stamps
+    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = CAPACITY, rate_hz: float = 0.0) -> None:
+        self._given_hz = rate_hz
+        self._state = np.zeros(1, record_dtype(_State))
+        self._state["timeout_ns"] = round(timeout_s * 1e9)
+        for stamps in (self._state["tracks"]["newest_ns"], self._state["newest_ns"], self._state["last_ns"]):
+            stamps[:] = NO_STAMP
+        self._rings = np.zeros((_TOPICS, capacity), record_dtype(_Entry))
+        self._taken_ns = np.empty(capacity, dtype=np.int64)
+        self._taken = np.empty((capacity, CHANNELS))
+        self._changes = -1
+        # Also compiles the kernel, which the first sample would wait for.
+        self.take()
+
+    @property
+    def counts(self) -> PairingCounts:
+        """What became of the samples so far."""
+        state = self._state[0]
+        return PairingCounts(*(int(state[name]) for name in ("paired", "early", "dropped", "disordered")))
+
+    @property
+    def arrived(self) -> Arrived:
+        """The newest stamp of each input, and how many samples have been judged."""
+        newest = self._state["tracks"]["newest_ns"][0].tolist()
+        imu_ns, state_ns, rotors_ns, _ = (None if time_ns == NO_STAMP else time_ns for time_ns in newest)
+        counts = self.counts
+        return Arrived(imu_ns, state_ns, rotors_ns, 0 if self.rate.begins else counts.paired + counts.dropped)
+
+    @property
+    def settled_ns(self) -> int:
+        """No sample will be taken at or before this stamp, unless the IMU's clock is set back."""
+        imu = self._state["tracks"][0, IMU]
+        return int(self._rings["time_ns"][IMU, imu["oldest"]]) - 1 if imu["count"] else int(imu["newest_ns"])
+
+    def add_imu(self, time_ns: int, specific_force: Array) -> None:
+        """Take one IMU sample: specific_force (3,) m/s², body axes."""
+        _add_imu_sample(self._state, self._rings, time_ns, specific_force)
+
+    def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
+        """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
+        _add_state_sample(self._state, self._rings, time_ns, velocity, attitude, rates)
+
+    def add_estimate(self, time_ns: int, motion: Array) -> None:
+        """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
+        _add_estimate(self._state, self._rings, time_ns, motion)
+
+    def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
+        """Take one sample of the rotor speeds (4,) rad/s."""
+        _add_sample(self._state, self._rings, ROTORS, time_ns, speeds)
+
+    def add_wind(self, time_ns: int, velocity: Array) -> None:
+        """Take one sample of the wind (3,) m/s in the world."""
+        _add_sample(self._state, self._rings, WIND_TOPIC, time_ns, velocity)
+
+    def take(self) -> PairedSamples | None:
+        """The IMU samples completed or given up since the last call, in order; None if there are none."""
+        count, changes = _take_samples(self._state, self._rings, self._taken_ns, self._taken)
+        if changes != self._changes:
+            self._changes, self.rate = changes, ImuRate.of(self._state["meter"], self._given_hz)
+        if count == 0:
+            return None
+        return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
+
+    def take_all(self, arriving: Arriving) -> list[Stretch]:
+        """What :meth:`take` gives after each arrival, joined.
+
+        Apart where the IMU's stamps step back, and where its rate changes.
+        """
+        room = np.count_nonzero(arriving.kind == IMU) + int(self._state["tracks"][0, IMU]["count"])
+        taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, CHANNELS))
+        state_count = np.cumsum(arriving.kind == STATE)
+        stretches: list[Stretch] = []
+        start, begin, filled, states = 0, CONTINUES, 0, 0
+        while start < arriving.kind.size or not stretches:
+            stop, next_begin, count = _take_stretch(
+                self._state, self._rings, arriving, start, taken_ns[filled:], taken[filled:]
+            )
+            if stop > start or stop == arriving.kind.size:
+                rows = slice(filled, filled + count)
+                before, states = states, int(state_count[stop - 1]) if stop else 0
+                samples = PairedSamples(taken_ns[rows], taken[rows])
+                stretches.append(Stretch(begin, self.rate, samples, slice(before, states), self.settled_ns))
+                filled = rows.stop
+            start, begin = stop, next_begin
+            self.rate = ImuRate.of(self._state["meter"], self._given_hz)
+        return stretches
 
 
-# What Python calls takes arrays one by one: a tuple of them costs twice as much to hand over.
 @njit(cache=True)
-def _add_to(time_ns: Any, rows: Any, places: Any, counts: Any, track: int, at_ns: int, values: Any) -> None:
-    _add(_Tracks(time_ns, rows, places, counts), track, at_ns, values)
+def _add_imu_sample(states: Records, rings: Records, time_ns: int, specific_force: Array) -> None:
+    _follow_rate(states[0], time_ns)
+    _add(states[0], rings, IMU, time_ns, specific_force)
 
 
 @njit(cache=True)
-def _add_state_to(
-    time_ns: Any, rows: Any, places: Any, counts: Any, at_ns: int, velocity: Any, attitude: Any, rates: Any
+def _add_state_sample(
+    states: Records, rings: Records, time_ns: int, velocity: Array, attitude: Array, rates: Array
 ) -> None:
-    _add_state(_Tracks(time_ns, rows, places, counts), at_ns, velocity, attitude, rates)
+    _add_state(states[0], rings, time_ns, velocity, attitude, rates)
 
 
 @njit(cache=True)
-def _add_estimate_to(time_ns: Any, rows: Any, places: Any, counts: Any, at_ns: int, motion: Any) -> None:
-    tracks = _Tracks(time_ns, rows, places, counts)
-    _add(tracks, IMU, at_ns, motion[10:])
-    _add_state(tracks, at_ns, motion[4:7], motion[:4], motion[7:10])
+def _add_estimate(states: Records, rings: Records, time_ns: int, motion: Array) -> None:
+    _follow_rate(states[0], time_ns)
+    _add(states[0], rings, IMU, time_ns, motion[10:])
+    _add_state(states[0], rings, time_ns, motion[4:7], motion[:4], motion[7:10])
 
 
 @njit(cache=True)
-def _take_from(
-    time_ns: Any, rows: Any, places: Any, counts: Any, timeout_ns: int, taken_ns: Any, taken: Any
-) -> int:
-    return _take(_Tracks(time_ns, rows, places, counts), timeout_ns, taken_ns, taken)
+def _add_sample(states: Records, rings: Records, topic: int, time_ns: int, values: Array) -> None:
+    _add(states[0], rings, topic, time_ns, values)
 
 
 @njit(cache=True)
-def _take_all(
-    time_ns: Any,
-    rows: Any,
-    places: Any,
-    counts: Any,
-    timeout_ns: int,
-    arriving: Any,
-    taken_ns: Any,
-    taken: Any,
-) -> int:
-    """Fill stamps and rows; their number."""
-    tracks = _Tracks(time_ns, rows, places, counts)
+def _take_samples(states: Records, rings: Records, taken_ns: Stamps, taken: Array) -> tuple[int, int]:
+    """The number of samples taken, whose rows are filled, and how often the rate has changed."""
+    return _take(states[0], rings, taken_ns, taken), states[0].meter.changes
+
+
+@njit(cache=True)
+def _take_stretch(
+    states: Records, rings: Records, arriving: Arriving, start: int, taken_ns: Stamps, taken: Array
+) -> tuple[int, int, int]:
+    """Take arrivals from `start` on until the IMU's stamps step back, or its rate changes.
+
+    Returns:
+        The arrival at which the next stretch begins, how it begins, and the number of samples taken, whose
+        rows are filled. That arrival's stamp has been noted: the next call does not note it again.
+    """
+    state = states[0]
     count = 0
-    for event in range(arriving.kind.size):
+    for event in range(start, arriving.kind.size):
         kind, row = arriving.kind[event], arriving.row[event]
         if kind == IMU:
-            _add(tracks, IMU, arriving.imu_ns[row], arriving.specific_force[row])
+            time_ns = arriving.imu_ns[row]
+            if not state.noted:
+                begin, changes = _begin_at(state, time_ns), state.meter.changes
+                _follow_rate(state, time_ns)
+                if begin != CONTINUES or state.meter.changes != changes:
+                    state.noted = True
+                    return event, begin, count
+            state.noted = False
+            _add(state, rings, IMU, time_ns, arriving.specific_force[row])
         elif kind == STATE:
-            state = arriving.states[row]
-            _add_state(tracks, arriving.state_ns[row], state[:3], state[3:7], state[7:])
+            values = arriving.states[row]
+            _add_state(state, rings, arriving.state_ns[row], values[:3], values[3:7], values[7:])
         elif kind == ROTORS:
-            _add(tracks, ROTORS, arriving.rotor_ns[row], arriving.rotor_speeds[row])
+            _add(state, rings, ROTORS, arriving.rotor_ns[row], arriving.rotor_speeds[row])
         else:
-            _add(tracks, WIND_TOPIC, arriving.wind_ns[row], arriving.wind[row])
-        count += _take(tracks, timeout_ns, taken_ns[count:], taken[count:])
-    return count
+            _add(state, rings, WIND_TOPIC, arriving.wind_ns[row], arriving.wind[row])
+        count += _take(state, rings, taken_ns[count:], taken[count:])
+    return arriving.kind.size, CONTINUES, count
 
 
 @njit(cache=True)
-def _find_breaks(kind: Any, row: Any, imu_ns: Any, clock: Any, meter: Any, breaks: Any, spans_ns: Any) -> int:
-    """Find where the IMU's stamps step back, or tell something else of its rate; the number of places.
+def _begin_at(state: _State, time_ns: int) -> int:
+    """How the stamp of an IMU sample continues those before it; it is noted."""
+    begin = CONTINUES
+    if state.newest_ns != NO_STAMP and time_ns < state.newest_ns - MAX_JUMP_BACK_NS:
+        begin = SET_BACK if time_ns < state.last_ns - MAX_JUMP_BACK_NS else STEPS_BACK
+        state.newest_ns = time_ns
+    state.newest_ns, state.last_ns = max(state.newest_ns, time_ns), time_ns
+    return begin
 
-    Fills (E, 3) places in `kind`, how it begins there, and whether the rate is lost; (E,) usual spans [ns].
+
+@njit(cache=True)
+def _follow_rate(state: _State, time_ns: int) -> None:
+    """Take the stamp of an IMU sample; if it makes the rate known, samples that wait are forgotten.
+
+    Samples are used from that one on. Whether those that wait were completed before depends on which topic
+    arrived first, and predictions must not.
     """
-    count = 0
-    for event in range(kind.size):
-        if kind[event] != IMU:
-            continue
-        time_ns, newest_ns, last_ns = imu_ns[row[event]], clock[0], clock[1]
-        begin, changes = CONTINUES, meter.numbers[CHANGES]
-        if newest_ns != NO_STAMP and time_ns < newest_ns - MAX_JUMP_BACK_NS:
-            begin = SET_BACK if time_ns < last_ns - MAX_JUMP_BACK_NS else STEPS_BACK
-            clock[0] = time_ns
-        clock[0], clock[1] = max(clock[0], time_ns), time_ns
-        follow(meter, time_ns)
-        if begin != CONTINUES or meter.numbers[CHANGES] != changes:
-            breaks[count, 0], breaks[count, 1] = event, begin
-            breaks[count, 2], spans_ns[count] = meter.numbers[LOST], meter.span[0]
-            count += 1
-    return count
+    was_known = is_known(state.meter)
+    follow(state.meter, time_ns)
+    if is_known(state.meter) and not was_known:
+        state.tracks[IMU].count = 0
 
 
 @njit(cache=True)
-def _make_room(tracks: Any, track: int, time_ns: int) -> int:
-    """Where to write a sample of that stamp, which now is the newest; −1 if its stamp does not advance."""
-    place, capacity = tracks.places[track], tracks.time_ns.shape[1]
-    if time_ns <= place[_NEWEST_NS]:
-        if place[_NEWEST_NS] - time_ns <= MAX_JUMP_BACK_NS:
-            tracks.counts[_DISORDERED] += 1
+def _add(state: _State, rings: Records, topic: int, time_ns: int, values: Array) -> None:
+    """Add a sample of a topic, unless its stamp does not advance."""
+    index = _make_room(state, topic, time_ns, rings.shape[1])
+    if index >= 0:
+        entry = rings[topic, index]
+        entry.time_ns = time_ns
+        for k in range(values.size):
+            entry.values[k] = values[k]
+
+
+@njit(cache=True)
+def _add_state(
+    state: _State, rings: Records, time_ns: int, velocity: Array, attitude: Array, rates: Array
+) -> None:
+    """Add a state whose attitude has the sign nearest to the one before: q and −q are the same."""
+    track, capacity = state.tracks[STATE], rings.shape[1]
+    sign = 1.0
+    if track.count > 0:
+        newest = rings[STATE, (track.oldest + track.count - 1) % capacity]
+        projection = 0.0
+        for k in range(4):
+            projection += newest.values[3 + k] * attitude[k]
+        sign = -1.0 if projection < 0.0 else 1.0
+    index = _make_room(state, STATE, time_ns, capacity)
+    if index >= 0:
+        entry = rings[STATE, index]
+        entry.time_ns = time_ns
+        for k in range(3):
+            entry.values[k], entry.values[7 + k] = velocity[k], rates[k]
+        for k in range(4):
+            entry.values[3 + k] = sign * attitude[k]
+
+
+@njit(cache=True)
+def _make_room(state: _State, topic: int, time_ns: int, capacity: int) -> int:
+    """Index in the ring for a sample of that stamp, which is now the newest; −1 if it does not advance."""
+    track = state.tracks[topic]
+    if time_ns <= track.newest_ns:
+        if track.newest_ns - time_ns <= MAX_JUMP_BACK_NS:
+            state.disordered += 1
             return -1
-        place[_COUNT] = 0
-        if track == IMU and tracks.places[STATE, _NEWEST_NS] > time_ns:
-            # The states kept are of the time before, and may be ahead of those that come.
-            tracks.places[STATE, _COUNT], tracks.places[STATE, _NEWEST_NS] = 0, NO_STAMP
-    place[_NEWEST_NS] = time_ns
-    if place[_COUNT] == capacity:
-        place[_OLDEST] = (place[_OLDEST] + 1) % capacity
-        place[_COUNT] -= 1
-    index = (place[_OLDEST] + place[_COUNT]) % capacity
-    place[_COUNT] += 1
-    tracks.time_ns[track, index] = time_ns
+        track.count = 0
+        if topic == IMU and state.tracks[STATE].newest_ns > time_ns:
+            # The states kept are from before the jump back, and may be ahead of those that come.
+            state.tracks[STATE].count = 0
+            state.tracks[STATE].newest_ns = NO_STAMP
+    track.newest_ns = time_ns
+    if track.count == capacity:
+        _drop_oldest(track, capacity)
+    index = (track.oldest + track.count) % capacity
+    track.count += 1
     return int(index)
 
 
 @njit(cache=True)
-def _add(tracks: Any, track: int, time_ns: int, values: Any) -> None:
-    index = _make_room(tracks, track, time_ns)
-    if index >= 0:
-        for k in range(values.size):
-            tracks.rows[track, index, k] = values[k]
-
-
-@njit(cache=True)
-def _add_state(tracks: Any, time_ns: int, velocity: Any, attitude: Any, rates: Any) -> None:
-    """Add a state whose attitude has the sign nearest to the one before: q and −q are the same."""
-    place, capacity = tracks.places[STATE], tracks.time_ns.shape[1]
-    sign = 1.0
-    if place[_COUNT] > 0:
-        newest = tracks.rows[STATE, (place[_OLDEST] + place[_COUNT] - 1) % capacity]
-        projection = 0.0
-        for k in range(4):
-            projection += newest[3 + k] * attitude[k]
-        sign = -1.0 if projection < 0.0 else 1.0
-    index = _make_room(tracks, STATE, time_ns)
-    if index >= 0:
-        row = tracks.rows[STATE, index]
-        for k in range(3):
-            row[k], row[7 + k] = velocity[k], rates[k]
-        for k in range(4):
-            row[3 + k] = sign * attitude[k]
-
-
-@njit(cache=True)
-def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
-    """Fill stamps and rows (velocity, attitude, rates, specific force, rotor speeds, wind); their number."""
-    imu, capacity = tracks.places[IMU], tracks.time_ns.shape[1]
-    state, rotors = tracks.places[STATE], tracks.places[ROTORS]
+def _take(state: _State, rings: Records, taken_ns: Stamps, taken: Array) -> int:
+    """Fill stamps and rows of the samples that are complete or given up; returns their number."""
+    imu, states, rotors = state.tracks[IMU], state.tracks[STATE], state.tracks[ROTORS]
+    capacity = rings.shape[1]
     count = 0
-    while imu[_COUNT] > 0:
-        time_ns = tracks.time_ns[IMU, imu[_OLDEST]]
-        too_early = _starts_after(tracks, STATE, time_ns) or _starts_after(tracks, ROTORS, time_ns)
-        complete = state[_NEWEST_NS] >= time_ns and rotors[_NEWEST_NS] >= time_ns
+    while imu.count > 0:
+        sample = rings[IMU, imu.oldest]
+        time_ns = sample.time_ns
+        too_early = _starts_after(states, rings[STATE], time_ns) or _starts_after(
+            rotors, rings[ROTORS], time_ns
+        )
+        complete = states.newest_ns >= time_ns and rotors.newest_ns >= time_ns
         if not (too_early or complete):
-            if imu[_COUNT] < capacity and imu[_NEWEST_NS] - time_ns <= timeout_ns:
+            if imu.count < capacity and imu.newest_ns - time_ns <= state.timeout_ns:
                 break
-            too_early = state[_COUNT] == 0 or rotors[_COUNT] == 0
+            too_early = states.count == 0 or rotors.count == 0
         if too_early:
-            tracks.counts[_EARLY] += 1
+            state.early += 1
         else:
             row = taken[count]
-            tracks.counts[_PAIRED if _complete(tracks, time_ns, row) else _DROPPED] += 1
-            row[SPECIFIC_FORCE] = tracks.rows[IMU, imu[_OLDEST], :3]
+            if _complete(state, rings, time_ns, row):
+                state.paired += 1
+            else:
+                state.dropped += 1
+            row[SPECIFIC_FORCE] = sample.values[:3]
             taken_ns[count] = time_ns
             count += 1
         _drop_oldest(imu, capacity)
@@ -477,59 +477,56 @@ def _take(tracks: Any, timeout_ns: int, taken_ns: Any, taken: Any) -> int:
 
 
 @njit(cache=True)
-def _complete(tracks: Any, time_ns: int, row: Any) -> bool:
-    """Fill state, rotor speeds and wind at the stamp; False if state or rotor speeds are not known there."""
-    known = _interpolate(tracks, STATE, time_ns, row[: RATES.stop])
+def _complete(state: _State, rings: Records, time_ns: int, row: Array) -> bool:
+    """Fill state, rotor speeds and wind at a stamp; False if state or rotor speeds are not known there."""
+    known = _interpolate(state.tracks[STATE], rings[STATE], time_ns, row[: RATES.stop])
     row[ATTITUDE] /= np.sqrt(np.sum(row[ATTITUDE] * row[ATTITUDE]))
-    known &= _interpolate(tracks, ROTORS, time_ns, row[ROTOR_SPEEDS])
+    known &= _interpolate(state.tracks[ROTORS], rings[ROTORS], time_ns, row[ROTOR_SPEEDS])
     row[WIND] = 0.0
-    held = _hold(tracks, WIND_TOPIC, time_ns)
+    held = _hold(state.tracks[WIND_TOPIC], rings[WIND_TOPIC], time_ns)
     if held >= 0:
-        row[WIND] = tracks.rows[WIND_TOPIC, held, :3]
+        row[WIND] = rings[WIND_TOPIC, held].values[:3]
     return bool(known)
 
 
 @njit(cache=True)
-def _drop_oldest(place: Any, capacity: int) -> None:
-    place[_OLDEST] = (place[_OLDEST] + 1) % capacity
-    place[_COUNT] -= 1
+def _drop_oldest(track: _Track, capacity: int) -> None:
+    track.oldest = (track.oldest + 1) % capacity
+    track.count -= 1
 
 
 @njit(cache=True)
-def _starts_after(tracks: Any, track: int, time_ns: int) -> bool:
+def _starts_after(track: _Track, ring: Records, time_ns: int) -> bool:
     """Whether every sample kept is later than the stamp: nothing can be interpolated there."""
-    place = tracks.places[track]
-    return bool(place[_COUNT] > 0 and tracks.time_ns[track, place[_OLDEST]] > time_ns)
+    return bool(track.count > 0 and ring[track.oldest].time_ns > time_ns)
 
 
 @njit(cache=True)
-def _hold(tracks: Any, track: int, time_ns: int) -> int:
+def _hold(track: _Track, ring: Records, time_ns: int) -> int:
     """Index of the last sample at or before the stamp, forgetting earlier ones; −1 if there is none."""
-    place, capacity = tracks.places[track], tracks.time_ns.shape[1]
-    while place[_COUNT] > 1 and tracks.time_ns[track, (place[_OLDEST] + 1) % capacity] <= time_ns:
-        _drop_oldest(place, capacity)
-    if place[_COUNT] == 0 or tracks.time_ns[track, place[_OLDEST]] > time_ns:
+    while track.count > 1 and ring[(track.oldest + 1) % ring.size].time_ns <= time_ns:
+        _drop_oldest(track, ring.size)
+    if track.count == 0 or ring[track.oldest].time_ns > time_ns:
         return -1
-    return int(place[_OLDEST])
+    return int(track.oldest)
 
 
 @njit(cache=True)
-def _interpolate(tracks: Any, track: int, time_ns: int, values: Any) -> bool:
+def _interpolate(track: _Track, ring: Records, time_ns: int, values: Array) -> bool:
     """Fill the values at a stamp, linearly between the samples around it; NaN and False without these.
 
-    Samples farther apart than MAX_GAP_NS are none: nothing is known of the time between.
+    Between samples farther apart than MAX_GAP_NS nothing is known.
     """
-    before = _hold(tracks, track, time_ns)
-    before_ns, first = tracks.time_ns[track, before], tracks.rows[track, before]
-    if before_ns == time_ns:
-        values[:] = first[: values.size]
+    before = _hold(track, ring, time_ns)
+    first = ring[before]
+    if first.time_ns == time_ns:
+        values[:] = first.values[: values.size]
         return True
-    after = (before + 1) % tracks.time_ns.shape[1]
-    if tracks.places[track, _COUNT] < 2 or tracks.time_ns[track, after] - before_ns > MAX_GAP_NS:
+    second = ring[(before + 1) % ring.size]
+    if track.count < 2 or second.time_ns - first.time_ns > MAX_GAP_NS:
         values[:] = np.nan
         return False
-    fraction = (time_ns - before_ns) / (tracks.time_ns[track, after] - before_ns)
-    second = tracks.rows[track, after]
+    fraction = (time_ns - first.time_ns) / (second.time_ns - first.time_ns)
     for k in range(values.size):
-        values[k] = first[k] + fraction * (second[k] - first[k])
+        values[k] = first.values[k] + fraction * (second.values[k] - first.values[k])
     return True

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.imu_rate import ImuRate, Meter, follow_arrays
+from quadpi_core.estimator.imu_rate import METER, ImuRate, follow
 from quadpi_core.signals.resample import nominal_rate
 
 START_NS = 1_700_000_000_000_000_000
@@ -19,10 +19,10 @@ def stamps(rate_hz: float, seconds: float, begin_ns: int = START_NS) -> np.ndarr
 
 def told(time_ns: np.ndarray, given_hz: float = 0.0) -> list[ImuRate]:
     """What a meter says after each stamp."""
-    meter, rates = Meter.empty(), []
+    meters, rates = np.zeros(1, METER), []
     for at_ns in time_ns.tolist():
-        follow_arrays(*meter, at_ns)
-        rates.append(meter.rate(given_hz))
+        follow(meters[0], at_ns)
+        rates.append(ImuRate.of(meters, given_hz))
     return rates
 
 

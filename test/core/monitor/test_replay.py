@@ -283,12 +283,14 @@ def test_replay_equals_the_live_path_sample_by_sample(
                 state = estimate.odometry
                 pairing.add_imu(int(time_ns), estimate.imu.specific_force[0])
                 pairing.add_state(int(time_ns), state.velocity[0], state.attitude[0], state.rates[0])
+            else:
+                pairing.add_imu(int(time_ns), imu.specific_force[i])
         elif kind == 1:
             ekf.update_pose(int(time_ns), pose.position[i], pose.attitude[i])
         else:
             pairing.add_rotor_speeds(int(time_ns), rotors.speeds[i])
         paired = pairing.take()
-        if paired is not None:
+        if paired is not None and not pairing.rate.begins:
             live.append(monitor.step(*paired)[0])
 
     for field in fields(replayed):
