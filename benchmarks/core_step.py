@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the core needs for one sample in flight, called from Python as the nodes do, without ROS.
+"""Time of one IMU sample in the core, called from Python as the nodes do, without ROS.
 
-A step is the EKF's prediction, the state it gives, the pairing of the sample with its rotor speeds, the
-low-pass, the inputs, six axes of one method with their bounds, and the alarm.
+A step is the prediction of the EKF, its state, pairing with the rotor speeds, low-pass, inputs, six axes of
+one method with their bounds, and the alarm.
 
-There is no baseline that shares a disturbance of the machine, so the methods fly in turns and the figure is
-the calmest turn's median; the most disturbed one's is told beside it.
+No baseline shares the disturbances of the machine. So the methods fly in turns, and the figure is the lowest
+median of a turn; the highest is reported beside it.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ def run() -> list[Result]:
         {method: microseconds(model, vehicle, recording) for method, model in models.items()}
         for _ in range(TURNS)
     ]
-    told, calmest = [], []
+    medians, calmest = [], []
     for method in models:
         steps, poses = min((turn[method] for turn in turns), key=lambda times: float(np.median(times[0])))
         calmest.append(float(np.median(steps)))
         most = max(float(np.median(turn[method][0])) for turn in turns)
-        told.append(
+        medians.append(
             f"{method}: median {calmest[-1]:.0f} to {most:.0f} in {TURNS} turns, "
             f"p99 {np.quantile(steps, 0.99):.0f}, correction by a pose {np.median(poses):.0f}"
         )
-    return [Result(NAMES[0], max(calmest), "µs", "; ".join(told), goal=40.0, at_most=True)]
+    return [Result(NAMES[0], max(calmest), "µs", "; ".join(medians), goal=40.0, at_most=True)]
 
 
 def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording) -> tuple[Array, Array]:

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """CPU time of the live process against a bare rclpy node with the same topics, on the same executor.
 
-The live process flies three models of six axes, one of each method. Both are fed by the same player (500 Hz
-IMU, 500 Hz rotor speeds, 120 Hz mocap) and heard by the same collector. CPU time is user and system time of
-all threads, from the first message to the last.
+The live process runs three models of six axes, one of each method. Both processes get the same messages from
+the same player (IMU and rotor speeds 500 Hz, mocap 120 Hz) and publish to the same collector. CPU time is
+user and system time of all threads, from the first message to the last.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TOPICS = ("imu", "rotor_speeds", "mocap/pose")
 
 
 class Run(NamedTuple):
-    """What one process needed and gave: CPU seconds, latency of each prediction, samples lost."""
+    """CPU seconds of one process, latency of each prediction, and samples without one."""
 
     cpu_s: float
     latency_ms: Array

@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The most memory that `quadpi replay`, `import` and `info` take for two hours at 500 Hz.
+"""Peak memory of `quadpi replay`, `import` and `info` on two hours of flight at 500 Hz.
 
-Two lengths are measured; what the longer takes more is added for each further minute. The figure is that of
-the whole process, of which the libraries take most.
+Extrapolated linearly from two shorter flights. The peak is of the whole process; most of it are libraries.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from benchmarks.swings import IMU_HZ, METHODS, VEHICLE, three_models, write_long
 from quadpi_core.vehicle import Vehicle
 
 BAG = "long.mcap"
-# Arguments of each, given the folder; the bag is there, and a model.
+# Arguments of each command, given the folder with the bag and a model.
 _COMMANDS = {
     "replay_memory_mib": lambda folder: [
         *("replay", str(folder / METHODS[0]), str(folder / BAG)),
@@ -53,7 +52,7 @@ def run() -> list[Result]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         three_models(folder, vehicle)
-        # The first one compiles, which takes more.
+        # The first run compiles the kernels, which takes more memory.
         for minutes in (1, *MEASURED_MIN):
             write_long_bag(folder / BAG, vehicle, 60.0 * minutes)
             for command, arguments in _COMMANDS.items():
@@ -76,7 +75,7 @@ def _result(name: str, brief: float, long: float) -> Result:
 
 
 def _peak_mib(folder: Path, arguments: list[str]) -> float:
-    """The most memory of a command."""
+    """Peak memory of a command."""
     peak = folder / "peak"
     child = [sys.executable, "-c", _CHILD.format(peak=str(peak)), *arguments]
     subprocess.run(child, check=True, stdout=subprocess.DEVNULL)

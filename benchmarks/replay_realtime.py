@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi replay` with models of six axes, against the time that the flight took.
+"""Speed of `quadpi replay` with models of six axes, relative to the duration of the flight.
 
-The first replay, which loads the compiled kernels, does not count; reading, estimation, monitor and writing
-all do. There is no baseline that shares a disturbance of the machine: the calmest replay of several counts,
-and the median is told beside it.
+Reading, estimation, monitor and writing are timed; a first replay loads the compiled kernels. No baseline
+shares the disturbances of the machine, so the fastest of several replays counts, with the median beside it.
 """
 
 from __future__ import annotations

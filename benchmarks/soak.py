@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of the live process over half an hour of flight, played at up to four times real time.
+"""Memory growth and lost predictions of the live process over half an hour, at up to four times real time.
 
-The swings are played over and over, with stamps that go on, through three models; what the process holds
-resident after the first minute of flight is the baseline. Who plays also counts the predictions, and waits
-for them where the machine is too slow for the rate: no queue on the way has to hold more than the little that
-may be under way, so what does not come back is lost.
+The swings are played repeatedly with continuing stamps through three models. The baseline is the resident
+memory after the first minute of flight. The player counts the predictions and waits for them if the machine
+is too slow for the rate. So no queue overflows, and a missing prediction is a lost one.
 """
 
 from __future__ import annotations
@@ -32,14 +31,15 @@ NAMES = ("soak_growth_mib", "soak_lost")
 FLIGHT_MINUTES = 30.0
 RATE = 4.0
 
-_STAMP = struct.Struct("<iI")
+# Stamp at the beginning of a serialized message, behind the four bytes of the encapsulation.
+STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
 _NANOSECONDS = 1_000_000_000
-# How far the player may be ahead of the predictions, and how long it listens at a time. The first prediction
-# comes once the estimator has collected a second.
-_AHEAD_NS, _POLL_S = 200_000_000, 0.005
-_FIRST_NS = 1_500_000_000
-# Nothing comes back for so long: then nothing will.
+# The player is at most this far ahead of the predictions, and further at the start, where the estimator
+# collects a second of samples.
+_AHEAD_NS, _FIRST_NS = 200_000_000, 1_500_000_000
+_POLL_S = 0.005
+# Without a prediction for this time the run has failed.
 _SILENT_S = 60.0
 _START_S = 300.0
 
@@ -79,22 +79,22 @@ def run() -> list[Result]:
             sent_ns = play_over_and_over(playlist, heard, listener, look)
     settled = next(size for flown_s, size in resident if flown_s >= 60.0)
     growth = max(size for flown_s, size in resident if flown_s >= 60.0) - settled
-    told = (
+    baseline = (
         f"{heard.flown_s / 60.0:.1f} minutes at {heard.flown_s / heard.heard_s:.1f} x real time, "
         f"{heard.predictions} predictions of each of three models; "
         f"resident after the first minute {settled / 2**20:.1f} MiB"
     )
     return [
-        Result(NAMES[0], growth / 2**20, "MiB", told, goal=2.0, at_most=True),
+        Result(NAMES[0], growth / 2**20, "MiB", baseline, goal=2.0, at_most=True),
         Result(NAMES[1], heard.lost(sent_ns), "samples", "of those after the first prediction", 0.0, True),
     ]
 
 
 class Heard:
-    """What is kept of what the live process publishes: counts and stamps of its predictions.
+    """Count and stamps of the predictions of the live process.
 
     Args:
-        begun_ns: first stamp that is played.
+        begun_ns: first stamp played.
     """
 
     def __init__(self, begun_ns: int) -> None:
@@ -104,20 +104,20 @@ class Heard:
 
     @property
     def flown_s(self) -> float:
-        """Stamps of predictions heard so far, from the first to the last."""
+        """Duration of the flight by the stamps of the predictions received."""
         return 1e-9 * (self.newest_ns - self._first_ns)
 
     @property
     def heard_s(self) -> float:
-        """Time between hearing these two."""
+        """Time between the arrivals of the first and the last prediction."""
         return self._newest_s - self._first_s
 
     def lost(self, until_ns: int) -> int:
-        """Predictions missing from the first one to that of the IMU sample with that stamp."""
+        """Predictions missing between the first one and the IMU sample of that stamp."""
         return round(1e-9 * (until_ns - self._first_ns) * IMU_HZ) + 1 - self.predictions
 
     def take(self, payload: bytes) -> None:
-        """Take a prediction."""
+        """Count a prediction."""
         self.newest_ns = _stamp_ns(payload)
         self._newest_s = time.monotonic()
         if not self.predictions:
@@ -126,7 +126,7 @@ class Heard:
 
 
 def listening(heard: Heard) -> Listener:
-    """A node that hears every topic of the live process."""
+    """A node that subscribes to every topic of the live process."""
     from nav_msgs.msg import Odometry
     from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
 
@@ -149,12 +149,12 @@ def _ignore(_: bytes) -> None:
 
 
 def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, look: Callable[[], None]) -> int:
-    """Play a bag again and again, with stamps that go on, never far ahead of what comes back.
+    """Play a bag repeatedly with continuing stamps, waiting for predictions that fall behind.
 
     Args:
         playlist: the bag.
-        heard: what comes back.
-        listener: that hears it.
+        heard: predictions received.
+        listener: receives them.
         look: called every tenth of a second of flight.
 
     Returns:
@@ -183,7 +183,7 @@ def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, loo
     for turn in range(turns):
         for (due_ns, publish, payload), stamp_ns in zip(messages, stamps, strict=True):
             at_ns = stamp_ns + turn * period_ns
-            _STAMP.pack_into(payload, _STAMP_AT, *divmod(at_ns, _NANOSECONDS))
+            STAMP.pack_into(payload, _STAMP_AT, *divmod(at_ns, _NANOSECONDS))
             wait_ns = start_ns + round((due_ns + turn * period_ns) / RATE) - time.monotonic_ns()
             if wait_ns > 0:
                 time.sleep(1e-9 * wait_ns)
@@ -203,10 +203,10 @@ def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, loo
 
 
 def await_predictions(heard: Heard, listener: Listener, until_ns: int) -> None:
-    """Listen until predictions up to a stamp are back.
+    """Receive messages until the predictions up to a stamp have arrived.
 
     Raises:
-        RuntimeError: if they do not come.
+        RuntimeError: if they do not arrive.
     """
     deadline_s = time.monotonic() + _SILENT_S
     while heard.newest_ns < until_ns:
@@ -216,5 +216,5 @@ def await_predictions(heard: Heard, listener: Listener, until_ns: int) -> None:
 
 
 def _stamp_ns(payload: bytes | bytearray) -> int:
-    seconds, nanoseconds = _STAMP.unpack_from(payload, _STAMP_AT)
+    seconds, nanoseconds = STAMP.unpack_from(payload, _STAMP_AT)
     return int(seconds) * _NANOSECONDS + int(nanoseconds)

@@ -19,7 +19,7 @@ NAMES = ("stepwise_vs_direct",)
 
 SAMPLES = 100_000
 PLANTED_TERMS = 16
-# Of the candidates of a step the direct way tries one in so many; its time is scaled by the rest.
+# The direct way tries one in this many candidates of a step, and its time is scaled up.
 ONE_IN = 10
 # The threads of the direct way's BLAS stay busy for a while after their work is done.
 REST_S = 0.1

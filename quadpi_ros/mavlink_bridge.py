@@ -71,6 +71,9 @@ class MavlinkBridge(GuardedNode):
     Args:
         node: keyword arguments of rclpy's Node.
 
+    Attributes:
+        connections: number of times that the link was opened.
+
     Raises:
         ParameterError: for wrong parameters.
         LogError: if pymavlink is not installed, or a telemetry log has no packets.
@@ -97,7 +100,7 @@ class MavlinkBridge(GuardedNode):
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._problem: str | None = "not connected yet"
-        self._connections = 0
+        self.connections = 0
         self._reported = _Reported(time.monotonic(), {}, {})
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -133,7 +136,7 @@ class MavlinkBridge(GuardedNode):
             try:
                 link = self._link or open_link(self._given.connection)
                 self._link = None
-                self._connections += 1
+                self.connections += 1
                 self._problem = None
                 if self._is_replay:
                     self._await_subscriber()
@@ -214,7 +217,7 @@ class MavlinkBridge(GuardedNode):
         level, text = self._judged(report, rates, rivals)
         values: dict[str, Any] = {
             "connection": self._given.connection,
-            "connections": self._connections,
+            "connections": self.connections,
             "system": report.system,
             **rates,
             **{f"{topic}_from": source for topic, source in report.sources.items()},

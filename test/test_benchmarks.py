@@ -47,7 +47,7 @@ def test_soak_counts_what_is_missing_between_and_at_the_end() -> None:
     begun_ns, sample_ns = 1_700_000_000_000_000_000, 2_000_000
     heard = soak.Heard(begun_ns)
     for sample in (500, 501, 503, 504):
-        heard.take(b"\0" * 4 + soak._STAMP.pack(*divmod(begun_ns + sample * sample_ns, 1_000_000_000)))
+        heard.take(b"\0" * 4 + soak.STAMP.pack(*divmod(begun_ns + sample * sample_ns, 1_000_000_000)))
     assert heard.lost(begun_ns + 504 * sample_ns) == 1
     assert heard.lost(begun_ns + 510 * sample_ns) == 7
     assert heard.flown_s == pytest.approx(4 * 0.002)

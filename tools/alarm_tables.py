@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Renew the tables of docs/alarm.md: what each signal tells of misses, and how often the alarm is false.
+"""Renew the tables of docs/alarm.md: how well each signal predicts misses, and the rate of false alarms.
 
-The page is its own template, as that of `paper_tables`. Simulated flights are flown for it; real ones come
-from a folder, without which it says that their rows are left out. Same code and data give the same numbers.
+The page is its own template, as in `paper_tables`. Simulated flights are flown here; real ones come from a
+folder, without which their rows are left out. The same code and data give the same numbers.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Job:
         data: folder that holds `neurobem`.
         seeds: how many models of each number of flights are asked for false alarms.
         flights: unseen ones that each of them is asked about.
-        flight_s: how long a random flight lasts.
+        flight_s: duration of a random flight.
         ensembles: judge the width of ensembles as well, which takes their training.
         workers: processes.
     """
@@ -198,14 +198,14 @@ def real_cases(job: Job) -> list[Case]:
 
 def signal_areas(case: Case, model: AerodynamicModel) -> tuple[float, dict[str, float | None]]:
     """Share of the samples missed, and the area under the ROC curve of each signal for them."""
-    held = [AXES.index(axis) for axis in model.axes]
+    columns = [AXES.index(axis) for axis in model.axes]
     missed, scores = [], {name: list[Array]() for name in ("inputs", "leverage", "mahalanobis", "width")}
     covariance = LedoitWolf().fit(np.concatenate([flight.inputs for flight in case.identified]))
     for flight in case.judged:
         result = predict_flight(model, flight, CONFIDENCE, with_alarm=True)
         assert result.alarm is not None
         outside = (result.measured < result.lower) | (result.measured > result.upper)
-        missed.append(outside[:, held].any(axis=1))
+        missed.append(outside[:, columns].any(axis=1))
         for name in ("inputs", "leverage", "width"):
             scores[name].append(result.alarm.scores[name])
         scores["mahalanobis"].append(covariance.mahalanobis(flight.inputs))
@@ -214,7 +214,7 @@ def signal_areas(case: Case, model: AerodynamicModel) -> tuple[float, dict[str, 
     return float(np.mean(positive)), areas
 
 
-# Of each method the signals that are told of; an ensemble has no leverage.
+# Signals of each method, with their headings; an ensemble has no leverage.
 _SIGNALS: dict[MethodName, dict[str, str]] = {
     "polynomial": {"inputs": "range", "leverage": "leverage", "mahalanobis": "Mahalanobis", "width": "width"},
     "bootstrap": {"inputs": "range", "width": "width"},
@@ -223,7 +223,7 @@ _SIGNALS: dict[MethodName, dict[str, str]] = {
 
 
 def signals(job: Job) -> str:
-    """A table per method: what each signal tells of misses."""
+    """One table per method: area under the ROC curve of each signal for misses."""
     cases = simulated_cases(job) + real_cases(job)
     methods: list[MethodName] = ["polynomial"]
     if job.ensembles:
@@ -364,7 +364,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--seeds", type=int, default=4, help="models of each kind that are asked for false alarms"
     )
     parser.add_argument("--flights", type=int, default=64, help="unseen ones for each of them")
-    parser.add_argument("--flight-s", type=float, default=60.0, help="how long a random flight lasts")
+    parser.add_argument("--flight-s", type=float, default=60.0, help="duration of a random flight")
     parser.add_argument("--no-ensembles", action="store_true", help="spare their training")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     options = parser.parse_args(arguments)

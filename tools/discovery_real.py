@@ -54,7 +54,7 @@ class Case:
         function: in examples/first_principles.py.
         vehicle: its file.
         pattern: of the logs in the folder of real flights.
-        every: takes every so many of them.
+        every: stride over them.
         bands_hz: that searches look up to; further rounds are those of the first.
         published: RMSE per axis of the data set's own model, [N, Nm]; empty where there is none.
         source: of that, in words.
@@ -158,12 +158,12 @@ def section(case: Case) -> str:
 
 
 def searches(case: Case, simulation: Simulation, flights: Sequence[Flight], rounds: int) -> Iterator[str]:
-    """What each round finds, until nothing is or it cannot be added."""
+    """Sections of the page, one per round, until a round finds nothing or its effects cannot be added."""
     for number in range(1, rounds + 1):
         begin = perf_counter()
         found = discover(simulation, flights)
         print(f"{case.title}: round {number}: {found.verdict}, {perf_counter() - begin:.0f} s", flush=True)
-        yield told(case, number, found)
+        yield findings(case, number, found)
         if not found.effects:
             return
         try:
@@ -176,7 +176,7 @@ def searches(case: Case, simulation: Simulation, flights: Sequence[Flight], roun
             return
 
 
-def told(case: Case, number: int, found: Discovery) -> str:
+def findings(case: Case, number: int, found: Discovery) -> str:
     """Verdict, effects and gap of one search."""
     lines = [
         f"Round {number}: verdict `{found.verdict}`; {found.gap.reduction:.0%} of the removable gap closed, "

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The golden trace: state, prediction and alarm that a replay of a bundled bag gives, as text in test/golden.
+"""The golden trace: state, prediction and alarm of the replay of a bundled bag, as text in test/golden.
 
-Run, it renews the trace, and with `--model` first the model that it is of. The model is committed beside it,
-so that the trace shows what estimator, inputs, prediction and alarm do, and nothing of the identification.
+Running this renews the trace, and with `--model` its model first. The model is committed with the trace, so
+that a change of the trace shows a change of estimator, inputs, prediction or alarm, not of identification.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ def _compare_column(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Renew the trace and say what changed."""
     parser = argparse.ArgumentParser(description="Renew the golden trace in test/golden.")
-    parser.add_argument("--model", action="store_true", help="identify its model anew, too")
+    parser.add_argument("--model", action="store_true", help="identify its model again first")
     options = parser.parse_args(arguments)
     model = FOLDER / "model"
     if options.model or not model.is_dir():

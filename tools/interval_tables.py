@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "intervals", help="for bags")
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     parser.add_argument("--flights", type=int, default=12, help="unseen ones of each kind")
-    parser.add_argument("--flight-s", type=float, default=60.0, help="how long a random flight lasts")
+    parser.add_argument("--flight-s", type=float, default=60.0, help="duration of a random flight")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     options = parser.parse_args(arguments)
     job = Job(

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Renew the tables of docs/paper-tables.md by running the commands that the page names.
 
-The page is its own template: what stands between `<!-- table: NAME -->` and `<!-- end -->` is replaced, all
-other text is written by hand and stays. Same code and data give the same bytes.
+The page is its own template: the text between `<!-- table: NAME -->` and `<!-- end -->` is replaced, all
+other text is written by hand and kept. The same code and data give the same bytes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Result = TypeVar("Result")
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper-tables.md"
 SETTINGS = ("paper", "default")
-# What numbers depend on, for the commit that a table names; were the page part, none could hold its own.
+# The folders that the numbers depend on; a table names the last commit that changed them.
 SOURCES = ("quadpi_core", "config")
 # The real flights by top speed in m/s, and the paper's groups of them.
 FLIGHTS = {
@@ -52,7 +52,7 @@ GROUPS = {"identification": ("3.5", "11.3"), "interpolation": ("6.5",), "extrapo
 
 
 class TablesError(Exception):
-    """The page cannot be renewed; one line says why."""
+    """The page cannot be renewed; the message is one line."""
 
 
 @dataclass(frozen=True)

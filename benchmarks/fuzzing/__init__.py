@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged input for every reader, at random from small files; format, seed and number tell a case."""
+"""Fuzzing of every reader with randomly damaged small files; a case is a format, a seed and a number."""

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`make fuzz`: damaged input for every reader, on worker processes; exit status 1 if anything was found.
+"""`make fuzz`: damaged input for every reader, in worker processes; exit status 1 if anything was found.
 
-A case that ends its process, or takes more than SECONDS_MAX of processor time, costs that process alone.
+A case that crashes, or exceeds SECONDS_MAX of processor time, ends only the worker that runs it.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from benchmarks.fuzzing.formats import FORMATS
 
 _BATCH = 100
 _SHOWN_PER_FORMAT = 10
-# For what a case does beside using the processor; a longer wait is a hang too.
+# Wall time of a batch beyond its processor time, after which a worker counts as hanging.
 _WAIT_MAX_S = 120.0
 
 
 class Batch(NamedTuple):
-    """Cases of one format, one after the other."""
+    """Consecutive cases of one format."""
 
     name: str
     seed: int
@@ -43,7 +43,7 @@ class Batch(NamedTuple):
 
 @dataclass
 class Tally:
-    """What came of the cases of one format."""
+    """Results of the cases of one format."""
 
     kinds: Counter[str] = field(default_factory=Counter)
     findings: list[tuple[str, Outcome]] = field(default_factory=list)
@@ -51,7 +51,7 @@ class Tally:
 
 
 def _work(pipe: Connection, place: multiprocessing.sharedctypes.Synchronized[int], folder: str) -> None:
-    """Judge the batches that come through the pipe; `place` holds the number of the case that runs."""
+    """Judge the batches that arrive on the pipe; `place` is the number of the running case."""
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -68,13 +68,13 @@ def _work(pipe: Connection, place: multiprocessing.sharedctypes.Synchronized[int
             if outcome.is_finding:
                 found.append((f"{batch.name}:{batch.seed}:{number}", outcome))
             if outcome.kind == "memory":
-                break  # the peak stays: another process goes on
+                break  # the peak never falls: a new process continues
         done = number + 1 - batch.first
         pipe.send((kinds, found, done, time.process_time() - started, peak_bytes()))
 
 
 class Worker:
-    """A process, what it works on, and where it stands."""
+    """A process, its batch, and the case that it is at."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("fork")
@@ -88,12 +88,12 @@ class Worker:
         self.since = time.monotonic()
 
     def give(self, batch: Batch | None) -> None:
-        """Work on a batch, or end."""
+        """Start a batch, or end with None."""
         self.batch, self.since = batch, time.monotonic()
         self.pipe.send(batch)
 
     def close(self) -> None:
-        """End the process."""
+        """Kill the process."""
         self.process.kill()
         self.process.join()
         self.folder.cleanup()
@@ -104,7 +104,7 @@ def _fast_folder() -> str | None:
 
 
 def batches(cases: int, seed: int, names: list[str]) -> list[Batch]:
-    """All cases in batches, the formats mixed, so that a run that is cut short has tried all of them."""
+    """All cases in batches, formats interleaved, so that an interrupted run has tried all of them."""
     total = sum(FORMATS[name].share for name in names)
     ordered = []
     for name in names:
@@ -116,7 +116,7 @@ def batches(cases: int, seed: int, names: list[str]) -> list[Batch]:
 
 
 class Run:
-    """Hands batches to workers until there are none, or the time is over."""
+    """Distributes batches to workers until all are done or the time is over."""
 
     def __init__(self, work: list[Batch], workers: int, seconds: float) -> None:
         self.tallies: dict[str, Tally] = {}
@@ -126,7 +126,7 @@ class Run:
         self._workers = workers
 
     def go(self) -> None:
-        """Do it all."""
+        """Run all batches."""
         workers = [Worker() for _ in range(self._workers)]
         try:
             for worker in workers:
@@ -144,14 +144,14 @@ class Run:
                 worker.close()
 
     def _next(self, worker: Worker) -> None:
-        """Another batch, while there is one and time for it."""
+        """Give a worker the next batch, if there are time and work left."""
         if self._work and time.monotonic() < self._until:
             worker.give(self._work.pop())
         else:
             worker.batch = None
 
     def _take(self, workers: list[Worker], worker: Worker) -> None:
-        """What a worker found; one that has died is replaced, and goes on behind the case that it died of."""
+        """Collect the results of a worker; a dead one is replaced and continues after the fatal case."""
         assert worker.batch is not None
         batch = worker.batch
         tally = self.tallies.setdefault(batch.name, Tally())
@@ -182,7 +182,7 @@ class Run:
 
 
 def summary(run: Run) -> str:
-    """A line per format, then the findings."""
+    """One line per format, then the findings."""
     lines = [f"{'format':14} {'cases':>9} {'read':>9} {'refused':>9} {'found':>6} {'per s':>7}"]
     for name, tally in sorted(run.tallies.items()):
         cases = tally.kinds.total()
@@ -208,7 +208,7 @@ def summary(run: Run) -> str:
 
 
 def warm_up() -> None:
-    """Import and compile what the readers need, once for all workers; then bound their memory."""
+    """Import and compile what the readers need before forking the workers, then bound their memory."""
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
@@ -223,7 +223,7 @@ def main() -> int:
     """See the module."""
     parser = argparse.ArgumentParser(prog="make fuzz", description=__doc__)
     parser.add_argument("--cases", type=int, default=1_000_000, help="over all formats")
-    parser.add_argument("--minutes", type=float, default=20.0, help="after which no more are begun")
+    parser.add_argument("--minutes", type=float, default=20.0, help="after which no batch is started")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--formats", nargs="+", choices=list(FORMATS), default=list(FORMATS))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""One case: made from its format, seed and number, read, and judged."""
+"""One case of fuzzing: make it from format, seed and number, read it, and judge the outcome."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ MEMORY_MAX = 512 * 2**20
 
 
 class Outcome(NamedTuple):
-    """What came of a case.
+    """Result of a case.
 
     Attributes:
         kind: "read", "refused", or what is wrong: "traceback", "unnamed" (a refusal without the file),
             "passed" (values or times that are none of a flight), "memory", "crash", "hang".
-        detail: of what is wrong.
+        detail: description of what is wrong.
     """
 
     kind: str
@@ -33,7 +33,7 @@ class Outcome(NamedTuple):
 
     @property
     def is_finding(self) -> bool:
-        """Whether it should not have come to this."""
+        """Whether the reader misbehaved."""
         return self.kind not in {"read", "refused"}
 
 
@@ -43,7 +43,7 @@ def make(form: Format, seed: int, number: int) -> bytes:
 
 
 def judge(form: Format, data: bytes, number: int, folder: Path) -> Outcome:
-    """Read damaged bytes from a file in a folder, and say what came of it."""
+    """Read damaged bytes from a file in a folder and judge the outcome."""
     path = folder / f"case{form.suffix}"
     path.write_bytes(data)
     peak_before = peak_bytes()
@@ -59,7 +59,7 @@ def judge(form: Format, data: bytes, number: int, folder: Path) -> Outcome:
         return Outcome("passed", str(finding))
     except MemoryError as error:
         return Outcome("memory", _place(error))
-    except Exception as error:  # what is looked for
+    except Exception as error:  # any other exception is a finding
         return Outcome("traceback", _place(error))
     else:
         return _within_memory("read", peak_before)
@@ -77,7 +77,7 @@ def _within_memory(kind: str, peak_before: int) -> Outcome:
 
 
 def _place(error: BaseException) -> str:
-    """The error and the last place in our code that it went through."""
+    """The error and the innermost place in quadpi_core that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if "quadpi_core" in frame.filename] or frames
     last = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else "?"
@@ -88,7 +88,7 @@ def parse_case(text: str) -> tuple[Format, int, int]:
     """Format, seed and number of a case written as `mcap:0:1234`.
 
     Raises:
-        ValueError: if it is none.
+        ValueError: for a malformed case or an unknown format.
     """
     name, seed, number = text.split(":")
     if name not in FORMATS:

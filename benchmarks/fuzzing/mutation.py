@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small changes to small files: to bytes, to whole records, to lengths, to numbers, and to words of a text.
+"""Random changes to small files: to bytes, records, lengths, numbers, and words of a text.
 
-What a format adds is how its bytes fall into records, and which checksums are put right afterwards.
+A format supplies how its bytes split into records, and corrects its checksums afterwards.
 """
 
 from __future__ import annotations
@@ -78,10 +78,10 @@ def mutate(rng: random.Random, data: bytes, split: Split | None, others: Sequenc
     """A few changes to a file.
 
     Args:
-        rng: says which.
+        rng: source of randomness.
         data: the file.
-        split: its records, if it has any; they joined are the file.
-        others: files of the same format, whose pieces may be put into it.
+        split: splits the file into records whose concatenation is the file; None without records.
+        others: files of the same format, pieces of which may be inserted.
     """
     for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
         if split is not None and rng.random() < 0.6:
@@ -92,7 +92,7 @@ def mutate(rng: random.Random, data: bytes, split: Split | None, others: Sequenc
 
 
 def mutate_text(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """A few changes to a text: its lines and words, and now and then its bytes."""
+    """A few changes to the lines and words of a text, and sometimes to its bytes."""
     for _ in range(rng.choice((1, 1, 2, 3))):
         kind = rng.random()
         if kind < 0.15:
@@ -110,9 +110,9 @@ def mutate_text(rng: random.Random, data: bytes, others: Sequence[bytes]) -> byt
 
 
 def change_bytes(rng: random.Random, data: bytes, other: bytes = b"") -> bytes:
-    """One change to bytes: flipped, overwritten by noise or a number, cut, taken out, doubled, replaced."""
+    """One change to bytes: flip a bit, overwrite by noise or a number, cut, delete, repeat, or replace."""
     changed = bytearray(data)
-    # Heads tell more than the many samples behind them.
+    # Prefer the head of the file, which decides more than the many samples behind it.
     place = rng.randrange(rng.choice((min(64, len(data)), len(data))) + 1) if data else 0
     length = rng.choice((1, 2, 4, 8, 16, rng.randrange(1, 200)))
     kind = rng.randrange(10)
@@ -146,7 +146,7 @@ def change_bytes(rng: random.Random, data: bytes, other: bytes = b"") -> bytes:
 def _change_records(
     rng: random.Random, records: list[bytes], others: list[bytes], *, within: bool = True
 ) -> bytes:
-    """One change to the records of a file: one left out, doubled, moved, cut, put in, or altered."""
+    """One change to the records of a file: delete, repeat, move, cut, insert, or alter one."""
     if not records:
         return b""
     place = rng.randrange(rng.choice((min(16, len(records)), len(records))))
@@ -167,7 +167,7 @@ def _change_records(
 
 
 def mutate_json(rng: random.Random, content: Any) -> bytes:
-    """JSON in which something is another value, absent, or there twice; or whose text was changed."""
+    """JSON with a value replaced, missing or repeated, and sometimes with changes to its text."""
     for _ in range(rng.choice((1, 1, 2))):
         content = _altered(rng, content)
     text = json.dumps(content).encode()

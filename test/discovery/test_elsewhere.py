@@ -27,10 +27,10 @@ def flown():
     plan = hover.overridden(motion=BACK_AND_FORTH)
 
     def of(*effects):
-        parameters = {**quad_params, **dict.fromkeys(elsewhere._OFF, 0.0)}
+        parameters = {**quad_params, **dict.fromkeys(elsewhere.OFF, 0.0)}
         for name in effects:
             parameters |= elsewhere.EFFECTS[name]
-        return elsewhere._flown(plan, parameters)
+        return elsewhere.flown(plan, parameters)
 
     return of
 

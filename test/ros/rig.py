@@ -117,7 +117,7 @@ class Rig:
             self._publish(count, change)
             self.now_ns += step_ns
         last_ns = self.now_ns - step_ns
-        self._send("rotor_speeds", sensor_messages.pack_rotor_speeds(self._rotors(self.now_ns, 0)))
+        self.send("rotor_speeds", sensor_messages.pack_rotor_speeds(self._rotors(self.now_ns, 0)))
         return first_ns, last_ns
 
     def tick(self) -> None:
@@ -137,14 +137,14 @@ class Rig:
             },
         )
         if count % 4 == 0:
-            self._send("mocap/pose", sensor_messages.pack_pose(sample["mocap/pose"]))
-        self._send("imu", sensor_messages.pack_imu(sample["imu"]))
-        self._send("rotor_speeds", sensor_messages.pack_rotor_speeds(sample["rotor_speeds"]))
+            self.send("mocap/pose", sensor_messages.pack_pose(sample["mocap/pose"]))
+        self.send("imu", sensor_messages.pack_imu(sample["imu"]))
+        self.send("rotor_speeds", sensor_messages.pack_rotor_speeds(sample["rotor_speeds"]))
 
     def _rotors(self, time_ns: int, index: int) -> RotorSpeedStream:
         return RotorSpeedStream(np.array([time_ns]), self._hover.rotor_speeds.speeds[[index]])
 
-    def _send(self, topic: str, payloads: Any) -> None:
+    def send(self, topic: str, payloads: Any) -> None:
         self._publishers[topic].publish(payloads[0])
 
     def stamps(self, topic: str, first_ns: int, last_ns: int) -> np.ndarray:

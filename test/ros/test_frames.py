@@ -65,9 +65,9 @@ def test_other_frames_are_refused_with_their_reason(folder: Path, hover: Recordi
             for k in range(10):
                 stamp = np.array([rig.now_ns + 2_000_000 * k])
                 imu = ImuStream(stamp, np.zeros((1, 3)), np.array([[0.0, 0.0, -9.81]]))
-                rig._send("imu", sensor_messages.pack_imu(imu, "imu_link"))
+                rig.send("imu", sensor_messages.pack_imu(imu, "imu_link"))
                 pose = PoseStream(stamp, np.zeros((1, 3)), LEVEL)
-                rig._send("mocap/pose", sensor_messages.pack_pose(pose, "world_ned"))
+                rig.send("mocap/pose", sensor_messages.pack_pose(pose, "world_ned"))
             for topic, reason in (
                 ("imu", "the frame `imu_link` is not the body's, `base_link`, and no static transform"),
                 ("mocap/pose", "the frame `world_ned` says north-east-down: east-north-up is expected"),

@@ -97,7 +97,7 @@ def test_flood(rig: Rig, live: Child) -> None:
         }
         for _ in range(9):
             for topic, payload in payloads.items():
-                rig._send(topic, payload)
+                rig.send(topic, payload)
         return sample
 
     first_ns, last_ns = rig.fly(1.0, ten_times)

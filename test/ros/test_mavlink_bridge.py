@@ -323,8 +323,8 @@ def test_an_error_in_reading_costs_the_link(monkeypatch: pytest.MonkeyPatch) -> 
     with listening(connection=f"udp:127.0.0.1:{port}") as heard:
         with monkeypatch.context() as patch:
             patch.setattr(mavlink_link.UdpLink, "read", lambda *_: 1 / 0)
-            heard.until(lambda: heard.bridge._connections > 1)
-        assert heard.bridge.exceptions.counts["link"] <= heard.bridge._connections
+            heard.until(lambda: heard.bridge.connections > 1)
+        assert heard.bridge.exceptions.counts["link"] <= heard.bridge.connections
         heard.until(lambda: heard.statuses[-1:] != [] and "no heartbeat" in heard.statuses[-1]["message"])
 
 

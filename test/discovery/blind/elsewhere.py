@@ -38,7 +38,7 @@ EFFECTS = {
     "translational_lift": {"k_h": 3.39e-3},
     "blade_flapping": {"k_flap": -6.9e-6},
 }
-_OFF = ("k_d", "c_Dx", "c_Dy", "c_Dz", "k_z", "k_h", "k_flap", "motor_noise_std")
+OFF = ("k_d", "c_Dx", "c_Dy", "c_Dz", "k_z", "k_h", "k_flap", "motor_noise_std")
 _FLIP = np.array([1.0, -1.0, -1.0])
 
 
@@ -89,7 +89,7 @@ def flights_of(
     from rotorpy.vehicles.hummingbird_params import quad_params
 
     rng = np.random.default_rng(seed)
-    parameters = {**quad_params, **dict.fromkeys(_OFF, 0.0)}
+    parameters = {**quad_params, **dict.fromkeys(OFF, 0.0)}
     for name, deviation in {"k_eta": 0.01, "k_m": 0.1, "Ixx": 0.02, "Iyy": 0.02, "Izz": 0.02}.items():
         parameters[name] *= 1.0 + deviation * rng.standard_normal()
     for name in effects:
@@ -98,12 +98,12 @@ def flights_of(
     for plan in plans:
         if plan.name in FLIGHTS:
             noise = zlib.crc32(f"{seed} {plan.name}".encode())
-            sensed = sense(_flown(plan, parameters), owned, suite, {}, (), noise)
+            sensed = sense(flown(plan, parameters), owned, suite, {}, (), noise)
             flights.append(fuse_airborne(sensed.recording, owned, CUTOFF_HZ["default"]))
     return flights
 
 
-def _flown(plan: FlightPlan, parameters: dict) -> Truth:
+def flown(plan: FlightPlan, parameters: dict) -> Truth:
     """One flight, stepped as RotorPy's own loop does it."""
     from rotorpy.controllers.quadrotor_control import SE3Control
     from rotorpy.vehicles.multirotor import Multirotor
