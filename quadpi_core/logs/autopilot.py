@@ -27,6 +27,11 @@ _AnyStream = TypeVar("_AnyStream", bound=Stream)
 
 _log = logging.getLogger(__name__)
 _GAP_NS = 1_000_000_000
+# What a log of each format begins with.
+CFUSDLOG_MAGIC = 0xBC
+DATAFLASH_MAGIC = b"\xa3\x95"
+ULOG_MAGIC = b"ULog\x01\x12\x35"
+BLACKBOX_MAGIC = b"H Product:Blackbox"
 
 
 def note(source: str, text: str) -> None:

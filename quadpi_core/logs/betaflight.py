@@ -19,8 +19,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd
-from quadpi_core.logs import BLACKBOX_MAGIC
-from quadpi_core.logs.autopilot import begins_with, note, require_imu, usable
+from quadpi_core.logs.autopilot import BLACKBOX_MAGIC, begins_with, note, require_imu, usable
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.units import STANDARD_GRAVITY
@@ -69,21 +68,22 @@ def _longest(source: str, path: Path) -> BlackboxLog:
         )
     flights = _flights(path.read_bytes())
     largest = sorted(range(len(flights)), key=lambda place: -len(flights[place]))[:_FLIGHTS_MAX]
-    read: dict[int, BlackboxLog] = {}
+    longest: tuple[int, BlackboxLog] | None = None
     for place in sorted(largest):
         try:
-            read[place] = decode_blackbox(
-                flights[place], (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM)
-            )
+            log = decode_blackbox(flights[place], (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM))
         except LogError as error:
             note(source, f"flight {place + 1}: {error}")
-    longest = max(read, key=lambda place: len(read[place].columns["time"]), default=None)
-    if longest is None or not len(read[longest].columns["time"]):
+            continue
+        if longest is None or len(log.columns["time"]) > len(longest[1].columns["time"]):
+            longest = place, log
+    if longest is None or not len(longest[1].columns["time"]):
         raise LogError(f"{source}: no frame of a flight can be read")
+    place, log = longest
     if len(flights) > 1:
-        note(source, f"holds {len(flights)} flights; read is the longest, number {longest + 1}")
-    _note_damage(source, f"flight {longest + 1}", read[longest])
-    return read[longest]
+        note(source, f"holds {len(flights)} flights; read is the longest, number {place + 1}")
+    _note_damage(source, f"flight {place + 1}", log)
+    return log
 
 
 def _flights(data: bytes) -> list[bytes]:

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
-from quadpi_core.logs import CFUSDLOG_MAGIC
+from quadpi_core.logs.autopilot import CFUSDLOG_MAGIC
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.units import STANDARD_GRAVITY, unit_attitude
 from quadpi_core.vehicle import Vehicle

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs import DATAFLASH_MAGIC
+from quadpi_core.logs.autopilot import DATAFLASH_MAGIC
 
 HEAD = DATAFLASH_MAGIC
 _HEADER_BYTES = 3

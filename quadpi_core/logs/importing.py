@@ -14,10 +14,10 @@ from quadpi_core.config import is_config_path
 from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
-from quadpi_core.logs import FORMATS, blocks_of, identify_format, read_recording, reading
 from quadpi_core.logs.alignment import Alignment, align_pose
 from quadpi_core.logs.bags import open_recording, recording_topics, recording_writer, write_bag
 from quadpi_core.logs.duplicates import RunningHash, recording_hash, refuse_duplicates
+from quadpi_core.logs.readers import FORMATS, blocks_of, identify_format, read_recording, reading
 from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.parallel import map_files
 from quadpi_core.paths import staged, whole_outputs

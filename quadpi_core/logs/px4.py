@@ -20,8 +20,7 @@ import numpy as np
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs import ULOG_MAGIC
-from quadpi_core.logs.autopilot import begins_with, note, odometry_of, require_imu, rising, usable
+from quadpi_core.logs.autopilot import ULOG_MAGIC, begins_with, note, odometry_of, require_imu, rising, usable
 from quadpi_core.optional_imports import require
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.units import NORM_TOLERANCE

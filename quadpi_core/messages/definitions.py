@@ -34,7 +34,6 @@ FORMATS = {
     "float64": "<f8",
 }
 _SEPARATOR = "=" * 80
-_REASON_LENGTH = 80
 _TYPE_NAME = re.compile(r"\w+(/\w+)+", re.ASCII)
 # No vehicle has more speed controllers, and no flying arena more bodies or markers.
 ITEMS_MAX = 1024
