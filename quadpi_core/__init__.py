@@ -1,5 +1,63 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Aerodynamic models of quadrotors with prediction intervals, and the monitor that watches them."""
+"""Aerodynamic models of quadrotors with prediction intervals, and the monitor that watches them.
 
-__version__ = "0.1.0"
+The names here are those that most programs need; docs/library.md shows them with their units. Each is
+imported from its room when it is first used, so that `import quadpi_core` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from quadpi_core.version import __version__ as __version__
+
+if TYPE_CHECKING:
+    from quadpi_core.discrepancy.loading import load_simulation as load_simulation
+    from quadpi_core.discrepancy.study import read_flights as read_flights
+    from quadpi_core.discrepancy.study import study as study
+    from quadpi_core.evaluation.evaluate import judge as judge
+    from quadpi_core.identification.identify import IdentifyOptions as IdentifyOptions
+    from quadpi_core.identification.identify import identify as identify
+    from quadpi_core.identification.prepared_flights import prepare_flights as prepare_flights
+    from quadpi_core.logs import read_recording as read_recording
+    from quadpi_core.models.aerodynamic import AerodynamicModel as AerodynamicModel
+    from quadpi_core.models.candidate_pool import load_pools as load_pools
+    from quadpi_core.monitor.alarm import MonitorSettings as MonitorSettings
+    from quadpi_core.monitor.monitor import Monitor as Monitor
+    from quadpi_core.monitor.replay import replay as replay
+    from quadpi_core.simulation.run import simulate as simulate
+    from quadpi_core.simulation.scenario import load_scenario as load_scenario
+    from quadpi_core.vehicle import Vehicle as Vehicle
+
+_ROOMS = {
+    "AerodynamicModel": "models.aerodynamic",
+    "IdentifyOptions": "identification.identify",
+    "Monitor": "monitor.monitor",
+    "MonitorSettings": "monitor.alarm",
+    "Vehicle": "vehicle",
+    "identify": "identification.identify",
+    "judge": "evaluation.evaluate",
+    "load_pools": "models.candidate_pool",
+    "load_scenario": "simulation.scenario",
+    "load_simulation": "discrepancy.loading",
+    "prepare_flights": "identification.prepared_flights",
+    "read_flights": "discrepancy.study",
+    "read_recording": "logs",
+    "replay": "monitor.replay",
+    "simulate": "simulation.run",
+    "study": "discrepancy.study",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its room."""
+    if name not in _ROOMS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """The public names beside those of the module."""
+    return sorted({*globals(), *_ROOMS})

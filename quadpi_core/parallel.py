@@ -18,8 +18,8 @@ from typing import Any, TypeVar
 
 import cloudpickle
 
-from quadpi_core import __version__
 from quadpi_core.errors import QuadpiError, one_line
+from quadpi_core.version import __version__
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")

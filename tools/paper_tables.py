@@ -21,7 +21,6 @@ from typing import TypeVar
 
 from pydantic import TypeAdapter
 
-from quadpi_core import __version__
 from quadpi_core.evaluation.evaluation_result import Comparison
 from quadpi_core.flight import AXES
 from quadpi_core.models import AerodynamicModel
@@ -33,6 +32,7 @@ from quadpi_core.report.left_out_tables import left_out_summary, left_out_table
 from quadpi_core.report.model_tables import structure_table
 from quadpi_core.report.table import markdown_table
 from quadpi_core.report.validation_page import validation_table
+from quadpi_core.version import __version__
 
 Result = TypeVar("Result")
 

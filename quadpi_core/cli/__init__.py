@@ -13,7 +13,6 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core import __version__
 from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.cli.demo_command import demo
 from quadpi_core.cli.discrepancy_command import discrepancy
@@ -26,6 +25,7 @@ from quadpi_core.cli.replay_command import replay
 from quadpi_core.cli.simulate_command import simulate
 from quadpi_core.cli.validate_command import validate
 from quadpi_core.errors import QuadpiError
+from quadpi_core.version import __version__
 
 __all__ = ["app", "main"]
 

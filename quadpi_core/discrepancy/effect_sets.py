@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from quadpi_core import __version__
 from quadpi_core.config import is_config_path, read_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.discrepancy_result import Discovery
@@ -25,6 +24,7 @@ from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
 
 
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadpi_core import __version__
 from quadpi_core.errors import ModelError
 from quadpi_core.evaluation.evaluate import judge
 from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison, PublishedTable
@@ -17,6 +16,7 @@ from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_
 from quadpi_core.logs import FORMATS
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
+from quadpi_core.version import __version__
 
 
 def is_model_folder(path: Path) -> bool:

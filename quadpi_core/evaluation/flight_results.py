@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import quadpi_core
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment, Assessed, FlightAlarm, assess
@@ -25,6 +24,7 @@ from quadpi_core.evaluation.metrics import by_bin, round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.version import __version__
 
 # Confidences of the calibration curve.
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
@@ -166,7 +166,7 @@ def evaluate_flights(
         }
 
     return Evaluation(
-        quadpi_version=quadpi_core.__version__,
+        quadpi_version=__version__,
         model=model,
         vehicle=vehicle,
         method=method,

@@ -21,7 +21,7 @@ from quadpi_core.identification.alarm_calibration import (
     left_out,
     live_errors,
 )
-from quadpi_core.identification.prepared_flights import PreparedFlight
+from quadpi_core.identification.prepared_flights import DEFAULT_CUTOFF_HZ, PreparedFlight
 from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
@@ -41,9 +41,8 @@ if TYPE_CHECKING:
 Settings: TypeAlias = Literal["default", "paper"]
 MethodName: TypeAlias = Literal["polynomial", "bootstrap", "quality-driven"]
 
-# Cut-off of the low-pass over all signals: the paper's, and one that keeps the band in which rotor speeds and
-# measured moments are coherent (above about 25 Hz they are not, on two data sets).
-CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
+# Cut-off of the low-pass over all signals, by settings.
+CUTOFF_HZ: dict[Settings, float] = {"default": DEFAULT_CUTOFF_HZ, "paper": 100.0}
 # Each flight is left out in turn to calibrate the intervals, and a model of the others must remain.
 _FEWEST_FLIGHTS = 2
 
@@ -63,7 +62,7 @@ class IdentifyOptions:
         false_alarms_per_hour: rate that the limits of the alarm are calibrated to, on held-out flights.
     """
 
-    cutoff_hz: float
+    cutoff_hz: float = DEFAULT_CUTOFF_HZ
     method: MethodName = "polynomial"
     settings: Settings = "default"
     stop: StopRule | None = None

@@ -29,6 +29,10 @@ from quadpi_core.signals.resample import interpolate
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 
+# Cut-off of the low-pass over all signals [Hz]: keeps the band in which rotor speeds and measured moments are
+# coherent (above about 25 Hz they are not, on two data sets).
+DEFAULT_CUTOFF_HZ = 30.0
+
 
 @dataclass(frozen=True)
 class PreparedFlight:
@@ -80,9 +84,9 @@ class PreparedFlight:
 
 
 def prepare_flights(
-    paths: Sequence[Path],
+    paths: Sequence[Path | str],
     vehicle: Vehicle,
-    cutoff_hz: float,
+    cutoff_hz: float = DEFAULT_CUTOFF_HZ,
     *,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -103,10 +107,11 @@ def prepare_flights(
         SignalError: naming the file, where the signals cannot be fused.
         ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
     """
+    files = [Path(path) for path in paths]
     flights = map_files(
-        _prepare, paths, shared=(vehicle, cutoff_hz), workers=workers, scheduler=scheduler, progress=progress
+        _prepare, files, shared=(vehicle, cutoff_hz), workers=workers, scheduler=scheduler, progress=progress
     )
-    refuse_duplicates(zip(map(str, paths), (flight.sha256 for flight in flights), strict=True))
+    refuse_duplicates(zip(map(str, files), (flight.sha256 for flight in flights), strict=True))
     return flights
 
 

@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 import numpy as np
 from rosbags.interfaces import Connection
 
-from quadpi_core import __version__
 from quadpi_core.errors import LogError, SampleError, VehicleError
 from quadpi_core.flight import (
     ImuStream,
@@ -44,6 +43,7 @@ from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.recording_blocks import join_blocks, split_by_stamp
 from quadpi_core.results import Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
 
 _log = logging.getLogger(__name__)
 

@@ -169,12 +169,12 @@ class AerodynamicModel:
         """What travels to another process, which compiles for itself."""
         return {column.name: getattr(self, column.name) for column in fields(self)} | {"compiled": None}
 
-    def save(self, folder: Path) -> AerodynamicModel:
+    def save(self, folder: str | Path) -> AerodynamicModel:
         """Write the model as a folder of JSON and safetensors; returns it with its identity."""
         # Storage knows this class, so it is imported when needed.
         from quadpi_core.models.model_folder import save_model
 
-        return save_model(self, folder)
+        return save_model(self, Path(folder))
 
     @classmethod
     def load(cls, folder: str | Path) -> AerodynamicModel:

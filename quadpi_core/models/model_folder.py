@@ -21,7 +21,6 @@ from pydantic import Field
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
-from quadpi_core import __version__
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config_schema import Flag, OneOf, Real, Text, parse_config
 from quadpi_core.errors import ModelError, OutputError
@@ -33,6 +32,7 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.methods import FittedAxis
 from quadpi_core.paths import require_folder, whole_output
 from quadpi_core.scratch import is_being_replaced
+from quadpi_core.version import __version__
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"

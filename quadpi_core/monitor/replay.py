@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
@@ -41,6 +40,7 @@ from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import by_arrival, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
 
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from quadpi_core import __version__
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.errors import ModelError
 from quadpi_core.identification.identify import IdentifyOptions, identify
@@ -19,6 +18,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.paths import write_json
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 # Folders of the package that no model depends on.

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core import __version__
 from quadpi_core.errors import LogError, QuadpiError, SignalError
 from quadpi_core.evaluation.compare import common_confidence, load_models
 from quadpi_core.flight import Flight
@@ -31,6 +30,7 @@ from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise
 from quadpi_core.simulation.simulated_bags import read_truth
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
 
 
 class ValidationError(QuadpiError):

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core import __version__
 from quadpi_core.evaluation import metrics
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -19,6 +18,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paper.realisations import HIGHEST, LOWEST, Counts, Tally
 from quadpi_core.paper.validation_case import ValidationCase
 from quadpi_core.simulation.sensor_noise import StateNoise
+from quadpi_core.version import __version__
 
 VARIATIONS = ("model_variation", "measurement_variation", "combined_variation")
 

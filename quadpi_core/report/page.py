@@ -18,9 +18,9 @@ import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from quadpi_core import __version__
 from quadpi_core.paths import whole_output
 from quadpi_core.report.table import html_body, html_head
+from quadpi_core.version import __version__
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quadpi_core import __version__
 from quadpi_core.paths import config_directory
 from quadpi_core.report.page import Page
 from quadpi_core.report.plots import bins_within
@@ -21,6 +20,7 @@ from quadpi_core.report.table import Cell, Column, Row, Table
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import Truth
+from quadpi_core.version import __version__
 
 if TYPE_CHECKING:
     from quadpi_core.simulation.flight_plan import FlightPlan

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quadpi_core import __version__
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.compiled import njit
 from quadpi_core.config_schema import Positive, Section, Vector, parse_config
@@ -28,6 +27,7 @@ from quadpi_core.rotations import from_rotation_vector, rotate_body_to_world, ro
 from quadpi_core.simulation.sensors import Sensed
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import is_rigid_body
+from quadpi_core.version import __version__
 
 if TYPE_CHECKING:
     from quadpi_core.simulation.flight_plan import FlightPlan

@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from quadpi_core import __version__
 from quadpi_core.errors import LogError
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
@@ -19,6 +18,7 @@ from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.simulated_bags import read_truth, write_simulated_bag
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
 
 BEBOP = Vehicle.load("bebop2")
 
