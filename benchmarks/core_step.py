@@ -72,10 +72,9 @@ def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording
         time_ns, gyro, force = int(imu.time_ns[k]), imu.angular_velocity[k], imu.specific_force[k]
         speeds = rotors.speeds[k]
         start = time.perf_counter_ns()
-        ekf.step(time_ns, gyro, force)
-        if not ekf.initialised:
+        sample = ekf.step(time_ns, gyro, force).fused
+        if sample is None:
             continue
-        sample = ekf.fused
         pairing.add_estimate(time_ns, sample.motion[0])
         pairing.add_rotor_speeds(time_ns, speeds)
         complete = pairing.take()

@@ -160,18 +160,20 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         )
 
     def _take_imu(self, imu: ImuStream) -> None:
-        self._consistency.take(imu)
-        outcome = self._ekf.step(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
+        if not self._consistency.complete:
+            self._consistency.take(imu)
+        outcome, status, sample = self._ekf.step(
+            int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0]
+        )
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             reason = _reason(outcome)
             self._imu_health.refuse(reason)
             self.warn(f"topic {self._imu.topic}", f"sample not used: {reason}")
-        if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self._ekf.initialised:
+        if sample is None:
             if self.listener and outcome in WITHOUT_ESTIMATE:
                 self.listener.take_imu(with_gyro_faults(imu))
             return
-        sample = self._ekf.fused
-        if self._ekf.status == EstimatorStatus.LOST:
+        if status is EstimatorStatus.LOST:
             if self.listener:
                 self.listener.take_imu(sample.imu)
             return
@@ -218,8 +220,8 @@ def _warm_up(vehicle: Vehicle) -> None:
         imu = sensor_messages.unpack_imu(sensor_messages.pack_imu(ImuStream(stamp, still, hover))[0])
         ekf.update_pose(int(stamp[0]), pose.position[0], pose.attitude[0])
         ekf.update_velocity(int(stamp[0]), pose.position[0], True)
-        ekf.step(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0])
-    sample = ekf.fused
+        sample = ekf.step(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0]).fused
+    assert sample is not None  # the filter has started
     sensor_messages.pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
 
 

@@ -59,26 +59,6 @@ SETTLED_BIAS_STD_M_S2 = 0.1
 
 
 @njit(cache=True)
-def step(memories: Records, ring: Records, samples: Records, journal: Records) -> int:
-    """Take one IMU sample, then fuse the measurements whose time has come.
-
-    Args:
-        memories: (1,) the :class:`Filter`.
-        ring: (N,) its estimates.
-        samples: (1,) the :class:`ImuSample`.
-        journal: (J,) see :func:`fuse_due`.
-
-    Returns:
-        The value of an :class:`Outcome`; only samples that are USED are counted here.
-    """
-    memory = memories[0]
-    outcome = predict(memory, ring, samples[0])
-    if outcome == Outcome.USED.value:
-        fuse_due(memory, ring, journal)
-    return outcome
-
-
-@njit(cache=True)
 def predict(memory: Filter, ring: Records, sample: ImuSample) -> int:
     """Move the newest estimate to the stamp of an IMU sample; :func:`fuse_due` is next.
 

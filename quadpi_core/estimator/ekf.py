@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import SignalError
-from quadpi_core.estimator import buffer, filter_run, filter_state, output
+from quadpi_core.estimator import buffer, filter_run, filter_state
 from quadpi_core.estimator.filter_run import Arrivals, EkfTrace, Spans, Trace, never_started
 from quadpi_core.estimator.filter_state import (
     BODY_VELOCITY,
@@ -115,6 +115,20 @@ class State(NamedTuple):
         return field
 
 
+class Step(NamedTuple):
+    """What one IMU sample gave.
+
+    Attributes:
+        outcome: what became of the sample.
+        status: how far the estimate can be used; one that is LOST must not be published as odometry.
+        fused: the estimate at the stamp of the sample, a copy; None if there is none.
+    """
+
+    outcome: Outcome
+    status: EstimatorStatus
+    fused: FusedSamples | None
+
+
 class Segment(NamedTuple):
     """What the filter did between two initialisations, for the smoother.
 
@@ -175,21 +189,12 @@ class Ekf:
         Raises:
             SignalError: before the first second has been collected.
         """
-        self._require_initialised()
+        if self._initial is None:
+            raise SignalError(
+                "the estimator is not initialised: it needs a second of IMU samples and motion capture"
+            )
         newest = int(self._memory.filter["newest"][0])
         return State(self._memory.ring[newest : newest + 1])
-
-    @property
-    def fused(self) -> FusedSamples:
-        """The newest estimate as odometry and corrected IMU; a copy, so the filter may go on.
-
-        Raises:
-            SignalError: before the first second has been collected.
-        """
-        self._require_initialised()
-        out = np.empty(1, FUSED)
-        output.fill_newest(self._memory.filter, self._memory.ring, out)
-        return FusedSamples(out["time_ns"], out)
 
     @property
     def settled_ns(self) -> int | None:
@@ -235,7 +240,7 @@ class Ekf:
         self._imu.clear()
         self._measurements.clear()
 
-    def step(self, time_ns: int, gyro: Array, specific_force: Array) -> Outcome:
+    def step(self, time_ns: int, gyro: Array, specific_force: Array) -> Step:
         """Take one IMU sample: gyro (3,) rad/s and specific_force (3,) m/s², body axes.
 
         Propagates the estimate to its stamp, then fuses the measurements whose time has come. Never raises on
@@ -244,7 +249,15 @@ class Ekf:
         self._sample_ns[0] = time_ns
         self._rates[:] = gyro
         self._force[:] = specific_force
-        return self._step(_NO_JOURNAL)
+        fused, outcome = np.empty(1, FUSED), Outcome.COLLECTED
+        if self._initial is not None:
+            outcome = _OUTCOMES[filter_run.step(*self._memory, self._sample, _NO_JOURNAL, fused)]
+        if outcome is not Outcome.USED:
+            outcome = self._take_unused(outcome)
+            if outcome is not Outcome.COLLECTED or self._initial is None:
+                return Step(outcome, self.status, None)
+            filter_run.fill_newest(*self._memory, fused)
+        return Step(outcome, _STATUSES[self._memory.filter["status"][0]], FusedSamples.of(fused))
 
     def update_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
         """Take one pose: position (3,) m in the world, attitude (4,) body to world, of either sign.
@@ -290,8 +303,7 @@ class Ekf:
         self._run(arrivals, trace)
         count = int(trace.progress["estimates"][0])
         rows, fused = trace.rows[:count], trace.fused[:count]
-        time_ns = rows["time_ns"].copy()
-        return EkfTrace(time_ns, rows, FusedSamples(time_ns, fused), trace.outcomes)
+        return EkfTrace(rows["time_ns"].copy(), rows, FusedSamples.of(fused), trace.outcomes)
 
     def segments(self, recording: Recording) -> list[Segment]:
         """What the filter does over a whole recording, for the smoother.
@@ -347,20 +359,17 @@ class Ekf:
             progress["measurements"] += 1
         else:
             self._sample[:] = arrivals.samples[index]
-            trace.outcomes[index] = self._step(trace.journal)
+            outcome = Outcome.COLLECTED if self._initial is None else Outcome.RESET
+            trace.outcomes[index] = self._take_unused(outcome)
             progress["samples"] += 1
 
-    def _step(self, journal: Records) -> Outcome:
-        """Take the IMU sample at hand."""
-        if self._initial is None:
+    def _take_unused(self, outcome: Outcome) -> Outcome:
+        """Count the IMU sample at hand, which the filter did not use; collect it if there is no estimate."""
+        if outcome is Outcome.RESET:
+            self.reset()
+            self._collect_imu()
+        elif self._initial is None:
             outcome = self._collect_imu()
-        else:
-            outcome = _OUTCOMES[buffer.step(*self._memory, self._sample, journal)]
-            if outcome is Outcome.USED:
-                return outcome
-            if outcome is Outcome.RESET:
-                self.reset()
-                self._collect_imu()
         self._memory.filter["counts"][0, _IMU, outcome] += 1
         return outcome
 
@@ -448,12 +457,6 @@ class Ekf:
             self._memory = filter_state.allocate(self._vehicle, rate_hz)
             self._memory.filter["counts"] = counts
             self._rate_hz = rate_hz
-
-    def _require_initialised(self) -> None:
-        if self._initial is None:
-            raise SignalError(
-                "the estimator is not initialised: it needs a second of IMU samples and motion capture"
-            )
 
     def _counts(self, source: int) -> dict[Outcome, int]:
         counts = self._memory.filter["counts"][0, source]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Kalman filter over whole streams, compiled: the steps that run live, in the order of arrival."""
+"""The Kalman filter step by step as it runs live, and over whole streams in the order of arrival."""
 
 from __future__ import annotations
 
@@ -225,6 +225,35 @@ def in_order_of_arrival(recording: Recording) -> Arrivals:
     arrived = np.concatenate(after).astype(np.int64)
     order = np.argsort(arrived, kind="stable")
     return Arrivals(imu_records(recording.imu), np.concatenate(parts)[order], arrived[order])
+
+
+@njit(cache=True)
+def step(memories: Records, ring: Records, samples: Records, journal: Records, fused: Records) -> int:
+    """One IMU sample as it comes live: propagate, fuse the measurements whose time has come, give the output.
+
+    Args:
+        memories: (1,) the :class:`Filter`.
+        ring: (N,) its estimates.
+        samples: (1,) the :class:`ImuSample`.
+        journal: (J,) see :func:`fuse_due`.
+        fused: (1,) a :class:`FusedSample`, filled if the sample is USED.
+
+    Returns:
+        The value of an :class:`Outcome`; only samples that are USED are counted here.
+    """
+    memory = memories[0]
+    outcome = predict(memory, ring, samples[0])
+    if outcome == Outcome.USED.value:
+        fuse_due(memory, ring, journal)
+        fill_fused(ring[memory.newest], memory.noise.rates, fused[0])
+    return outcome
+
+
+@njit(cache=True)
+def fill_newest(memories: Records, ring: Records, fused: Records) -> None:
+    """Fill a :class:`FusedSample` (1,) from the newest estimate."""
+    memory = memories[0]
+    fill_fused(ring[memory.newest], memory.noise.rates, fused[0])
 
 
 @njit(cache=True)

@@ -42,15 +42,28 @@ _MOTION = np.dtype((np.float64, record_dtype(Motion).itemsize // 8))
 
 
 class FusedSamples(NamedTuple):
-    """K estimates: one live, all of a flight offline.
+    """K estimates: one live, all of a flight offline. Arrays are views of `rows`.
 
     Attributes:
         time_ns: (K,) stamps of IMU samples.
-        rows: (K,) each :class:`FusedSample`; the properties are views.
+        rows: (K,) each :class:`FusedSample`.
+        motion: (K, 13) each :class:`Motion` as a row of numbers.
+        pose_covariance: (K, 6, 6) of position and of rotations about the world's axes, m² and rad².
+        twist_covariance: (K, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)².
     """
 
     time_ns: Stamps
     rows: Records
+    motion: Array
+    pose_covariance: Array
+    twist_covariance: Array
+
+    @classmethod
+    def of(cls, rows: Records) -> FusedSamples:
+        """The estimates in records (K,)."""
+        time_ns = np.ascontiguousarray(rows["time_ns"])
+        motion: Array = rows["motion"].view(_MOTION)
+        return cls(time_ns, rows, motion, rows["pose_covariance"], rows["twist_covariance"])
 
     @property
     def odometry(self) -> OdometryStream:
@@ -66,28 +79,13 @@ class FusedSamples(NamedTuple):
         motion = self.rows["motion"]
         return ImuStream(self.time_ns, motion["rates"], motion["specific_force"])
 
-    @property
-    def motion(self) -> Array:
-        """(K, 13) each :class:`Motion` as a row of numbers."""
-        return self.rows["motion"].view(_MOTION)
-
-    @property
-    def pose_covariance(self) -> Array:
-        """(K, 6, 6) of position and of rotations about the world's axes, m² and rad²."""
-        return self.rows["pose_covariance"]
-
-    @property
-    def twist_covariance(self) -> Array:
-        """(K, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)²."""
-        return self.rows["twist_covariance"]
-
     def where(self, chosen: npt.NDArray[np.bool_]) -> FusedSamples:
         """Those that a mask (K,) chooses; not copied where it chooses all."""
-        return self if chosen.all() else FusedSamples(self.time_ns[chosen], self.rows[chosen])
+        return self if chosen.all() else FusedSamples.of(self.rows[chosen])
 
     def part(self, rows: slice) -> FusedSamples:
         """Those of a range; views."""
-        return FusedSamples(self.time_ns[rows], self.rows[rows])
+        return FusedSamples.of(self.rows[rows])
 
 
 def with_gyro_faults(imu: ImuStream) -> ImuStream:
@@ -100,13 +98,6 @@ def with_gyro_faults(imu: ImuStream) -> ImuStream:
     fails = ~(np.abs(rates) <= RATE_MAX_RAD_S).all(axis=1, keepdims=True)
     shown = rates * (SPECIFIC_FORCE_MAX_M_S2 / RATE_MAX_RAD_S)
     return ImuStream(imu.time_ns, rates, np.where(fails, shown, imu.specific_force))
-
-
-@njit(cache=True)
-def fill_newest(memories: Records, ring: Records, out: Records) -> None:
-    """Fill a :class:`FusedSample` (1,) from the newest estimate of a filter."""
-    memory = memories[0]
-    fill_fused(ring[memory.newest], memory.noise.rates, out[0])
 
 
 @njit(cache=True)

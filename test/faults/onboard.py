@@ -176,15 +176,16 @@ class Onboard:
         return flown
 
     def _take_imu(self, imu: Any) -> None:
-        outcome = self.ekf.step(int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0])
+        outcome, status, fused = self.ekf.step(
+            int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0]
+        )
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             self._health["imu"].refuse(outcome.name)
-        if outcome not in (Outcome.USED, Outcome.COLLECTED) or not self.ekf.initialised:
+        if fused is None:
             if outcome in WITHOUT_ESTIMATE:
                 self._hand_over(with_gyro_faults(imu))
             return
-        fused = self.ekf.fused
-        if self.ekf.status == EstimatorStatus.LOST:
+        if status == EstimatorStatus.LOST:
             self._hand_over(fused.imu)
             return
         time_ns = int(fused.time_ns[0])

@@ -41,14 +41,14 @@ def events(recording):
 
 
 def feed(ekf, recording):
-    """Feed the samples one by one as live; yields the IMU index after each estimate."""
+    """Feed the samples one by one as live; yields each estimate with its IMU index."""
     for kind, index, sample in events(recording):
         if kind == "pose":
             ekf.update_pose(*sample)
         else:
-            outcome = ekf.step(*sample)
-            if ekf.initialised and outcome in {Outcome.USED, Outcome.COLLECTED}:
-                yield index
+            step = ekf.step(*sample)
+            if step.fused is not None:
+                yield index, step
 
 
 def squared_error(state, simulated, index):
@@ -74,7 +74,7 @@ def test_nees_within_its_bounds_and_covariance_stays_positive_definite(noisy_veh
         simulated = simulate_flight(seed)
         ekf = Ekf(noisy_vehicle, RATE)
         row = []
-        for index in feed(ekf, simulated.recording):
+        for index, _ in feed(ekf, simulated.recording):
             if index >= 1000 and index % 250 == 0:
                 row.append(squared_error(ekf.state, simulated, index))
                 assert np.array_equal(ekf.state.covariance, ekf.state.covariance.T)
@@ -130,9 +130,9 @@ def test_one_by_one_equals_the_run_bit_for_bit(noisy_vehicle, simulate_flight):
 
     ekf = Ekf(noisy_vehicle, RATE)
     rows, fused = [], []
-    for _ in feed(ekf, recording):
+    for _, step in feed(ekf, recording):
         state = ekf.state
-        fused.append(ekf.fused.rows)
+        fused.append(step.fused.rows)
         rows.append(
             np.concatenate(
                 (
@@ -144,7 +144,7 @@ def test_one_by_one_equals_the_run_bit_for_bit(noisy_vehicle, simulate_flight):
                     state.accelerometer_bias,
                     [ekf.delay_s],
                     np.diag(state.covariance),
-                    [ekf.status],
+                    [step.status],
                 )
             )
         )
@@ -192,10 +192,10 @@ def test_bad_samples_are_refused_counted_and_leave_no_trace(running):
     before = snapshot(ekf)
     still, upright = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     bad = np.array([0.0, np.nan, 0.0])
-    assert ekf.step(last_ns + 2_000_000, bad, still) == Outcome.UNUSABLE
-    assert ekf.step(last_ns + 2_000_000, still, np.array([0.0, 0.0, -1e30])) == Outcome.UNUSABLE
-    assert ekf.step(last_ns + 2_000_000, np.array([5e3, 0.0, 0.0]), still) == Outcome.UNUSABLE
-    assert ekf.step(last_ns, still, still) == Outcome.STAMP_NOT_ADVANCING
+    assert ekf.step(last_ns + 2_000_000, bad, still).outcome == Outcome.UNUSABLE
+    assert ekf.step(last_ns + 2_000_000, still, np.array([0.0, 0.0, -1e30])).outcome == Outcome.UNUSABLE
+    assert ekf.step(last_ns + 2_000_000, np.array([5e3, 0.0, 0.0]), still).outcome == Outcome.UNUSABLE
+    assert ekf.step(last_ns, still, still).outcome == Outcome.STAMP_NOT_ADVANCING
     assert ekf.update_pose(last_ns, bad, upright) == Outcome.UNUSABLE
     assert ekf.update_pose(last_ns, np.array([0.0, 1e30, 0.0]), upright) == Outcome.UNUSABLE
     assert ekf.update_pose(last_ns, still, np.zeros(4)) == Outcome.UNUSABLE
@@ -278,7 +278,7 @@ def test_sign_and_scale_of_a_pose_attitude_do_not_matter(noisy_vehicle, simulate
 def test_a_pause_or_a_jump_back_starts_anew(running, jump_ns):
     ekf, last_ns = running
     for step_ns, outcome in ((0, Outcome.STAMP_JUMPED), (2_000_000, Outcome.RESET)):
-        assert ekf.step(last_ns + jump_ns + step_ns, np.zeros(3), np.zeros(3)) == outcome
+        assert ekf.step(last_ns + jump_ns + step_ns, np.zeros(3), np.zeros(3)).outcome == outcome
     assert not ekf.initialised
     with pytest.raises(SignalError, match="not initialised"):
         _ = ekf.state
@@ -287,9 +287,9 @@ def test_a_pause_or_a_jump_back_starts_anew(running, jump_ns):
 @pytest.mark.parametrize("jump_ns", [31_536_000_000_000_000, -1_700_000_000_000_000_000])
 def test_one_stamp_that_is_far_off_is_refused_and_the_rest_goes_on(running, jump_ns):
     ekf, last_ns = running
-    assert ekf.step(last_ns + jump_ns, np.zeros(3), np.zeros(3)) == Outcome.STAMP_JUMPED
-    assert ekf.step(last_ns + 2_000_000, np.zeros(3), np.zeros(3)) == Outcome.USED
-    assert ekf.step(last_ns + jump_ns + 2_000_000, np.zeros(3), np.zeros(3)) == Outcome.STAMP_JUMPED
+    assert ekf.step(last_ns + jump_ns, np.zeros(3), np.zeros(3)).outcome == Outcome.STAMP_JUMPED
+    assert ekf.step(last_ns + 2_000_000, np.zeros(3), np.zeros(3)).outcome == Outcome.USED
+    assert ekf.step(last_ns + jump_ns + 2_000_000, np.zeros(3), np.zeros(3)).outcome == Outcome.STAMP_JUMPED
     assert ekf.initialised
 
 

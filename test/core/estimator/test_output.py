@@ -31,7 +31,7 @@ def make_state(rng: np.random.Generator) -> State:
 def fused(state: State) -> FusedSamples:
     sample = np.empty(1, FUSED)
     fill_fused(state.estimate[0], GYRO_NOISE**2, sample[0])
-    return FusedSamples(sample["time_ns"], sample)
+    return FusedSamples.of(sample)
 
 
 def test_imu_is_corrected_and_velocity_in_body_axes() -> None:

@@ -277,9 +277,8 @@ def test_replay_equals_the_live_path_sample_by_sample(
     live = []
     for time_ns, kind, i in order:
         if kind == 0:
-            ekf.step(int(time_ns), imu.angular_velocity[i], imu.specific_force[i])
-            if ekf.initialised:
-                estimate = ekf.fused
+            estimate = ekf.step(int(time_ns), imu.angular_velocity[i], imu.specific_force[i]).fused
+            if estimate is not None:
                 state = estimate.odometry
                 pairing.add_imu(int(time_ns), estimate.imu.specific_force[0])
                 pairing.add_state(int(time_ns), state.velocity[0], state.attitude[0], state.rates[0])
