@@ -30,9 +30,8 @@ from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.methods import FittedAxis, interval_factors
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.selection import StopRule
-from quadpi_core.training.bootstrap_ensemble import BootstrapEnsemble
 from quadpi_core.training.ensemble_estimator import Ensemble, fit_axes, require_training
-from quadpi_core.training.quality_driven import QualityDrivenEnsemble
+from quadpi_core.training.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from __future__ import annotations
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -42,28 +42,71 @@ class Trained:
     spread: npt.NDArray[np.float32]
 
 
+@dataclass(eq=False)
 class Ensemble(ABC):
-    """Base of the ensembles: all but their losses, and what they make of the outputs of their members."""
+    """Base of the ensembles: all but their losses, and what they make of the outputs of their members.
 
-    inputs: Sequence[Regressor] | None
-    members: int
-    hidden: int
-    epochs: int
-    batch: int
-    fewest_steps: int
-    learning_rate: float
-    subset: float
-    split: Split
-    calibration: Calibration
-    folds: int
-    most_samples: int | None
-    seed: int
-    device: str
+    Works on plain arrays with the scikit-learn protocol (`fit`, `predict`, `score`, `get_params`,
+    `set_params`, fitted attributes with a trailing underscore). Training needs PyTorch, prediction does not.
+    Networks share their batches, so that all are trained at once: each takes its own samples of a batch.
 
-    fitted_: AnyFitted
-    held_out_: list[FlightErrors] | None
-    rejected_: int
-    n_features_in_: int
+    Args:
+        inputs: of the networks, over the 19 inputs X; None for a table as it is.
+        members: B.
+        hidden: units of a member.
+        epochs: passes over all samples.
+        batch: samples of a step that a member sees.
+        fewest_steps: of an epoch; few samples are used several times.
+        learning_rate: of Adam.
+        subset: share of the flights, or samples, that a member is trained on.
+        split: "flight" or "sample", what a member leaves out.
+        early_stopping: keep the best epoch instead of the last.
+        calibration: "held-out" calibrates on flights left out in turn; "none" leaves intervals as they are.
+        folds: most turns in which flights are left out, several at a time where there are more flights.
+        most_samples: samples used; of more, every k-th of each flight. None for all.
+        seed: of subsets, initial weights and batches.
+        device: of PyTorch, "cpu" or "cuda".
+
+    Attributes:
+        fitted_: the identified ensemble.
+        held_out_: errors on each flight of the ensemble without it; None without calibration.
+        rejected_: rows that were not finite.
+    """
+
+    inputs: Sequence[Regressor] | None = None
+    members: int = 10
+    hidden: int = 20
+    epochs: int = 50
+    batch: int = 400
+    fewest_steps: int = 100
+    learning_rate: float = 1e-3
+    subset: float = 0.8
+    split: Split = "flight"
+    early_stopping: bool = True
+    calibration: Calibration = "held-out"
+    folds: int = 10
+    most_samples: int | None = 100_000
+    seed: int = 0
+    device: str = "cpu"
+
+    fitted_: AnyFitted = field(init=False, repr=False)
+    held_out_: list[FlightErrors] | None = field(init=False, repr=False)
+    rejected_: int = field(init=False, repr=False)
+    n_features_in_: int = field(init=False, repr=False)
+
+    # The paper's settings that both kinds share: single samples are left out, the last epoch is kept.
+    PAPER: ClassVar[dict[str, Any]] = {
+        "fewest_steps": 1,
+        "split": "sample",
+        "early_stopping": False,
+        "calibration": "none",
+        "most_samples": None,
+    }
+
+    @classmethod
+    def paper(cls: type[Self], inputs: Sequence[Regressor] | None = None, **changes: Any) -> Self:
+        """The settings of the paper, for reproducing its tables."""
+        return cls(inputs, **cls.PAPER | changes)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002 - scikit-learn's signature
         """Constructor arguments by name."""
@@ -172,6 +215,7 @@ class Ensemble(ABC):
             "learning_rate": self.learning_rate,
             "seed": self.seed,
             "device": self.device,
+            "keep": "best" if self.early_stopping else "last",
         }
         return Schedule(**settings | changes)
 

@@ -1,12 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What many small networks make of samples, and how the loss changes with their weights.
+"""Forward and backward pass of many small networks at once, without autograd.
 
-Both passes work on all networks at once. Memory is taken once, and so are views of it: for ten networks, to
-make a view takes about as long as to use it.
+A network computes o = V relu(W x) + c with inputs x, the last of them one, so that W holds the hidden biases.
+With the gradient g = ∂loss/∂o, activations r = relu(W x) and their sign 1[r > 0],
+
+    ∂loss/∂c = Σ g,   ∂loss/∂V = Σ g rᵀ,   ∂loss/∂W = Σ (Vᵀ g · 1[r > 0]) xᵀ,   sums over the samples.
+
+Memory and views of it are allocated once: for ten networks, making a view takes about as long as using it.
 
 Shapes: A tables (axes) of M networks each, Q outputs, H hidden units, K inputs with the one for the bias, n
-samples. Units come before samples, so that what is done unit by unit runs along memory.
+samples. Units come before samples, so that operations per unit run along memory.
 """
 
 from __future__ import annotations
@@ -35,7 +39,7 @@ class Parts(NamedTuple):
 
 
 class Forward:
-    """Outputs of networks for n samples at a time, with their weights as they are when it is called."""
+    """Outputs of networks for n samples at a time; weights are views, so a call sees their present values."""
 
     def __init__(self, weights: Parts, n: int) -> None:
         (A, M, Q, H), new = weights.output.shape, weights.output.new_empty
@@ -83,8 +87,8 @@ class Backward:
         slope = slope.flatten(0, 1)
         torch.sum(slope, -1, out=self._bias_slope)
         if self._one_output:
-            # A unit's output weight, the same for all samples, can wait until they are summed up. The sums
-            # serve both layers: an activation is its unit's weights times the inputs, or nothing.
+            # With one output, S = Σ 1[r > 0] g xᵀ serves both layers: ∂loss/∂W = V S, and ∂loss/∂V = Σ g r is
+            # the sum of S W over the inputs, as r = 1[r > 0] W x.
             self._sensitivities.sign_().mul_(slope)
             torch.bmm(inputs, self._of_table, out=self._hidden_slope)
             torch.sum(self._hidden_slope * self._hidden, 1, out=self._output_slope)

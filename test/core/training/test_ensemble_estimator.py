@@ -12,9 +12,8 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import HeldOutRule, NormalRule, TrainedRule
-from quadpi_core.training.bootstrap_ensemble import BootstrapEnsemble
 from quadpi_core.training.ensemble_estimator import Ensemble, fit_axes
-from quadpi_core.training.quality_driven import QualityDrivenEnsemble
+from quadpi_core.training.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
 from quadpi_core.training.training_table import Plan
 
 pytest.importorskip("torch")
