@@ -32,11 +32,12 @@ test: ## the fast tests, live nodes included (TEST_ARGS="-k intervals -x" for so
 test-slow: ## the other tests: cluster, statistics, real flights, commands of the documents, searches, fuzzing
 	$(call run_tests,slow)
 
-lint: environment ## ruff, mypy and the order of the rooms, as CI runs them
+lint: environment ## ruff, mypy, the order of the rooms and the house rules, as CI runs them
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/python tools/house_rules.py
 
 format: environment ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format
