@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import Result
+from quadpi_core.parallel import Workers
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
@@ -44,5 +45,5 @@ def run() -> list[Result]:
 
 def _seconds(plans: Sequence[FlightPlan], folder: Path) -> float:
     start = time.perf_counter()
-    simulate(plans, folder, workers=WORKERS)
+    simulate(plans, folder, workers=Workers(WORKERS))
     return time.perf_counter() - start

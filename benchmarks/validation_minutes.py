@@ -20,6 +20,7 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.paper.published import VALIDATION, published_case
 from quadpi_core.paper.realisations import CHUNK, run_realisations
 from quadpi_core.paper.validation_case import ValidationCase, simulated_flights
+from quadpi_core.parallel import Workers
 from quadpi_core.simulation.scenario import load_scenario
 
 NAMES = ("validation_minutes",)
@@ -62,5 +63,5 @@ def three_methods() -> ValidationCase:
 def seconds(case: ValidationCase, count: int) -> float:
     """Wall time of so many realisations, the start of the workers included."""
     start = time.perf_counter()
-    run_realisations(case, count, workers=WORKERS)
+    run_realisations(case, count, workers=Workers(WORKERS))
     return time.perf_counter() - start

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Independent tasks: in this process, in processes beside it, or on a Dask cluster elsewhere."""
+"""Independent tasks: in this process, in other processes, or on a Dask cluster; and their progress."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,7 +26,7 @@ Shared = TypeVar("Shared")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Starting processes takes about as long as reading so many flights of half a minute.
+# Starting processes takes about as long as reading this number of flights of half a minute.
 MANY_FILES = 64
 _ANSWER_S = 30.0
 # One task per core: threads within a task would only take cores from other tasks.
@@ -36,104 +37,137 @@ class ParallelError(QuadpiError):
     """Workers cannot be reached, cannot run quadpi, or ended before their task did."""
 
 
-def map_tasks(
-    function: Callable[[Shared, Item], Result],
-    items: Sequence[Item],
-    *,
-    shared: Shared,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    done: Callable[[int, Result], None] = lambda _index, _result: None,
-) -> list[Result]:
-    """Results of `function(shared, item)`, in the order of the items whatever the workers.
+@dataclass(frozen=True)
+class Progress:
+    """How far a long computation is.
 
-    Args:
-        function: of a module, by whose name a worker finds it.
-        items: one per task.
-        shared: what all tasks need; each worker gets it once.
-        workers: processes on this machine; default: one per core. One means this process.
+    Attributes:
+        task: what is being done, such as "Reading flights".
+        done: number of steps that are finished.
+        total: number of steps; None where it is unknown.
+        unit: of the steps.
+        note: what else is known, such as the loss of a training.
+    """
+
+    task: str
+    done: float = 0
+    total: float | None = None
+    unit: str = ""
+    note: str = ""
+
+
+ReportProgress = Callable[[Progress], None]
+
+
+def ignore_progress(_: Progress) -> None:
+    """Report progress to nobody."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where independent tasks run, and who is told how many of them are finished.
+
+    Attributes:
+        count: processes on this machine; one means this process. Default: one per core, but for fewer than
+            MANY_FILES files this process.
         scheduler: address of a Dask scheduler whose workers do the tasks instead. They must run the same
             version of quadpi; files are only found where they share the file system.
-        done: called in this process with the index of each task that has finished and its result, as they
-            finish.
-
-    Raises:
-        ParallelError: for a scheduler that does not answer, has no workers, or has workers with no or
-            another quadpi; and when a worker is lost for good.
+        progress: called in this process as tasks finish.
     """
-    results: list[Any] = [None] * len(items)
 
-    def finished(index: int, result: Result) -> None:
-        results[index] = result
-        done(index, result)
+    count: int | None = None
+    scheduler: str | None = None
+    progress: ReportProgress = ignore_progress
 
-    count = min(workers or os.cpu_count() or 1, len(items))
-    if scheduler is None and count <= 1:
-        for index, item in enumerate(items):
-            finished(index, function(shared, item))
-    elif items and scheduler is None:
-        _map_beside(count, function, items, shared, finished)
-    elif items:
-        with _client(str(scheduler)) as client:
-            _map_on(client, function, items, shared, finished)
-    return results
+    def map(
+        self,
+        function: Callable[[Shared, Item], Result],
+        items: Sequence[Item],
+        *,
+        shared: Shared,
+        done: Callable[[int, Result], None] = lambda _index, _result: None,
+    ) -> list[Result]:
+        """Results of `function(shared, item)`, in the order of the items whatever does the work.
+
+        Args:
+            function: of a module, by whose name a worker finds it.
+            items: one per task.
+            shared: what all tasks need; each worker gets it once.
+            done: called in this process with the index of each task that has finished and its result, as
+                they finish.
+
+        Raises:
+            ParallelError: for a scheduler that does not answer, has no workers, or has workers with no or
+                another quadpi; and when a worker is lost for good.
+        """
+        results: list[Any] = [None] * len(items)
+
+        def finished(index: int, result: Result) -> None:
+            results[index] = result
+            done(index, result)
+
+        count = min(self.count or os.cpu_count() or 1, len(items))
+        if self.scheduler is None and count <= 1:
+            for index, item in enumerate(items):
+                finished(index, function(shared, item))
+        elif items and self.scheduler is None:
+            _map_in_processes(count, function, items, shared, finished)
+        elif items:
+            with _client(str(self.scheduler)) as client:
+                _map_on_cluster(client, function, items, shared, finished)
+        return results
+
+    def map_files(
+        self, function: Callable[[Shared, Path], Result], paths: Sequence[Path], *, shared: Shared, task: str
+    ) -> list[Result]:
+        """As :meth:`map`, for files that each take a fraction of a second: processes only if it pays.
+
+        Args:
+            function: see there.
+            paths: of files; a scheduler's workers, whose working folder is another, are given absolute ones.
+            shared: see there.
+            task: name of the work, for its progress.
+
+        Raises:
+            ParallelError: see there.
+        """
+        finished = 0
+
+        def done(_index: int, _result: Result) -> None:
+            nonlocal finished
+            finished += 1
+            self.progress(Progress(task, finished, len(paths)))
+
+        workers = self
+        if self.scheduler is not None:
+            paths = [path.absolute() for path in paths]
+        if self.count is None and len(paths) < MANY_FILES:
+            workers = replace(self, count=1)
+        return workers.map(function, paths, shared=shared, done=done)
 
 
-def map_files(
-    function: Callable[[Shared, Path], Result],
-    paths: Sequence[Path],
-    *,
-    shared: Shared,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda _: None,
-) -> list[Result]:
-    """As :func:`map_tasks`, for files that each take a fraction of a second: processes only if it pays.
-
-    Args:
-        function: see there.
-        paths: of files; a scheduler's workers, whose working folder is another, are given absolute ones.
-        shared: see there.
-        workers: default: this process for fewer than MANY_FILES, else one per core.
-        scheduler: see there.
-        progress: called with the number of files finished so far.
-
-    Raises:
-        ParallelError: see there.
-    """
-    finished = 0
-
-    def done(_index: int, _result: Result) -> None:
-        nonlocal finished
-        finished += 1
-        progress(finished)
-
-    if scheduler is not None:
-        paths = [path.absolute() for path in paths]
-    if workers is None and len(paths) < MANY_FILES:
-        workers = 1
-    return map_tasks(function, paths, shared=shared, workers=workers, scheduler=scheduler, done=done)
+DEFAULT_WORKERS = Workers()
 
 
-def _map_beside(
+def _map_in_processes(
     workers: int,
     function: Callable[[Shared, Item], Result],
     items: Sequence[Item],
     shared: Shared,
     finished: Callable[[int, Result], None],
 ) -> None:
-    """In so many processes of our own, which are reached by pipes: nothing listens on the network."""
+    """In processes of our own, which are reached by pipes: nothing listens on the network."""
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         workers,
-        # A process that is forked has the locks of threads that it does not have.
+        # A forked process inherits locks held by threads that it does not have.
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin,
+        initializer=_set_up,
         # By value where a function has no name by which to import it.
         initargs=(cloudpickle.dumps((function, shared)),),
     )
     try:
-        with _undisturbed(), _environment(_ONE_THREAD):
+        with _signals_deferred(), _environment(_ONE_THREAD):
             index = {pool.submit(_work, item): k for k, item in enumerate(items)}
         futures = list(index)
         for future in as_completed(futures):
@@ -153,14 +187,14 @@ def _map_beside(
             process.join()
 
 
-# Of a process beside, what it was begun with: the function and what its tasks share.
-_begun: list[tuple[Callable[[Any, Any], Any], Any]] = []
+# In a worker process: the function, and what its tasks share.
+_task: list[tuple[Callable[[Any, Any], Any], Any]] = []
 
 
-def _begin(task: bytes) -> None:
-    """Begin a process beside, which ends with the process that began it, however that ends."""
+def _set_up(task: bytes) -> None:
+    """Set up a worker process, which ends when its parent does, however that ends."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _begun.append(cloudpickle.loads(task))
+    _task.append(cloudpickle.loads(task))
 
 
 def _end_with_parent() -> None:
@@ -171,13 +205,13 @@ def _end_with_parent() -> None:
 
 
 def _work(item: Any) -> Any:
-    ((function, shared),) = _begun
+    ((function, shared),) = _task
     return function(shared, item)
 
 
 @contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Variables that processes begun in the block have."""
+    """Environment variables for processes started in the block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -190,7 +224,7 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _map_on(
+def _map_on_cluster(
     client: Any,
     function: Callable[[Shared, Item], Result],
     items: Sequence[Item],
@@ -236,10 +270,10 @@ def _client(scheduler: str) -> Iterator[Any]:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Signals wait for the end of the block, and processes begun in it never see Ctrl-C.
+def _signals_deferred() -> Iterator[None]:
+    """Defer signals to the end of the block; processes started in it never see Ctrl-C.
 
-    A process that is only beginning cannot be cleared away, and a terminal sends Ctrl-C to all processes.
+    A process that is still starting cannot be cleaned up, and a terminal sends Ctrl-C to all processes.
     """
     waiting: list[int] = []
     handler = None

@@ -18,10 +18,12 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models import load_pools
+from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page
 from quadpi_core.report.live_figure import LiveReplay
 from quadpi_core.report.model_tables import held_out_table
+from quadpi_core.report.progress_bar import progress_bar
 from quadpi_core.report.table import terminal_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import AlarmChange
@@ -113,14 +115,15 @@ def _real_flights(data: Path, output: Path, console: Console) -> DemoFlights:
 def _run(flights: DemoFlights, output: Path, rate: float, console: Console) -> None:
     vehicle = flights.vehicle
     console.rule("2  Identify: stepwise polynomials on the slower flights")
-    with console.status("Estimating states") as status:
-        prepared = prepare_flights(flights.identified, vehicle, CUTOFF_HZ["default"])
+    with progress_bar(console) as progress:
+        reading = Workers(progress=progress)
+        prepared = prepare_flights(flights.identified, vehicle, CUTOFF_HZ["default"], workers=reading)
         model = identify(
             prepared,
             vehicle,
             load_pools("quadrotor"),
             IdentifyOptions(cutoff_hz=CUTOFF_HZ["default"], confidence=CONFIDENCE),
-            progress=lambda step: status.update(str(step)),
+            progress=progress,
         ).save(output / "model")
     for axis in model.axes:
         chosen = [row for row in model.selection[axis] if row["coefficient"] is not None]

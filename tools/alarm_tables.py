@@ -38,6 +38,7 @@ from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.replay import replay_all
+from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory, whole_output
 from quadpi_core.results import CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
 from quadpi_core.simulation.flight_plan import FlightPlan
@@ -75,7 +76,7 @@ class Job:
         flights: unseen ones that each of them is asked about.
         flight_s: duration of a random flight.
         ensembles: judge the width of ensembles as well, which takes their training.
-        workers: processes.
+        workers: that simulate, read and replay flights.
     """
 
     work: Path
@@ -84,7 +85,7 @@ class Job:
     flights: int
     flight_s: float
     ensembles: bool
-    workers: int
+    workers: Workers
 
     def random_bags(self, name: str, kind: str, seed: int, count: int) -> list[Path]:
         """Random flights of a kind; those of other seeds are other flights."""
@@ -375,7 +376,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         flights=options.flights,
         flight_s=options.flight_s,
         ensembles=not options.no_ensembles,
-        workers=options.workers,
+        workers=Workers(options.workers),
     )
     for name in [name for name in TABLES if not options.only or name in options.only]:
         content = f"{TABLES[name](job)}\n\n*{stamp()}*"

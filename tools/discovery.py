@@ -39,7 +39,7 @@ from blind.scoring import Answer, confusion, failures, figures  # noqa: E402
 from blind.searching import searched  # noqa: E402
 from paper_tables import replaced, stamp  # noqa: E402
 
-from quadpi_core.parallel import map_tasks  # noqa: E402
+from quadpi_core.parallel import Workers  # noqa: E402
 from quadpi_core.paths import whole_output  # noqa: E402
 from quadpi_core.report.table import Column, Table, markdown_table  # noqa: E402
 
@@ -69,7 +69,7 @@ def run(cases: Sequence[Case], folder: Path, workers: int | None) -> list[dict[s
             temporary.write_text(json.dumps(found), encoding="utf-8")
         print(f"{finished} of {len(todo)}", flush=True)
 
-    map_tasks(searched, [cases[index] for index in todo], shared=None, workers=workers, done=keep)
+    Workers(workers).map(searched, [cases[index] for index in todo], shared=None, done=keep)
     return [json.loads(place.read_text(encoding="utf-8")) for place in places]
 
 

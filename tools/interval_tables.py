@@ -32,6 +32,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models import AerodynamicModel
+from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory, whole_output
 
 PAGE = ROOT / "docs" / "intervals.md"
@@ -99,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         flights=options.flights,
         flight_s=options.flight_s,
         ensembles=False,
-        workers=options.workers,
+        workers=Workers(options.workers),
     )
     page = replaced(
         options.page.read_text(encoding="utf-8"), "live", f"{live(job)}\n\n*{stamp()}, polynomials*"

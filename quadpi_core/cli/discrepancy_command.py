@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from quadpi_core.cli.options import Bags, FileWorkers, HtmlFile, JsonFile, Scheduler
+from quadpi_core.cli.options import Bags, FileProcessCount, HtmlFile, JsonFile, Scheduler
 from quadpi_core.cli.outputs import check_outputs, open_console, print_quality
 
 DATA, PAGE = "discrepancy.json", "discrepancy.html"
@@ -36,7 +36,7 @@ def discrepancy(
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws that thresholds come from.")] = 0,
-    workers: FileWorkers = None,
+    workers: FileProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
@@ -46,17 +46,18 @@ def discrepancy(
     from quadpi_core.discrepancy.effect_sets import write_addition
     from quadpi_core.discrepancy.loading import load_simulation
     from quadpi_core.discrepancy.study import read_flights, study
+    from quadpi_core.parallel import Workers
     from quadpi_core.paths import whole_outputs, write_json
     from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
-    from quadpi_core.report.progress import counting
+    from quadpi_core.report.progress_bar import progress_bar
 
     inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
     check_outputs(inputs, json_file, html_file, folders=[output])
     console = open_console()
     names = None if effects is None else effects.split(",")
     the_simulation = load_simulation(simulation, vehicle, bags, allow_code=allow_code)
-    with counting(console, "Reading flights", len(bags)) as progress:
-        flights = read_flights(bags, the_simulation, workers=workers, scheduler=scheduler, progress=progress)
+    with progress_bar(console) as progress:
+        flights = read_flights(bags, the_simulation, workers=Workers(workers, scheduler, progress))
     print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
     with console.status("Searching"):
         found = study(the_simulation, flights, names=names, seed=seed)

@@ -13,7 +13,7 @@ import typer
 from quadpi_core.cli.options import (
     Adaptive,
     Confidence,
-    FileWorkers,
+    FileProcessCount,
     HtmlFile,
     JsonFile,
     OptionalVehicle,
@@ -49,15 +49,17 @@ def evaluate(
     adaptive: Adaptive = False,
     vehicle: OptionalVehicle = None,
     device: PublishedDevice = None,
-    workers: FileWorkers = None,
+    workers: FileProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
     from quadpi_core.evaluation.compare import compare, given_comparison, is_model_folder
+    from quadpi_core.parallel import Workers
     from quadpi_core.report.comparison_page import comparison_summary, write_comparison_page
     from quadpi_core.report.evaluation_page import evaluation_summary
+    from quadpi_core.report.progress_bar import progress_bar
 
     console = open_console()
     if paths or group:
@@ -75,7 +77,7 @@ def evaluate(
         members = group_bags([path for path in paths if path not in folders], group or [])
         check_outputs([*folders, *(path for bags in members.values() for path in bags)], json_file, html_file)
         comparison = given_comparison(
-            folders, members, vehicle=vehicle, confidence=confidence, workers=workers, scheduler=scheduler
+            folders, members, vehicle=vehicle, confidence=confidence, workers=Workers(workers, scheduler)
         )
     else:
         from quadpi_core.paper.published import wind_tunnel
@@ -86,14 +88,12 @@ def evaluate(
             )
         kept = (None, None) if output is None else (output / "bags", output / "models")
         check_outputs([], json_file, html_file, folders=kept)
-        with console.status("") as status:
+        with progress_bar(console) as progress:
             comparison = wind_tunnel(
                 confidence=0.95 if confidence is None else confidence,
                 device=device or "cpu",
                 folder=output,
-                workers=workers,
-                scheduler=scheduler,
-                progress=status.update,
+                workers=Workers(workers, scheduler, progress),
             )
     judged = next(iter(comparison.flights.values()))
     print_quality(console, ((flight.name, flight.quality) for flight in judged))

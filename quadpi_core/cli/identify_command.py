@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from quadpi_core.cli.evaluate_command import write_evaluation
-from quadpi_core.cli.options import Bags, FileWorkers, HtmlFile, JsonFile, Scheduler, VehicleName
+from quadpi_core.cli.options import Bags, FileProcessCount, HtmlFile, JsonFile, Scheduler, VehicleName
 from quadpi_core.cli.outputs import check_outputs, open_console, print_quality
 
 
@@ -45,7 +45,7 @@ def identify(
     device: Annotated[
         Literal["cpu", "cuda"], typer.Option(help="That trains an ensemble; flying needs none.")
     ] = "cpu",
-    workers: FileWorkers = None,
+    workers: FileProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
@@ -56,8 +56,9 @@ def identify(
     from quadpi_core.identification.prepared_flights import prepare_flights
     from quadpi_core.models.candidate_pool import load_pools, select_axes
     from quadpi_core.models.model_folder import require_replaceable
+    from quadpi_core.parallel import Workers
     from quadpi_core.report.model_tables import held_out_table, selection_table
-    from quadpi_core.report.progress import counting, identifying
+    from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.table import terminal_table
     from quadpi_core.vehicle import Vehicle
 
@@ -78,19 +79,12 @@ def identify(
         false_alarms_per_hour=false_alarms_per_hour,
     )
     options.check(pools)
-    with counting(console, "Reading flights", len(bags)) as read:
-        flights = prepare_flights(
-            bags, the_vehicle, cutoff, workers=workers, scheduler=scheduler, progress=read
-        )
+    with progress_bar(console) as progress:
+        reading = Workers(workers, scheduler, progress)
+        flights = prepare_flights(bags, the_vehicle, cutoff, workers=reading)
     print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
-    with identifying(console) as progress:
-        model = identify_model(
-            flights,
-            the_vehicle,
-            pools,
-            options,
-            progress=progress,
-        ).save(output)
+    with progress_bar(console) as progress:
+        model = identify_model(flights, the_vehicle, pools, options, progress).save(output)
     for axis in model.axes:
         if model.selection[axis]:
             console.print(terminal_table(selection_table(model.selection[axis], axis)))

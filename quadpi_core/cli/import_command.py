@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import FileWorkers, JsonFile, Scheduler, VehicleName
+from quadpi_core.cli.options import FileProcessCount, JsonFile, Scheduler, VehicleName
 from quadpi_core.cli.outputs import check_outputs, open_console, print_quality, write_result
 
 
@@ -30,28 +30,27 @@ def import_logs(
     align: Annotated[
         bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
     ] = False,
-    workers: FileWorkers = None,
+    workers: FileProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
 ) -> None:
     """Convert flight logs to MCAP bags with the standard topics."""
     from quadpi_core.logs import importing
-    from quadpi_core.report.progress import counting
+    from quadpi_core.parallel import Workers
+    from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(logs, json_file, folders=[output])
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
-    with counting(console, "Logs", len(logs)) as progress:
+    with progress_bar(console) as progress:
         flights = importing.import_logs(
             logs,
             the_vehicle,
             output,
             mapping,
             align=align,
-            workers=workers,
-            scheduler=scheduler,
-            progress=progress,
+            workers=Workers(workers, scheduler, progress),
         )
     for flight in flights:
         console.print(

@@ -21,8 +21,8 @@ Adaptive = Annotated[
     bool, typer.Option("--adaptive", help="Intervals that adapt to the measured wrench as the flight goes.")
 ]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes to use; default: one per core.")]
-FileWorkers = Annotated[
+ProcessCount = Annotated[int | None, typer.Option(min=1, help="Processes to use; default: one per core.")]
+FileProcessCount = Annotated[
     int | None,
     typer.Option(min=1, help="Processes to use; default: this one, from 64 flights on one per core."),
 ]

@@ -13,7 +13,7 @@ from quadpi_core.cli.options import (
     Adaptive,
     Bags,
     Confidence,
-    FileWorkers,
+    FileProcessCount,
     JsonFile,
     ModelFolder,
     OptionalVehicle,
@@ -31,7 +31,7 @@ def replay(
     confidence: Confidence = None,
     adaptive: Adaptive = False,
     vehicle: OptionalVehicle = None,
-    workers: FileWorkers = None,
+    workers: FileProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -42,7 +42,8 @@ def replay(
     from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
     from quadpi_core.monitor.replay import replay_all, replay_outputs
-    from quadpi_core.report.progress import counting
+    from quadpi_core.parallel import Workers
+    from quadpi_core.report.progress_bar import progress_bar
 
     several = len(bags) > 1
     check_outputs([model, *bags], *(replay_outputs(bags, output) if several else [output]), json_file)
@@ -51,7 +52,7 @@ def replay(
     settings = MonitorSettings(adaptive=adaptive)
     console = open_console()
     if several:
-        with counting(console, "Flights", len(bags)) as progress:
+        with progress_bar(console) as progress:
             replayed = replay_all(
                 the_model,
                 the_vehicle,
@@ -59,9 +60,7 @@ def replay(
                 output,
                 confidence=confidence,
                 settings=settings,
-                workers=workers,
-                scheduler=scheduler,
-                progress=progress,
+                workers=Workers(workers, scheduler, progress),
             )
         summary = {"flights": {name: asdict(flight) for name, flight in replayed.items()}}
     else:

@@ -55,7 +55,8 @@ def simulate(
 ) -> None:
     """Fly a scenario in the rotor-local simulation: a bag per flight, with its truth on /truth/…."""
     from quadpi_core.config import is_config_path
-    from quadpi_core.report.progress import flying
+    from quadpi_core.parallel import Workers
+    from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.simulation_page import flight_json, flight_table, summarise, write_simulation_page
     from quadpi_core.report.table import terminal_table
     from quadpi_core.simulation.run import simulate as fly
@@ -73,8 +74,8 @@ def simulate(
     files = [Path(name) for name in (scenario, vehicle, noise) if name and is_config_path(name)]
     check_outputs(files, *(output / f"{plan.name}.mcap" for plan in plans), json_file, html_file)
     console = open_console()
-    with flying(console, {plan.name: plan.duration_s for plan in plans}) as progress:
-        flights = fly(plans, output, workers=workers, progress=progress)
+    with progress_bar(console) as progress:
+        flights = fly(plans, output, workers=Workers(workers, progress=progress))
     summaries = [summarise(flown.plan, flown.truth) for flown in flights]
     bags = [flown.bag for flown in flights]
     console.print(terminal_table(flight_table(summaries, bags)))

@@ -16,9 +16,9 @@ from quadpi_core.cli.options import (
     HtmlFile,
     JsonFile,
     OptionalVehicle,
+    ProcessCount,
     PublishedDevice,
     Scheduler,
-    Workers,
 )
 from quadpi_core.cli.outputs import check_outputs, open_console, write_result
 from quadpi_core.errors import QuadpiError
@@ -45,7 +45,7 @@ def validate(
     confidence: Confidence = None,
     vehicle: OptionalVehicle = None,
     device: PublishedDevice = None,
-    workers: Workers = None,
+    workers: ProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
@@ -56,7 +56,8 @@ def validate(
     from quadpi_core.paper.realisations import run_realisations
     from quadpi_core.paper.validation_case import given_case
     from quadpi_core.paper.validation_result import summarise
-    from quadpi_core.report.progress import counting
+    from quadpi_core.parallel import Workers
+    from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.validation_page import validation_summary
 
     kept = (None, None) if output is None else (output / "models", output / "realisations")
@@ -72,7 +73,7 @@ def validate(
         bags = [path for path in paths if path not in folders]
         case = given_case(folders, bags, vehicle=vehicle, noise=noise, confidence=confidence, seed=seed)
     else:
-        with console.status("") as status:
+        with progress_bar(console) as progress:
             own = published_case(
                 settings=settings or "paper",
                 noise=noise,
@@ -80,15 +81,14 @@ def validate(
                 seed=seed,
                 device=device or "cpu",
                 folder=kept[0],
-                progress=status.update,
+                progress=progress,
             )
         case, training, published = own.case, own.training, published_tables()
     case.check()
     try:
-        with counting(console, "Realisations", realisations) as progress:
-            tally = run_realisations(
-                case, realisations, folder=kept[1], workers=workers, scheduler=scheduler, progress=progress
-            )
+        with progress_bar(console) as progress:
+            counting = Workers(workers, scheduler, progress)
+            tally = run_realisations(case, realisations, folder=kept[1], workers=counting)
     except KeyboardInterrupt as interruption:
         if output is not None:
             interruption.args = ("what is finished is kept, and the next run goes on from there",)
@@ -98,15 +98,9 @@ def validate(
     write_result(json_file, result.to_json())
     if html_file is not None:
         from quadpi_core.paper.realisations import spread
-        from quadpi_core.parallel import map_tasks
         from quadpi_core.report.validation_page import SHOWN, write_validation_page
 
         names = [flight.name for flight in case.flights]
-        spreads = map_tasks(
-            partial(spread, realisations=range(SHOWN)),
-            names,
-            shared=case,
-            workers=workers,
-            scheduler=scheduler,
-        )
+        shown = partial(spread, realisations=range(SHOWN))
+        spreads = Workers(workers, scheduler).map(shown, names, shared=case)
         write_validation_page(html_file, result, case, dict(zip(names, spreads, strict=True)))

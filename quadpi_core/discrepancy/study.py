@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.logs.duplicates import refuse_duplicates
-from quadpi_core.parallel import map_files
+from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
@@ -43,34 +43,24 @@ def read_flights(
     paths: Sequence[Path],
     simulation: Simulation,
     *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> list[Flight]:
     """Flights of the simulation's vehicle, fused, low-passed as models are by default, and in the air.
 
     Args:
         paths: bags, or logs that need no mapping.
         simulation: of the vehicle that flew.
-        workers: see :func:`quadpi_core.parallel.map_files`.
-        scheduler: see there.
-        progress: see there.
+        workers: that read the files.
 
     Raises:
         LogError: for what cannot be read or used, another vehicle, and a flight present twice.
         SignalError: naming the file, where the signals cannot be fused.
         DiscrepancyError: for too few flights.
-        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
+        ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
     require_flights(len(paths))
-    read = map_files(
-        _read,
-        paths,
-        shared=(simulation.vehicle, CUTOFF_HZ["default"]),
-        workers=workers,
-        scheduler=scheduler,
-        progress=progress,
-    )
+    shared = (simulation.vehicle, CUTOFF_HZ["default"])
+    read = workers.map_files(_read, paths, shared=shared, task="Reading flights")
     refuse_duplicates((flight.source, digest) for flight, digest in read)
     return [flight for flight, _ in read]
 

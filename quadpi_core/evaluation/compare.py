@@ -16,6 +16,7 @@ from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_
 from quadpi_core.logs import FORMATS
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
+from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.version import __version__
 
 
@@ -78,8 +79,7 @@ def given_comparison(
     *,
     vehicle: str | None = None,
     confidence: float | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> ComparisonCase:
     """Stored models and the flights in files; each flight is read once for each low-pass.
 
@@ -88,8 +88,7 @@ def given_comparison(
         groups: files of the flights in each group; a flight may be in several.
         vehicle: name or path of the vehicle file; default: the one that the first model names.
         confidence: of the intervals; default: the models' own.
-        workers: see :func:`quadpi_core.identification.prepared_flights.prepare_flights`.
-        scheduler: see there.
+        workers: that read the files.
 
     Raises:
         ModelError: for what is no model of the vehicle, two models of one name, and confidences that differ
@@ -103,7 +102,7 @@ def given_comparison(
     level = common_confidence(models, confidence)
     files = list(dict.fromkeys(path for members in groups.values() for path in members))
     flights = {
-        cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers, scheduler=scheduler)
+        cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers)
         for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
     }
     names = (flight.name for flight in next(iter(flights.values())))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
@@ -30,12 +30,13 @@ from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.methods import FittedAxis, interval_factors
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.selection import StopRule
+from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
 from quadpi_core.training.ensemble_estimator import Ensemble, fit_axes, require_training
 from quadpi_core.training.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from quadpi_core.training.train import Progress
+    from quadpi_core.training.train import TrainingState
 
 Settings: TypeAlias = Literal["default", "paper"]
 MethodName: TypeAlias = Literal["polynomial", "bootstrap", "quality-driven"]
@@ -101,34 +102,12 @@ class IdentifyOptions:
         return ensemble.set_params(seed=self.seed, device=self.device, **trained_for)
 
 
-@dataclass(frozen=True)
-class Step:
-    """State of an identification in progress.
-
-    Attributes:
-        task: what is being done.
-        done: axes or epochs that are finished.
-        total: number of axes or epochs.
-        loss: of networks, see :class:`quadpi_core.training.train.Progress`.
-        coverage: see there.
-    """
-
-    task: str
-    done: int
-    total: int
-    loss: float | None = None
-    coverage: float | None = None
-
-    @classmethod
-    def training(cls, state: Progress) -> Step:
-        """After an epoch."""
-        return cls(f"Training {state.stage}", state.epoch, state.epochs, state.loss, state.coverage)
-
-    def __str__(self) -> str:
-        if self.loss is None:
-            return self.task
-        covered = "" if self.coverage is None else f", coverage {self.coverage:.1%} of what it has not seen"
-        return f"{self.task}: epoch {self.done} of {self.total}, loss {self.loss:.3g}{covered}"
+def training_progress(state: TrainingState) -> Progress:
+    """The progress of an identification after an epoch of training."""
+    note = f"loss {state.loss:.3g}"
+    if state.coverage is not None:
+        note += f" · coverage {state.coverage:.1%}"
+    return Progress(f"Training {state.stage}", state.epoch, state.epochs, "epochs", note)
 
 
 class _Samples(NamedTuple):
@@ -162,7 +141,7 @@ def identify(
     vehicle: Vehicle,
     pools: Mapping[str, CandidatePool],
     options: IdentifyOptions,
-    progress: Callable[[Step], None] = lambda _: None,
+    progress: ReportProgress = ignore_progress,
 ) -> AerodynamicModel:
     """Identify a model of every axis of `pools`, with its envelope and the limits of its alarm.
 
@@ -234,19 +213,21 @@ def _fit(
     samples: _Samples,
     pools: Mapping[str, CandidatePool],
     options: IdentifyOptions,
-    progress: Callable[[Step], None],
+    progress: ReportProgress,
 ) -> Mapping[str, StepwisePolynomial | Ensemble]:
     """Fitted estimators by axis."""
     if options.method == "polynomial":
         polynomials = {axis: options.polynomial(pool) for axis, pool in pools.items()}
         for done, (axis, polynomial) in enumerate(polynomials.items()):
-            progress(Step(f"Identifying {axis}", done, len(polynomials)))
+            progress(Progress(f"Identifying {axis}", done, len(polynomials)))
             with _naming(axis):
                 polynomial.fit(samples.inputs, samples.target(axis), samples.flight)
         return polynomials
     ensembles = {axis: options.ensemble(pool) for axis, pool in pools.items()}
     targets = np.column_stack([samples.target(axis) for axis in pools])
-    fit_axes(ensembles, samples.inputs, targets, samples.flight, lambda state: progress(Step.training(state)))
+    fit_axes(
+        ensembles, samples.inputs, targets, samples.flight, lambda state: progress(training_progress(state))
+    )
     return ensembles
 
 

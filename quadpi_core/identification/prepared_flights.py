@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import follow, recorded_flight
-from quadpi_core.parallel import map_files
+from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.screening.consistency import checked
 from quadpi_core.signals.resample import interpolate
 from quadpi_core.signals.wrench import measured_wrench
@@ -88,9 +88,7 @@ def prepare_flights(
     vehicle: Vehicle,
     cutoff_hz: float = DEFAULT_CUTOFF_HZ,
     *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> list[PreparedFlight]:
     """Read, fuse and filter bags; only the part in the air is kept.
 
@@ -98,19 +96,15 @@ def prepare_flights(
         paths: bags, or logs that need no mapping.
         vehicle: that flew.
         cutoff_hz: of the low-pass over all signals.
-        workers: see :func:`quadpi_core.parallel.map_files`; the flights are the same whatever does the work.
-        scheduler: see there.
-        progress: see there.
+        workers: that read the files; the flights are the same whatever does the work.
 
     Raises:
         LogError: for what cannot be read or used, and a flight present twice, naming the files.
         SignalError: naming the file, where the signals cannot be fused.
-        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
+        ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
     files = [Path(path) for path in paths]
-    flights = map_files(
-        _prepare, files, shared=(vehicle, cutoff_hz), workers=workers, scheduler=scheduler, progress=progress
-    )
+    flights = workers.map_files(_prepare, files, shared=(vehicle, cutoff_hz), task="Reading flights")
     refuse_duplicates(zip(map(str, files), (flight.sha256 for flight in flights), strict=True))
     return flights
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from quadpi_core.logs.bags import open_recording, recording_topics, recording_wr
 from quadpi_core.logs.duplicates import RunningHash, recording_hash, refuse_duplicates
 from quadpi_core.logs.readers import FORMATS, blocks_of, identify_format, read_recording, reading
 from quadpi_core.messages.adapters import AdapterSettings
-from quadpi_core.parallel import map_files
+from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.consistency import checked
@@ -59,9 +59,7 @@ def import_logs(
     mapping: str | None = None,
     *,
     align: bool = False,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> list[Imported]:
     """Write one bag per log into `folder`: all of them, or none.
 
@@ -73,24 +71,20 @@ def import_logs(
         folder: bags of the same names in it are replaced.
         mapping: see :func:`quadpi_core.logs.read_recording`.
         align: move the stamps of the poses so that the turns they show match the gyro's.
-        workers: see :func:`quadpi_core.parallel.map_files`; the bytes are the same whatever does the work.
-        scheduler: see there.
-        progress: see there.
+        workers: that convert the logs; the bytes are the same whatever does the work.
 
     Raises:
         LogError: naming file, topic and sample, for a log that cannot be read or is not plausible, a flight
             present twice, two logs of the same name, and a bag that would replace its own log.
         SignalError: naming the log, if `align` finds no pose or no offset at which the turns match.
         OutputError: if the bags cannot be written.
-        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
+        ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
-    if scheduler is not None and mapping is not None and is_config_path(mapping):
+    if workers.scheduler is not None and mapping is not None and is_config_path(mapping):
         mapping = str(Path(mapping).absolute())
     with whole_outputs(folder) as staging:
         task = _Conversion(vehicle, mapping, align, staging.absolute())
-        converted = map_files(
-            _convert, logs, shared=task, workers=workers, scheduler=scheduler, progress=progress
-        )
+        converted = workers.map_files(_convert, logs, shared=task, task="Importing logs")
         sources: dict[str, Path] = {}
         for log, (imported, _) in zip(logs, converted, strict=True):
             name = imported.bag.name

@@ -8,7 +8,7 @@ as it comes. So memory does not grow with the flight, and the bytes do not depen
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +35,7 @@ from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.parallel import map_files
+from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import by_arrival, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
@@ -289,9 +289,7 @@ def replay_all(
     *,
     confidence: float | None = None,
     settings: MonitorSettings | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> dict[str, ReplaySummary]:
     """Replay several flights, each into a bag of its name in a folder: all of them, or none.
 
@@ -302,9 +300,7 @@ def replay_all(
         folder: bags of the same names in it are replaced.
         confidence: see there.
         settings: see there.
-        workers: see :func:`quadpi_core.parallel.map_files`; the bags are those that :func:`replay` writes.
-        scheduler: see there.
-        progress: see there.
+        workers: that replay the flights; the bags are those that :func:`replay` writes.
 
     Returns:
         What came of each, by name.
@@ -312,14 +308,12 @@ def replay_all(
     Raises:
         LogError: see :func:`replay`; for two bags of the same name.
         OutputError: if the bags cannot be written.
-        ParallelError: see :func:`quadpi_core.parallel.map_tasks`.
+        ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
     outputs = replay_outputs(bags, folder)
     with whole_outputs(folder) as staging:
         task = _Replay(model, vehicle, confidence, settings, staging.absolute())
-        summaries = map_files(
-            _replay, bags, shared=task, workers=workers, scheduler=scheduler, progress=progress
-        )
+        summaries = workers.map_files(_replay, bags, shared=task, task="Replaying flights")
     return {output.stem: summary for output, summary in zip(outputs, summaries, strict=True)}
 
 

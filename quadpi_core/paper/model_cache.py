@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
@@ -16,6 +16,7 @@ from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.parallel import ReportProgress
 from quadpi_core.paths import write_json
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
@@ -38,7 +39,7 @@ class ModelCache:
     vehicle: Vehicle
     pools: Mapping[str, CandidatePool]
     folder: Path | None
-    progress: Callable[[str], None]
+    progress: ReportProgress
 
     def model(
         self, name: str, flights: Sequence[PreparedFlight], options: IdentifyOptions
@@ -63,7 +64,11 @@ class ModelCache:
         if folder is not None and (stored := _load(folder, origin)) is not None:
             return stored
         model = identify(
-            flights, self.vehicle, self.pools, options, lambda step: self.progress(f"{name}: {step}")
+            flights,
+            self.vehicle,
+            self.pools,
+            options,
+            lambda step: self.progress(replace(step, task=f"{name}: {step.task}")),
         )
         return model if folder is None else _store(model, folder, origin)
 

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +26,7 @@ from quadpi_core.paper.model_cache import ModelCache
 from quadpi_core.paper.realisations import noise_seed
 from quadpi_core.paper.validation_case import ValidationCase, flight_hash, simulated_flights
 from quadpi_core.paper.validation_result import PublishedAxis, PublishedCoverage
+from quadpi_core.parallel import DEFAULT_WORKERS, ReportProgress, Workers, ignore_progress
 from quadpi_core.scratch import scratch_folder
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
@@ -139,7 +140,7 @@ def published_case(
     seed: int = 0,
     device: str = "cpu",
     folder: Path | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: ReportProgress = ignore_progress,
 ) -> PublishedCase:
     """Simulate the paper's flights, put noise on the training set, and identify a model by each method.
 
@@ -160,7 +161,7 @@ def published_case(
     states = SensorSuite.load(noise).states
     plans = load_scenario(TRAINING).flights
     vehicle = Vehicle.load(plans[0].vehicle)
-    clean = simulated_flights(plans, lambda name: progress(f"Simulating {name}"))
+    clean = simulated_flights(plans, progress)
     training = tuple(_noisy(flight, vehicle, states, seed) for flight in clean)
     cache = ModelCache(vehicle, load_pools(CANDIDATES), folder, progress)
     models: dict[str, AerodynamicModel] = {}
@@ -174,9 +175,7 @@ def published_case(
             device=device,
         )
         models[method] = cache.model(method, training, options)
-    flights = simulated_flights(
-        load_scenario(VALIDATION).flights, lambda name: progress(f"Simulating {name}")
-    )
+    flights = simulated_flights(load_scenario(VALIDATION).flights, progress)
     case = ValidationCase(vehicle, models, tuple(flights), states, confidence, seed)
     return PublishedCase(case, training)
 
@@ -193,9 +192,7 @@ def wind_tunnel(
     confidence: float = 0.95,
     device: str = "cpu",
     folder: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> ComparisonCase:
     """Simulate the wind tunnel, and identify a model by each method and settings on the first group.
 
@@ -207,9 +204,7 @@ def wind_tunnel(
         confidence: of the intervals.
         device: that trains the ensembles.
         folder: of the folders `bags` and `models`, see :class:`.model_cache.ModelCache`; None for neither.
-        workers: see `prepared_flights.prepare_flights`; as many flights are simulated at a time.
-        scheduler: see there.
-        progress: called with what is being done.
+        workers: that read flights; as many flights are simulated at a time.
 
     Raises:
         ModelError: if a method cannot be identified, naming the axis.
@@ -220,21 +215,14 @@ def wind_tunnel(
     groups = {name: _in_wind(plans, winds) for name, winds in GROUPS.items()}
     used = [plan for plan in plans if any(plan.name in members for members in groups.values())]
     with scratch_folder() if folder is None else nullcontext(folder) as place:
-        flown = simulate(
-            used,
-            Path(place) / "bags",
-            workers=workers,
-            progress=lambda flight, _: progress(f"Flying {flight}"),
-        )
+        flown = simulate(used, Path(place) / "bags", workers=workers)
         bags = [flight.bag for flight in flown]
         flights = {}
         for settings in TUNNEL_SETTINGS:
-            progress(f"Reading flights for {settings} settings")
-            flights[CUTOFF_HZ[settings]] = prepare_flights(
-                bags, vehicle, CUTOFF_HZ[settings], workers=workers, scheduler=scheduler
-            )
+            cutoff_hz = CUTOFF_HZ[settings]
+            flights[cutoff_hz] = prepare_flights(bags, vehicle, cutoff_hz, workers=workers)
     stored = None if folder is None else folder / "models"
-    cache = ModelCache(vehicle, load_pools(TUNNEL_CANDIDATES), stored, progress)
+    cache = ModelCache(vehicle, load_pools(TUNNEL_CANDIDATES), stored, workers.progress)
     training = set(next(iter(groups.values())))
     models = {}
     for method in methods:

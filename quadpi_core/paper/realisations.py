@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.models.methods import Evaluation
 from quadpi_core.paper.validation_case import Samples, ValidationCase
-from quadpi_core.parallel import map_tasks
+from quadpi_core.parallel import DEFAULT_WORKERS, Progress, Workers
 from quadpi_core.paths import whole_output
 from quadpi_core.simulation.sensor_noise import contaminate
 
@@ -184,9 +184,7 @@ def run_realisations(
     count: int,
     *,
     folder: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> Tally:
     """Count the first `count` realisations of a case; the result is the same whatever does the work.
 
@@ -194,19 +192,17 @@ def run_realisations(
         case: checked.
         count: of realisations, at least one.
         folder: where finished chunks are kept, and taken from when they are of the same case.
-        workers: see :func:`quadpi_core.parallel.map_tasks`.
-        scheduler: see there.
-        progress: called with the number of realisations finished so far.
+        workers: that count.
 
     Raises:
-        ParallelError: see there.
+        ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
         OutputError: if a chunk cannot be kept.
     """
     spans = [range(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
     kept = [None if folder is None else _read(_path(folder, case, span), case, span) for span in spans]
     missing = [k for k, tally in enumerate(kept) if tally is None]
     finished = sum(len(spans[k]) for k in range(len(spans)) if k not in set(missing))
-    progress(finished)
+    workers.progress(Progress("Realisations", finished, count))
 
     def done(index: int, tally: Tally) -> None:
         nonlocal finished
@@ -214,16 +210,9 @@ def run_realisations(
         if folder is not None:
             _write(_path(folder, case, span), tally)
         finished += len(span)
-        progress(finished)
+        workers.progress(Progress("Realisations", finished, count))
 
-    counted = map_tasks(
-        realise,
-        [spans[k] for k in missing],
-        shared=case,
-        workers=workers,
-        scheduler=scheduler,
-        done=done,
-    )
+    counted = workers.map(realise, [spans[k] for k in missing], shared=case, done=done)
     for k, tally in zip(missing, counted, strict=True):
         kept[k] = tally
     return Tally.joined([tally for tally in kept if tally is not None])

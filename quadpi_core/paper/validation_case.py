@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ from quadpi_core.inputs import flight_inputs
 from quadpi_core.logs.bags import bag_vehicle
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paper.model_cache import code_fingerprint
+from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flight_plan import FlightPlan
@@ -198,20 +199,20 @@ def _hash(values: Sequence[Any]) -> str:
 
 
 def simulated_flights(
-    plans: Sequence[FlightPlan], progress: Callable[[str], None] = lambda _: None
+    plans: Sequence[FlightPlan], progress: ReportProgress = ignore_progress
 ) -> list[Flight]:
     """Fly the plans; nothing senses them.
 
     Args:
         plans: of the flights.
-        progress: called with the name of each flight before it is flown.
+        progress: called before each flight.
 
     Raises:
         SimulationError, VehicleError: as :func:`quadpi_core.simulation.run.simulate`.
     """
     flights = []
-    for plan in plans:
-        progress(plan.name)
+    for done, plan in enumerate(plans):
+        progress(Progress("Simulating", done, len(plans), note=plan.name))
         vehicle = SimulatedVehicle.load(plan.vehicle)
         flights.append(fly_plan(plan, vehicle).flight())
     return flights

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+from quadpi_core.parallel import DEFAULT_WORKERS, Progress, ReportProgress, Workers
 from quadpi_core.paths import require_file, whole_outputs
 from quadpi_core.simulation.controller import TILT_MAX_DEG
 from quadpi_core.simulation.flight_plan import FlightPlan
@@ -25,7 +26,6 @@ from quadpi_core.simulation.simulated_bags import write_simulated_bag
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import STEP_HZ, Reference, Truth
 
-Progress = Callable[[str, float], None]
 _POLL_S = 0.1
 # The rotor-local model was measured up to 14 m/s; a flight against such a wind moves forward in it too.
 AIRSPEED_MAX_M_S = 16.0
@@ -47,16 +47,15 @@ def simulate(
     plans: Sequence[FlightPlan],
     output: Path,
     *,
-    workers: int | None = None,
-    progress: Progress | None = None,
+    workers: Workers = DEFAULT_WORKERS,
 ) -> list[SimulatedFlight]:
     """Fly the plans, several at a time, and write a bag for each into a folder: all of them or none.
 
     Args:
         plans: with different names.
         output: folder; bags of the same names in it are replaced.
-        workers: flights at a time; default: one per core.
-        progress: called now and then with the name of a flight and how many seconds of it are flown.
+        workers: their count is the number of flights at a time, by default one per core. Flights fly in
+            threads of this process, whatever the scheduler.
 
     Returns:
         The flights in the order of the plans.
@@ -79,13 +78,13 @@ def simulate(
         require_file(output / f"{plan.name}.mcap")
     with whole_outputs(output) as staging:
         # Threads suffice: flight, random numbers and compression run outside the interpreter's lock.
-        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        with ThreadPoolExecutor(workers.count or os.cpu_count()) as pool:
             futures = [
                 pool.submit(_one, plan, vehicles[plan.vehicle], suites[plan.noise], staging, done)
                 for plan, done in zip(plans, steps, strict=True)
             ]
             try:
-                _watch(plans, steps, futures, progress)
+                _watch(plans, steps, futures, workers.progress)
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
         flights = [future.result() for future in futures]
@@ -178,15 +177,16 @@ def _watch(
     plans: Sequence[FlightPlan],
     steps: Sequence[Stamps],
     futures: Sequence[Future[SimulatedFlight]],
-    progress: Progress | None,
+    progress: ReportProgress,
 ) -> None:
     """Report progress until all flights are written; raise what the first plan that fails raises."""
-    waiting = set(futures)
+    waiting, durations = set(futures), [plan.duration_s for plan in plans]
     while waiting:
         finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_EXCEPTION)
-        for plan, done in zip(plans, steps, strict=True):
-            if progress is not None:
-                progress(plan.name, float(done[0]) / STEP_HZ)
+        seconds = [min(float(done[0]) / STEP_HZ, whole) for done, whole in zip(steps, durations, strict=True)]
+        flown = sum(now >= whole for now, whole in zip(seconds, durations, strict=True))
+        note = f"{flown} of {len(plans)} flights"
+        progress(Progress("Flying", sum(seconds), sum(durations), "s", note))
         if any(future.exception() is not None for future in finished):
             # Of several that fail, the first of the plans is reported, not the first in time.
             for future in futures:

@@ -38,8 +38,8 @@ _BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-8
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How training stands after an epoch.
+class TrainingState:
+    """The state of a training after an epoch.
 
     Attributes:
         stage: what is being trained.
@@ -56,7 +56,7 @@ class Progress:
     coverage: float | None
 
 
-Report: TypeAlias = Callable[[Progress], None]
+Report: TypeAlias = Callable[[TrainingState], None]
 Keep: TypeAlias = Literal["last", "best", "best on average"]
 
 
@@ -119,7 +119,7 @@ def train(
                 if best is not None:
                     best.update(scores)
                 if report is not None:
-                    report(Progress(stage, epoch, schedule.epochs, float(losses.mean()), coverage))
+                    report(TrainingState(stage, epoch, schedule.epochs, float(losses.mean()), coverage))
         if best is not None:
             best.restore()
         return training

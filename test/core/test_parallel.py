@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ import pytest
 
 from quadpi_core import parallel
 from quadpi_core.errors import LogError
-from quadpi_core.parallel import ParallelError, map_files, map_tasks
+from quadpi_core.parallel import ParallelError, Progress, Workers
 from quadpi_core.paths import bags_directory
 
 pytestmark = pytest.mark.slow
@@ -66,47 +67,47 @@ def tasks():
 @pytest.fixture(params=["here", "processes", "cluster"])
 def place(request):
     if request.param == "cluster":
-        return {"scheduler": request.getfixturevalue("cluster")}
-    return {"workers": 1 if request.param == "here" else 2}
+        return Workers(scheduler=request.getfixturevalue("cluster"))
+    return Workers(1 if request.param == "here" else 2)
 
 
 def test_results_are_in_the_order_of_the_items(tasks, place):
-    assert map_tasks(tasks.scaled, [3, 1, 2], shared=10, **place) == [30, 10, 20]
+    assert place.map(tasks.scaled, [3, 1, 2], shared=10) == [30, 10, 20]
     done = {}
-    assert map_tasks(tasks.slow_first, [0, 1, 2], shared=None, done=done.__setitem__, **place) == [0, 1, 2]
+    assert place.map(tasks.slow_first, [0, 1, 2], shared=None, done=done.__setitem__) == [0, 1, 2]
     assert done == {0: 0, 1: 1, 2: 2}
 
 
 def test_known_errors_come_back_as_they_are(tasks, place):
     with pytest.raises(LogError, match=r"^b.mcap: topic imu: sample 3: not finite$"):
-        map_tasks(tasks.refuse, [0, 1, 2], shared=None, **place)
+        place.map(tasks.refuse, [0, 1, 2], shared=None)
 
 
 def test_of_several_that_fail_the_first_item_is_reported(tasks, place):
     with pytest.raises(LogError, match=r"^1.mcap: the file is empty$"):
-        map_tasks(tasks.refuse_late, [0, 1, 2, 3], shared=None, **place)
+        place.map(tasks.refuse_late, [0, 1, 2, 3], shared=None)
 
 
 def test_nothing_to_do_needs_no_workers(tasks):
-    assert map_tasks(tasks.scaled, [], shared=1, scheduler="tcp://127.0.0.1:1") == []
+    assert Workers(scheduler="tcp://127.0.0.1:1").map(tasks.scaled, [], shared=1) == []
 
 
 def test_processes_are_others_and_cluster_workers_are_used(tasks, cluster):
-    assert set(map_tasks(tasks.process, range(2), shared=None, workers=1)) == {os.getpid()}
-    assert len(set(map_tasks(tasks.process, range(4), shared=None, workers=2)) - {os.getpid()}) == 2
-    assert len(set(map_tasks(tasks.process, range(8), shared=None, scheduler=cluster)) - {os.getpid()}) == 2
+    assert set(Workers(1).map(tasks.process, range(2), shared=None)) == {os.getpid()}
+    assert len(set(Workers(2).map(tasks.process, range(4), shared=None)) - {os.getpid()}) == 2
+    assert len(set(Workers(scheduler=cluster).map(tasks.process, range(8), shared=None)) - {os.getpid()}) == 2
 
 
 def test_a_worker_has_one_thread(tasks):
     names = ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"]
-    assert map_tasks(tasks.variable, names, shared=None, workers=2) == ["1"] * 4
+    assert Workers(2).map(tasks.variable, names, shared=None) == ["1"] * 4
 
 
 def test_no_scheduler_is_said(tasks, monkeypatch):
     monkeypatch.setattr(parallel, "_ANSWER_S", 1.0)
     for address in ("tcp://127.0.0.1:1", "nowhere"):
         with pytest.raises(ParallelError, match=f"--scheduler {address}: no scheduler answers"):
-            map_tasks(tasks.scaled, [1], shared=1, scheduler=address)
+            Workers(scheduler=address).map(tasks.scaled, [1], shared=1)
 
 
 def test_no_workers_are_said(tasks, monkeypatch):
@@ -117,13 +118,13 @@ def test_no_workers_are_said(tasks, monkeypatch):
         LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty,
         pytest.raises(ParallelError, match="has no workers"),
     ):
-        map_tasks(tasks.scaled, [1], shared=1, scheduler=empty.scheduler_address)
+        Workers(scheduler=empty.scheduler_address).map(tasks.scaled, [1], shared=1)
 
 
 def test_workers_of_another_version_are_refused(tasks, monkeypatch, cluster):
     monkeypatch.setattr(parallel, "__version__", "0.0.other")
     with pytest.raises(ParallelError, match=r"worker tcp://\S+: \d\S+, not 0.0.other"):
-        map_tasks(tasks.scaled, [1], shared=1, scheduler=cluster)
+        Workers(scheduler=cluster).map(tasks.scaled, [1], shared=1)
 
 
 def test_a_worker_that_dies_is_said(tasks):
@@ -133,7 +134,7 @@ def test_a_worker_that_dies_is_said(tasks):
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         pytest.raises(ParallelError, match="a worker ended before its task did"),
     ):
-        map_tasks(tasks.die, [1, 2], shared=None, workers=2)
+        Workers(2).map(tasks.die, [1, 2], shared=None)
 
 
 class TestFiles:
@@ -141,19 +142,22 @@ class TestFiles:
         monkeypatch.setattr(parallel, "MANY_FILES", 3)
         monkeypatch.setattr(os, "cpu_count", lambda: 2)
         paths = [Path("a"), Path("b"), Path("c")]
-        assert map_files(tasks.process, paths[:2], shared=None) == [os.getpid()] * 2
-        assert os.getpid() not in map_files(tasks.process, paths, shared=None)
-        assert map_files(tasks.process, paths, shared=None, workers=1) == [os.getpid()] * 3
+        assert Workers().map_files(tasks.process, paths[:2], shared=None, task="") == [os.getpid()] * 2
+        assert os.getpid() not in Workers().map_files(tasks.process, paths, shared=None, task="")
+        assert Workers(1).map_files(tasks.process, paths, shared=None, task="") == [os.getpid()] * 3
 
     def test_a_cluster_is_given_absolute_paths(self, tasks, cluster, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
-        assert map_files(tasks.path, [Path("a")], shared=None) == ["a"]
-        assert map_files(tasks.path, [Path("a")], shared=None, scheduler=cluster) == [f"{tmp_path}/a"]
+        assert Workers().map_files(tasks.path, [Path("a")], shared=None, task="") == ["a"]
+        assert Workers(scheduler=cluster).map_files(tasks.path, [Path("a")], shared=None, task="") == [
+            f"{tmp_path}/a"
+        ]
 
     def test_finished_files_are_counted(self, tasks, place):
-        counts = []
-        map_files(tasks.path, [Path("a"), Path("b")], shared=None, progress=counts.append, **place)
-        assert counts == [1, 2]
+        seen = []
+        workers = replace(place, progress=seen.append)
+        workers.map_files(tasks.path, [Path("a"), Path("b")], shared=None, task="Reading")
+        assert seen == [Progress("Reading", 1, 2), Progress("Reading", 2, 2)]
 
 
 def test_processes_beside_open_no_port():
@@ -171,19 +175,19 @@ def test_processes_beside_open_no_port():
 
     # The fixture `cluster` may listen in this process already.
     before = listening(None, 0)
-    assert map_tasks(listening, [0, os.getpid()], shared=None, workers=2) == [set(), before]
+    assert Workers(2).map(listening, [0, os.getpid()], shared=None) == [set(), before]
 
 
 def test_processes_beside_end_with_a_run_that_is_killed(tmp_path):
     script = tmp_path / "killed.py"
     script.write_text(
         "import os, time\n"
-        "from quadpi_core.parallel import map_tasks\n"
+        "from quadpi_core.parallel import Workers\n"
         "def wait(_, _item):\n"
         "    print(os.getpid(), flush=True)\n"
         "    time.sleep(600)\n"
         "if __name__ == '__main__':\n"
-        "    map_tasks(wait, [1, 2], shared=None, workers=2)\n"
+        "    Workers(2).map(wait, [1, 2], shared=None)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(

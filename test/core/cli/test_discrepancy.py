@@ -14,6 +14,7 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
+from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
@@ -50,7 +51,7 @@ def bags(tmp_path_factory):
     (folder / "flights.yaml").write_text(FLIGHTS)
     effects = parse_effects(["body_drag:x_n_s2_m2=0.006,y_n_s2_m2=0.009,z_n_s2_m2=0.006"])
     plans = choose_flights(load_scenario(str(folder / "flights.yaml")), (), effects=effects)
-    return [flown.bag for flown in simulate(plans, folder, workers=1)]
+    return [flown.bag for flown in simulate(plans, folder, workers=Workers(1))]
 
 
 @pytest.fixture

@@ -22,7 +22,8 @@ from quadpi_core.paths import bags_directory, whole_output
 # flight or chunk that workers have finished; after it the work waits, or goes on.
 COMMAND = """
 import signal, sys, time
-from quadpi_core import identification, parallel
+from quadpi_core import parallel
+from quadpi_core.identification import identify
 from quadpi_core.cli import main
 
 # Ignored where the tests run as a background job of a shell.
@@ -36,11 +37,11 @@ def announced(step, waits):
         return result
     return announce
 
-identification.Step.training = announced(identification.Step.training, waits=0.0)
-map_tasks = parallel.map_tasks
+identify.training_progress = announced(identify.training_progress, waits=0.0)
+map_tasks = parallel.Workers.map
 def announced_tasks(*arguments, done=lambda *_: None, **options):
     return map_tasks(*arguments, done=announced(done, waits=60.0), **options)
-parallel.map_tasks = announced_tasks
+parallel.Workers.map = announced_tasks
 main()
 """
 KEPT = "what is finished is kept, and the next run goes on from there"

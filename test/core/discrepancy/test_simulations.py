@@ -28,6 +28,7 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.parallel import Workers
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.vehicle import Vehicle
@@ -200,7 +201,7 @@ def test_functions_that_give_no_wrench(function, message, flight):
 def model(bags, tmp_path_factory):
     vehicle = Vehicle.load("neurobem")
     pools = load_pools("quadrotor")
-    flights = prepare_flights(bags, vehicle, 30.0, workers=1)
+    flights = prepare_flights(bags, vehicle, 30.0, workers=Workers(1))
     folder = tmp_path_factory.mktemp("models") / "model"
     identify(flights, vehicle, pools, IdentifyOptions(cutoff_hz=30.0)).save(folder)
     return folder

@@ -19,6 +19,7 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.candidate_pool import CandidatePool, load_pools
+from quadpi_core.parallel import Workers
 from quadpi_core.vehicle import Vehicle
 
 CUTOFF_HZ = 20.0
@@ -145,7 +146,7 @@ def test_stop_rule_can_be_chosen(flights, vehicle):
 def test_progress_names_each_axis(flights, vehicle):
     words = []
     identify(flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ), progress=words.append)
-    assert list(map(str, words)) == ["Identifying Fx", "Identifying Fz"]
+    assert [progress.task for progress in words] == ["Identifying Fx", "Identifying Fz"]
 
 
 def test_an_ensemble_needs_inputs_and_has_no_stop_rule(flights, vehicle):
@@ -179,7 +180,7 @@ def test_a_copy_of_a_flight_is_refused(paths, vehicle, tmp_path):
 @pytest.mark.slow
 def test_a_cluster_prepares_the_same_flights(paths, vehicle, flights, cluster):
     for own, theirs in zip(
-        flights, prepare_flights(paths, vehicle, CUTOFF_HZ, scheduler=cluster), strict=True
+        flights, prepare_flights(paths, vehicle, CUTOFF_HZ, workers=Workers(scheduler=cluster)), strict=True
     ):
         assert (own.name, own.sha256) == (theirs.name, theirs.sha256)
         for name in ("time", "inputs", "wrench", "height"):

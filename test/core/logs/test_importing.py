@@ -12,6 +12,7 @@ import pytest
 
 from quadpi_core.errors import LogError, OutputError
 from quadpi_core.logs.importing import import_logs
+from quadpi_core.parallel import Workers
 from quadpi_core.paths import config_directory, staged, whole_outputs
 from quadpi_core.vehicle import Vehicle
 
@@ -29,7 +30,7 @@ def test_bags_replace_those_of_the_same_name_only(bags, vehicle, tmp_path):
     (tmp_path / "flight0.mcap").write_text("old")
     (tmp_path / "notes.txt").write_text("mine")
     counts = []
-    imported = import_logs(bags, vehicle, tmp_path, progress=counts.append)
+    imported = import_logs(bags, vehicle, tmp_path, workers=Workers(progress=counts.append))
     assert [one.bag for one in imported] == [tmp_path / bag.name for bag in bags]
     assert imported[0].imu_samples == 3200
     assert imported[0].topics == ("imu", "rotor_speeds", "mocap/pose")
@@ -37,7 +38,7 @@ def test_bags_replace_those_of_the_same_name_only(bags, vehicle, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == [*(bag.name for bag in bags), "notes.txt"]
     assert (tmp_path / "flight0.mcap").read_bytes()[:5] == b"\x89MCAP"
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert counts == [1, 2, 3]
+    assert [progress.done for progress in counts] == [1, 2, 3]
 
 
 def test_folders_above_are_made(bags, vehicle, tmp_path):
@@ -51,7 +52,11 @@ def test_a_cluster_writes_the_same_bytes(bags, vehicle, cluster, tmp_path, monke
     own = import_logs(bags, vehicle, tmp_path / "own", align=True)
     monkeypatch.chdir(tmp_path)
     theirs = import_logs(
-        bags, vehicle, (tmp_path / "theirs").relative_to(tmp_path), align=True, scheduler=cluster
+        bags,
+        vehicle,
+        (tmp_path / "theirs").relative_to(tmp_path),
+        align=True,
+        workers=Workers(scheduler=cluster),
     )
     assert [replace(flight, bag=Path(flight.bag.name)) for flight in theirs] == [
         replace(flight, bag=Path(flight.bag.name)) for flight in own
@@ -70,7 +75,7 @@ def test_a_cluster_finds_the_mapping(vehicle, cluster, tmp_path, monkeypatch):
     before = contents(tmp_path)
     log = tmp_path.joinpath("flight.csv").relative_to(tmp_path)
     with pytest.raises(LogError, match=rf"^{tmp_path}/flight.csv: .*column"):
-        import_logs([log], vehicle, tmp_path / "bags", "mine.yaml", scheduler=cluster)
+        import_logs([log], vehicle, tmp_path / "bags", "mine.yaml", workers=Workers(scheduler=cluster))
     assert contents(tmp_path) == before
 
 
@@ -84,7 +89,7 @@ def test_one_bad_log_leaves_nothing(bags, vehicle, tmp_path, place, request):
     (tmp_path / "bags" / "flight0.mcap").write_text("old")
     before = contents(tmp_path)
     with pytest.raises(LogError, match=f"^{bad}: cut off"):
-        import_logs([*bags, bad], vehicle, tmp_path / "bags", scheduler=scheduler)
+        import_logs([*bags, bad], vehicle, tmp_path / "bags", workers=Workers(scheduler=scheduler))
     assert contents(tmp_path) == before
 
 

@@ -15,8 +15,12 @@ from quadpi_core.models.methods import Evaluation
 from quadpi_core.paper import realisations as realisation_chunks
 from quadpi_core.paper.realisations import noise_seed, noisy_flight, realise, run_realisations, spread
 from quadpi_core.paper.validation_case import ValidationCase
+from quadpi_core.parallel import Workers
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.sensor_noise import StateNoise, contaminate
+
+# All work in this process.
+HERE = Workers(1)
 
 
 def test_counts_are_those_of_the_definition(case, model, vehicle):
@@ -137,15 +141,15 @@ def counted(monkeypatch):
 
 def test_chunks_join_to_the_whole(case, same, tmp_path):
     whole = realise(case, range(COUNT))
-    assert same(run_realisations(case, COUNT, workers=1), whole)
-    assert same(run_realisations(case, COUNT, workers=1, folder=tmp_path), whole)
-    assert same(run_realisations(case, COUNT, workers=1, folder=tmp_path), whole)
+    assert same(run_realisations(case, COUNT, workers=HERE), whole)
+    assert same(run_realisations(case, COUNT, workers=HERE, folder=tmp_path), whole)
+    assert same(run_realisations(case, COUNT, workers=HERE, folder=tmp_path), whole)
 
 
 def test_finished_chunks_are_not_counted_again(case, tmp_path, counted):
-    run_realisations(case, 6, workers=1, folder=tmp_path)
+    run_realisations(case, 6, workers=HERE, folder=tmp_path)
     assert counted == [range(3), range(3, 6)]
-    run_realisations(case, COUNT, workers=1, folder=tmp_path)
+    run_realisations(case, COUNT, workers=HERE, folder=tmp_path)
     assert counted[2:] == [range(6, 7)]
 
 
@@ -153,29 +157,29 @@ def test_finished_chunks_are_not_counted_again(case, tmp_path, counted):
     "content", [b"", b"PK\x03\x04 cut", b"nothing of ours"], ids=["empty", "cut short", "foreign"]
 )
 def test_damaged_chunk_is_counted_again(case, same, tmp_path, counted, content):
-    whole = run_realisations(case, 6, workers=1, folder=tmp_path)
+    whole = run_realisations(case, 6, workers=HERE, folder=tmp_path)
     damaged = sorted(tmp_path.rglob("*.npz"))[1]
     damaged.write_bytes(content)
-    assert same(run_realisations(case, 6, workers=1, folder=tmp_path), whole)
+    assert same(run_realisations(case, 6, workers=HERE, folder=tmp_path), whole)
     assert counted[2:] == [range(3, 6)]
 
 
 def test_cut_chunk_is_counted_again(case, same, tmp_path, counted):
-    whole = run_realisations(case, 6, workers=1, folder=tmp_path)
+    whole = run_realisations(case, 6, workers=HERE, folder=tmp_path)
     cut = min(tmp_path.rglob("*.npz"))
     cut.write_bytes(cut.read_bytes()[:-200])
-    assert same(run_realisations(case, 6, workers=1, folder=tmp_path), whole)
+    assert same(run_realisations(case, 6, workers=HERE, folder=tmp_path), whole)
     assert counted[2:] == [range(3)]
 
 
 def test_chunk_with_objects_is_not_unpickled(case, tmp_path, counted):
-    run_realisations(case, 3, workers=1, folder=tmp_path)
+    run_realisations(case, 3, workers=HERE, folder=tmp_path)
     path = min(tmp_path.rglob("*.npz"))
     with np.load(path) as file:
         arrays = dict(file)
     arrays["model"] = np.array([{"an": "object"}], dtype=object)
     np.savez(path, **arrays)
-    run_realisations(case, 3, workers=1, folder=tmp_path)
+    run_realisations(case, 3, workers=HERE, folder=tmp_path)
     assert counted == [range(3), range(3)]
 
 
@@ -190,23 +194,23 @@ def test_chunks_of_another_case_are_left_alone(case, model, tmp_path, counted):
         replace(case, models={"fitted": replace(model, fitted={**model.fitted, "Fx": narrower})}),
         replace(case, models={"named": model}),
     ]
-    run_realisations(case, 3, workers=1, folder=tmp_path)
+    run_realisations(case, 3, workers=HERE, folder=tmp_path)
     for other in others:
-        run_realisations(other, 3, workers=1, folder=tmp_path)
+        run_realisations(other, 3, workers=HERE, folder=tmp_path)
     assert len(counted) == len(list(tmp_path.iterdir())) == 1 + len(others)
 
 
 def test_interrupted_run_is_taken_up(case, same, tmp_path, counted):
-    def interrupt(finished):
-        if finished == 3:
+    def interrupt(progress):
+        if progress.done == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_realisations(case, COUNT, workers=1, folder=tmp_path, progress=interrupt)
+        run_realisations(case, COUNT, workers=Workers(1, progress=interrupt), folder=tmp_path)
     seen = []
-    resumed = run_realisations(case, COUNT, workers=1, folder=tmp_path, progress=seen.append)
+    resumed = run_realisations(case, COUNT, workers=Workers(1, progress=seen.append), folder=tmp_path)
     assert counted == [range(3), range(3, 6), range(6, 7)]
-    assert seen == [3, 6, 7]
+    assert [progress.done for progress in seen] == [3, 6, 7]
     assert same(resumed, realise(case, range(COUNT)))
 
 
@@ -214,6 +218,6 @@ def test_interrupted_run_is_taken_up(case, same, tmp_path, counted):
 def test_workers_and_a_cluster_count_the_same(case, same, tmp_path, cluster):
     whole = realise(case, range(COUNT))
     assert case.references  # computed here; each worker computes its own
-    assert same(run_realisations(case, COUNT, workers=2), whole)
-    assert same(run_realisations(case, COUNT, scheduler=cluster, folder=tmp_path), whole)
+    assert same(run_realisations(case, COUNT, workers=Workers(2)), whole)
+    assert same(run_realisations(case, COUNT, workers=Workers(scheduler=cluster), folder=tmp_path), whole)
     assert len(list(tmp_path.rglob("*.npz"))) == 3

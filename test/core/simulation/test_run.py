@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from quadpi_core.errors import OutputError
+from quadpi_core.parallel import Progress, Workers
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 
@@ -15,12 +16,13 @@ HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, dura
 SEVERAL_WITH_EFFECTS = """
 import sys
 from pathlib import Path
+from quadpi_core.parallel import Workers
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
 
 hover = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
 plans = [hover.overridden(name=f"hover_{k}", effects={"gyroscopic": None}) for k in range(4)]
-print(len(simulate(plans, Path(sys.argv[1]), workers=4)))
+print(len(simulate(plans, Path(sys.argv[1]), workers=Workers(4))))
 """
 
 
@@ -31,11 +33,11 @@ def test_several_flights_with_effects_at_a_time_from_a_cold_start(tmp_path):
     assert len(list((tmp_path / "bags").iterdir())) == 4
 
 
-def test_progress_is_told_until_the_end(tmp_path):
-    told = []
-    simulate([HOVER], tmp_path, progress=lambda name, seconds: told.append((name, seconds)))
-    assert told[-1] == ("hover", 0.5)
-    assert [seconds for _, seconds in told] == sorted(seconds for _, seconds in told)
+def test_progress_is_reported_until_the_end(tmp_path):
+    seen = []
+    simulate([HOVER], tmp_path, workers=Workers(progress=seen.append))
+    assert seen[-1] == Progress("Flying", 0.5, 0.5, "s", "1 of 1 flights")
+    assert [progress.done for progress in seen] == sorted(progress.done for progress in seen)
 
 
 def test_a_file_in_the_place_of_the_folder(tmp_path):

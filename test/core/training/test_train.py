@@ -20,7 +20,7 @@ from quadpi_core.training.losses import (  # noqa: E402
     QualityDriven,
     SquaredError,
 )
-from quadpi_core.training.train import Progress, Schedule, Training, train  # noqa: E402
+from quadpi_core.training.train import Schedule, Training, TrainingState, train  # noqa: E402
 
 TABLES, NETWORKS, WIDTH, COUNT = 2, 3, 4, 300
 SCHEDULE = Schedule(
@@ -180,8 +180,8 @@ def test_few_networks_take_one_thread_and_leave_the_number_as_it_was() -> None:
     assert after == 3
 
 
-def interrupt(seen: list[int]) -> Callable[[Progress], None]:
-    def report(progress: Progress) -> None:  # noqa: ARG001
+def interrupt(seen: list[int]) -> Callable[[TrainingState], None]:
+    def report(progress: TrainingState) -> None:  # noqa: ARG001
         seen.append(torch.get_num_threads())
         raise KeyboardInterrupt
 
@@ -245,7 +245,7 @@ def test_bounds_start_around_trained_regressors() -> None:
 
 
 def test_each_epoch_is_reported() -> None:
-    reports: list[Progress] = []
+    reports: list[TrainingState] = []
     train(samples_for(SquaredError()), SquaredError(), SCHEDULE, "members", reports.append)
     assert [(r.stage, r.epoch, r.epochs) for r in reports] == [("members", 1, 2), ("members", 2, 2)]
     assert reports[1].loss < reports[0].loss
