@@ -23,6 +23,27 @@ from quadpi_core.frames import Array
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What one test says of one candidate.
+
+    Attributes:
+        test: its name.
+        passed: whether the candidate may stay.
+        value: that was compared.
+        threshold: that it was compared with.
+        unit: of both.
+        sentence: the reason, for people.
+    """
+
+    test: str
+    passed: bool
+    value: float
+    threshold: float
+    unit: str
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Threshold:
     """A number that decides.
 
@@ -39,6 +60,10 @@ class Threshold:
     unit: str
     reason: str
     data: str
+
+    def verdict(self, test: str, value: float, passed: bool, sentence: str) -> Verdict:
+        """The verdict of a test that compares a value with this threshold."""
+        return Verdict(test, passed, value, self.value, self.unit, sentence)
 
 
 # Flights of the simulated Bebop 2 with hidden effects, of seeds that no published figure is of.
@@ -178,27 +203,6 @@ THRESHOLDS = (
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What one test says of one candidate.
-
-    Attributes:
-        test: its name.
-        passed: whether the candidate may stay.
-        value: that was compared.
-        threshold: that it was compared with.
-        unit: of both.
-        sentence: the reason, for people.
-    """
-
-    test: str
-    passed: bool
-    value: float
-    threshold: float
-    unit: str
-    sentence: str
-
-
-@dataclass(frozen=True)
 class Judgement:
     """All that was decided about one candidate in one round of the search.
 
@@ -260,39 +264,21 @@ def scales_beside_law(candidate: Candidate, beside: Sequence[Candidate]) -> bool
 
 def judge_evidence(gain: float, needed: float) -> Verdict:
     """Whether an effect gains enough evidence."""
-    return Verdict(
-        "evidence",
-        gain >= needed,
-        gain,
-        needed,
-        "nat",
-        f"gains {gain:.1f} nat, {needed:.1f} needed",
-    )
+    sentence = f"gains {gain:.1f} nat, {needed:.1f} needed"
+    return Verdict("evidence", gain >= needed, gain, needed, "nat", sentence)
 
 
 def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
     """Whether every effect of a set, by its name, is of some size, in prior standard deviations."""
     name, smallest = min(sizes.items(), key=lambda item: item[1])
-    return Verdict(
-        test,
-        smallest > SMALLEST.value,
-        smallest,
-        SMALLEST.value,
-        SMALLEST.unit,
-        f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed",
-    )
+    sentence = f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed"
+    return SMALLEST.verdict(test, smallest, smallest > SMALLEST.value, sentence)
 
 
 def judge_loudness(loudness: float) -> Verdict:
     """Whether what an effect adds is distinguishable from the noise."""
-    return Verdict(
-        "loudness",
-        loudness >= LOUDNESS.value,
-        loudness,
-        LOUDNESS.value,
-        LOUDNESS.unit,
-        f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed",
-    )
+    sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
+    return LOUDNESS.verdict("loudness", loudness, loudness >= LOUDNESS.value, sentence)
 
 
 def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
@@ -304,16 +290,11 @@ def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
     grown = after - before
     worst = float(np.max(grown / np.where(room > 0.0, room, 1.0)))
     few = flights < FEW_FLIGHTS.value
-    return Verdict(
-        "flights left out",
-        few or bool(np.all(grown <= GROWTH.value * room)),
-        worst,
-        GROWTH.value,
-        GROWTH.unit,
-        f"not judged on flights left out, of {flights} flights"
-        if few
-        else f"worst axis of flights left out grows by {worst:.2f}, {GROWTH.value:g} allowed",
-    )
+    sentence = f"worst axis of flights left out grows by {worst:.2f}, {GROWTH.value:g} allowed"
+    if few:
+        sentence = f"not judged on flights left out, of {flights} flights"
+    passed = few or bool(np.all(grown <= GROWTH.value * room))
+    return GROWTH.verdict("flights left out", worst, passed, sentence)
 
 
 def rival_margin(gain: float) -> float:
@@ -343,14 +324,8 @@ def unexplained_share(left: Array, named: Array, rows: int) -> float:
 
 def judge_unexplained(share: float) -> Verdict:
     """Whether what the effects leave is little enough to call the discrepancy explained."""
-    return Verdict(
-        "unexplained",
-        share <= UNEXPLAINED.value,
-        share,
-        UNEXPLAINED.value,
-        UNEXPLAINED.unit,
-        f"{100.0 * share:.0f} % of what can be predicted has no name, {100.0 * UNEXPLAINED.value:.0f} % may",
-    )
+    sentence = f"{100.0 * share:.0f} % of what can be predicted has no name, {UNEXPLAINED.value:.0%} allowed"
+    return UNEXPLAINED.verdict("unexplained", share, share <= UNEXPLAINED.value, sentence)
 
 
 @dataclass(frozen=True)

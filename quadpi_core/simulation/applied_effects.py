@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects at work: inside the compiled flight, on the vehicle, on the air, on sensors, on recorded states."""
+"""Applies effects: in the compiled flight, to vehicle, air and sensors, and to recorded states."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from quadpi_core.simulation.effect_registry import EFFECTS, WRENCH_INDEX, added_
 from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
-# Of what `compose` gives: (state, vehicle, parameters (K, P)).
+# Signature of the function that `compose` returns: (state, vehicle, parameters (K, P)).
 SIGNATURE = types.void(STATE_TYPE, VEHICLE_TYPE, types.float64[:, ::1])
 FUNCTION_TYPE = types.FunctionType(SIGNATURE)
-# In the place of an index into the registry: a function that is no part of it.
+# In place of a registry index: a function that is not in the registry.
 _EXTRA = -1
 # A row of parameters ends with the shape of its law and that index.
 _SHAPES = len(SHAPE)
 _SHAPE_AT = -1 - _SHAPES
 
-# Functions that are passed to kernels: numba calls them experimental since 2020.
+# Numba has called functions as arguments of kernels experimental since 2020.
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
 
 def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ()) -> tuple[Any, Array]:
     """The wrench effects as one compiled function, and its parameters.
 
-    Without `extra` it is always the same function, compiled once and cached on disk: the parameters tell
-    which effects act.
+    Without `extra` it is always the same function, compiled once and cached on disk; the parameters say which
+    effects act.
 
     Args:
-        effects: those of another kind are passed over.
-        extra: compiled functions like that of a wrench effect but no part of the registry, each with its
-            parameters. They act before the effects.
+        effects: of any kind; only wrench effects are used.
+        extra: compiled functions with the signature of a wrench effect that are not in the registry, each
+            with its parameters. They act before the effects.
 
     Returns:
         A function of type :data:`FUNCTION_TYPE` that adds to `state.wrench`, one effect after the other, and
@@ -62,7 +62,7 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
         row[_SHAPE_AT:-1] = shape
         row[-1] = index
     if not rows:
-        # Spares a flight without effects the seconds in which all of them compile for the first time.
+        # A flight without effects need not wait until all of them are compiled for the first time.
         return _passable_whole(_none), parameters
     return _chain(tuple(function for function, _ in extra)), parameters
 
@@ -82,7 +82,7 @@ def _none(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
 
 @once
 def _passable_whole(function: Any) -> Any:
-    """Numba passes a function to a kernel only if it has one signature and takes no other."""
+    """A function as numba accepts it as an argument: compiled for one signature and closed for others."""
     function.compile(SIGNATURE)
     function.disable_compile()
     return function
@@ -117,9 +117,9 @@ def effect_wrench(
 
     Args:
         name: of a wrench effect.
-        parameters: every one, within its bounds or not.
-        states: (N,) of `records.STATE`, with the aerodynamics in them.
-        vehicle: (1,) of `records.VEHICLE`.
+        parameters: all of them, within their bounds or not.
+        states: (N,) of `state_records.STATE`, with the aerodynamics in them.
+        vehicle: (1,) of `state_records.VEHICLE`.
 
     Raises:
         SimulationError: if there is no such wrench effect.
@@ -131,11 +131,11 @@ def effect_wrench(
 
 
 def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]) -> Array:
-    """What laws may be shaped with (N, MODULATORS), see :func:`kernels.modulators`, of recorded states.
+    """Modulators (N, MODULATORS) of recorded states, see :func:`effect_kernels.modulators`.
 
     Args:
-        states: (N,) of `records.STATE`.
-        vehicle: (1,) of `records.VEHICLE`.
+        states: (N,) of `state_records.STATE`.
+        vehicle: (1,) of `state_records.VEHICLE`.
     """
     found: Array = _modulators_of_all(states, vehicle)
     return found
@@ -166,7 +166,7 @@ def altered_vehicle(effects: Effects, vehicle: Vehicle) -> Vehicle:
     """The vehicle as it truly flies.
 
     Raises:
-        SimulationError: for moments of inertia of which one is more than the sum of the other two.
+        SimulationError: for a moment of inertia that is more than the sum of the other two.
     """
     for effect, values in _of_kind(effects, "vehicle"):
         altered = effect.function(vehicle, values)

@@ -10,7 +10,7 @@ Its kind says what the function changes, and with it what it takes:
     sensor   (recording, vehicle, p) -> Recording as the sensors would give it
 
 `p` holds the parameters in their order, in the unit that their names end with. State and vehicle of a wrench
-effect are one record of `records.STATE` and of `records.VEHICLE`.
+effect are one record of `state_records.STATE` and of `state_records.VEHICLE`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from typing import Any, TypeAlias
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import Vehicle
 
-# Effects that are switched on: name -> every parameter with its value, in the order of the registry.
+# Effects that are switched on: name -> all parameters with their values, in the order of the registry.
 Effects: TypeAlias = Mapping[str, Mapping[str, float]]
 # `Effect.form` of a law of the air: two laws of the literature for one effect differ by about as much.
 AERODYNAMIC = 0.15
 # `Effect.indistinguishable_group` of a weak rotor and a misread rotor speed: they differ only in how the
 # thrust depends on the airflow, which is known within a tolerance.
 STRENGTH_OF_ONE_ROTOR = "strength of one rotor"
+# Fx, Fy, Fz [N] and Mx, My, Mz [Nm], body axes.
 Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 
 
@@ -74,7 +75,7 @@ class Effect:
         summary: one line.
         axes: those of `flight.AXES` in which it shows: for a wrench effect, all that can be non-zero.
         function: see the module.
-        shown_by: manoeuvres that tell it from others; empty for one that no search looks for.
+        shown_by: manoeuvres that distinguish it from others; empty for one that no search looks for.
         inverse: of a sensor effect: the parameters that undo those given; unless given, their negative.
         form: share by which the law may be off where the air is not as it assumes; 0 for one that is exact.
         formula: in LaTeX, the parameters by their symbols.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What several wrench effects share, compiled."""
+"""Compiled functions that several wrench effects use."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from quadpi_core.simulation.effect_definition import SHAPE, Wrench
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-# A law that is shaped neither turns around nor grows without bound where no flight has been.
+# Largest factor on a law that flights shape, the smallest being 0: beyond what was flown it neither changes
+# sign nor grows without bound.
 _MOST = 3.0
-# Of `SHAPE`, a share for each axis comes first.
+# `SHAPE` begins with a share for each axis.
 _AXES = 6
 MODULATORS = len(SHAPE) - _AXES
 
@@ -24,7 +25,7 @@ MODULATORS = len(SHAPE) - _AXES
 def modulators(
     state: State, vehicle: VehicleNumbers
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """What a law may depend on other than it says: in the order of the last of `definition.SHAPE`.
+    """What a shaped law may depend on beyond its formula, as in `effect_definition.SHAPE` after the axes.
 
     Airspeed and its components over the induced velocity of hover, mean square of the rotor speeds over that
     of hover, speed of a rotor's radius at the body rates over the induced velocity, radius over height, and
@@ -48,7 +49,7 @@ def modulators(
 
 @njit(cache=True)
 def shaped(wrench: Wrench, state: State, vehicle: VehicleNumbers, shape: Array) -> Wrench:
-    """The wrench of a law as flights have shaped it, by the values of `definition.SHAPE`."""
+    """The wrench of a law as shaped by the values of `effect_definition.SHAPE`."""
     if not shape.any():
         return wrench
     more = 1.0

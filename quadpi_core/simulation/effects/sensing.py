@@ -23,7 +23,7 @@ _Late = TypeVar("_Late", bound=Stream)
 
 
 def _inverse_scale(p: Array) -> Array:
-    """Of :func:`rotor_speed_scale`: 1 + k is undone by its inverse."""
+    """Parameters of :func:`rotor_speed_scale` that invert the factor 1 + k."""
     return np.array([p[0], -p[1] / (1.0 + p[1])])
 
 

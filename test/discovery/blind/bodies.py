@@ -13,7 +13,7 @@ from blind.geometry import NOTHING, force_at, to_body, to_world
 from quadpi_core.compiled import njit
 from quadpi_core.simulation.rotor_local import aerodynamics
 
-# At which the drag of any exponent is that of the square law.
+# Speed [m/s] at which the drag of any exponent is that of the square law.
 DRAG_SPEED = 7.0
 
 

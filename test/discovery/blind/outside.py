@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forms that no library names, each (state, vehicle, b) -> wrench; memory follows b's parameters."""
+"""Forms that no library names, each (state, vehicle, b) -> wrench; memory follows the parameters in b."""
 
 # Every function of a table takes what all take.
 # ruff: noqa: ARG001

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of rotors, (state, vehicle, b) -> wrench each; b holds parameters, then memory."""
+"""Effects of rotors, each (state, vehicle, b) -> wrench; b holds parameters, then memory."""
 
 from __future__ import annotations
 
