@@ -89,6 +89,19 @@ def test_short_forms(target: str, checkout: Path) -> None:
     assert option in make(target, arguments, folder=checkout)
 
 
+@pytest.mark.parametrize(("target", "marker"), [("test", "not slow"), ("test-slow", "slow")])
+def test_the_two_suites_are_all_tests(target: str, marker: str) -> None:
+    """Those of live nodes included; TEST_ARGS chooses among the tests of the marker."""
+    everything = re.findall(r"pytest (.*)", make("--dry-run", target))
+    assert all(arguments.startswith(f'-m "{marker}" --numprocesses') for arguments in everything)
+    assert [arguments.split()[-2:] for arguments in everything] == [
+        ["--ignore", "test/ros"],
+        ["loadfile", "test/ros"],
+    ]
+    (some,) = re.findall(r"pytest (.*)", make("--dry-run", target, "TEST_ARGS=-k intervals -x"))
+    assert some == f'-m "{marker}" -k intervals -x'
+
+
 def test_bench_takes_a_name(checkout: Path) -> None:
     command = ["make", "bench", "ONLY=nothing"]
     result = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
