@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Stream
-from quadpi_core.messages.adapters import ADAPTERS, Adapter, AdapterSettings
+from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.node_parameters import adapters_of
 from quadpi_ros.parameters import ParameterError
@@ -68,7 +68,7 @@ class AdaptedSources:
                 "the file that says how its messages are read"
             )
         try:
-            subscription = adapted(name, self._settings, self._vehicle)
+            subscription = AdaptedSubscription(name, self._settings, self._vehicle)
         except AdapterError:
             raise
         except QuadpiError as error:
@@ -94,12 +94,22 @@ class AdapterError(QuadpiError):
 class AdaptedSubscription:
     """Message type, topic and decoder for a message of another package.
 
+    Args:
+        name: key of `quadpi_core.messages.adapters.ADAPTERS`.
+        settings: with those of the adapter's kind.
+        vehicle: of the flight.
+
     Attributes:
         message_type: class of the message, for a raw subscription.
         topic: from the settings, else the default topic of the package.
+
+    Raises:
+        AdapterError: if the package of the message is not installed.
+        LogError: for missing settings, or an unsupported version of the package.
     """
 
-    def __init__(self, adapter: Adapter, settings: AdapterSettings, vehicle: Vehicle | None) -> None:
+    def __init__(self, name: str, settings: AdapterSettings, vehicle: Vehicle | None) -> None:
+        adapter = ADAPTERS[name]
         self.message_type = message_class(adapter.type_name)
         self._unpacker = adapter.open(definition_of(self.message_type), settings, vehicle)
         self.topic: str = getattr(settings, adapter.kind).topic or adapter.topic
@@ -117,23 +127,6 @@ class AdaptedSubscription:
             self._dropped = Counter(self._unpacker.dropped)
             raise LogError(", ".join(reasons))
         return stream
-
-
-def adapted(name: str, settings: AdapterSettings, vehicle: Vehicle | None) -> AdaptedSubscription:
-    """The subscription of an adapter.
-
-    Args:
-        name: key of `quadpi_core.messages.adapters.ADAPTERS`.
-        settings: with those of the adapter's kind.
-        vehicle: of the flight.
-
-    Raises:
-        AdapterError: for an unknown name, or if the package of the message is not installed.
-        LogError: for missing settings, or an unsupported version of the package.
-    """
-    if name not in ADAPTERS:
-        raise AdapterError(f"no adapter `{name}`; known: {', '.join(ADAPTERS)}")
-    return AdaptedSubscription(ADAPTERS[name], settings, vehicle)
 
 
 def message_class(type_name: str) -> Any:

@@ -23,7 +23,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.messages.adapters.adapter_settings import RotorSettings
 from quadpi_core.messages.definitions import typestore
-from quadpi_ros.input_sources import AdapterError, adapted, definition_of, message_class
+from quadpi_ros.input_sources import AdaptedSubscription, AdapterError, definition_of, message_class
 
 from ..core.messages.adapters.conftest import DEFINITIONS, Messages
 
@@ -42,13 +42,11 @@ def test_definition_of_an_installed_message_is_that_of_its_package(kind):
         assert fields == typestore().fielddefs[name][1]
 
 
-def test_package_that_is_not_installed_and_adapter_that_is_not_known():
+def test_package_or_message_that_is_not_installed():
     with pytest.raises(AdapterError, match=r"px4_msgs/msg/EscStatus: the package px4_msgs .* not installed"):
-        adapted("px4_status", SETTINGS, None)
+        AdaptedSubscription("px4_status", SETTINGS, None)
     with pytest.raises(AdapterError, match="std_msgs/msg/Nothing"):
         message_class("std_msgs/msg/Nothing")
-    with pytest.raises(AdapterError, match="no adapter `px5`; known: mavros_status"):
-        adapted("px5", SETTINGS, None)
 
 
 @pytest.fixture
@@ -85,7 +83,7 @@ def esc_status(messages, stamp_us, rpm):
 
 
 def test_message_by_message_and_why_one_is_no_sample(messages):
-    subscription = adapted("px4_status", SETTINGS, None)
+    subscription = AdaptedSubscription("px4_status", SETTINGS, None)
     assert subscription.message_type is sys.modules["px4_msgs.msg"].EscStatus
     assert subscription.topic == "fmu/out/esc_status"
     stream = subscription.unpack(esc_status(messages, 1000, [60, 120, 180, 240]))
@@ -95,7 +93,7 @@ def test_message_by_message_and_why_one_is_no_sample(messages):
             subscription.unpack(esc_status(messages, 1000, [60, 120, 180, 240]))
     with pytest.raises(LogError, match=r"^no report of a motor that `rotors` names$"):
         subscription.unpack(esc_status(messages, 3000, [60, 120, 180]))
-    with pytest.raises(LogError, match="sample 0: not little-endian CDR"):
+    with pytest.raises(LogError, match="sample 0: its 4 bytes are no px4_msgs/msg/EscStatus"):
         subscription.unpack(b"\x00\x00\x00\x00")
 
 
