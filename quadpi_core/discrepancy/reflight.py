@@ -32,6 +32,7 @@ from quadpi_core.errors import LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.simulation.flight_plan import FlightPlan
@@ -221,8 +222,7 @@ def coverages(
         lower, upper = model.intervals(flight)
         for when, simulation in (("before", before), ("after", added)):
             left = residual(flight, simulation)
-            covered = (left >= lower - predicted) & (left <= upper - predicted)
-            inside[when] += covered.sum(axis=0)
+            inside[when] += inside_interval(left, lower - predicted, upper - predicted).sum(axis=0)
         samples += len(flight)
     return {
         axis: Coverage(**{when: float(count[index]) / samples for when, count in inside.items()})

@@ -25,6 +25,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import LEVEL_ALARM
@@ -85,7 +86,7 @@ def alarm_of_flight(
     verdicts["velocity"] = np.inf
     rows = alarm.step(Prepared(verdicts, inputs, wrench), evaluation)
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
-    missed[known] = (wrench < evaluation.lower) | (wrench > evaluation.upper)
+    missed[known] = ~inside_interval(wrench, evaluation.lower, evaluation.upper)
     outside = np.zeros(samples, dtype=np.bool_)
     outside[known] = (model.envelope.input_excess(inputs) > model.envelope.near.margin).any(axis=1)
     scores = (rows.input_score, rows.leverage, rows.width, rows.miscoverage)

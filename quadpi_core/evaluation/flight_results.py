@@ -24,6 +24,7 @@ from quadpi_core.evaluation.metrics import by_bin, round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.version import __version__
 
 # Confidences of the calibration curve.
@@ -216,7 +217,7 @@ def _evaluate_axis(
     )
     regime = {name: np.concatenate([flight.regimes[name] for flight in flights]) for name in edges}
     labels = np.repeat(np.arange(len(flights)), [len(flight) for flight in flights])
-    inside = metrics.inside_interval(measured, lower, upper)
+    inside = inside_interval(measured, lower, upper)
     errors = measured - predicted
     std = metrics.implied_std(lower, upper, confidence)
     return AxisMetrics(

@@ -16,18 +16,14 @@ import numpy.typing as npt
 from scipy.stats import norm
 
 from quadpi_core.frames import Array
+from quadpi_core.models.interval_rules import inside_interval
 
 # How steeply CWC punishes coverage below the nominal one; the value of Khosravi et al. (2011).
 CWC_ETA = 50.0
 
 
-def inside_interval(measured: Array, lower: Array, upper: Array) -> npt.NDArray[np.bool_]:
-    """Indicator c (N,): whether y lies in the closed interval [L, U] (van Beers and de Visser, Eq. PICP)."""
-    return (lower <= measured) & (measured <= upper)
-
-
 def picp(measured: Array, lower: Array, upper: Array) -> float:
-    """Prediction interval coverage probability, a fraction: mean of c (van Beers and de Visser, Eq. PICP)."""
+    """Prediction interval coverage probability: share of samples inside (van Beers, de Visser, Eq. PICP)."""
     return float(np.mean(inside_interval(measured, lower, upper)))
 
 

@@ -22,7 +22,7 @@ from quadpi_core.identification.tail_limits import Walk, lasting_maximum, next_f
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
-from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule
+from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule, inside_interval
 from quadpi_core.models.methods import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 
@@ -295,7 +295,7 @@ def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
     if len(flight.inputs) == 0:
         return 0.0
     lower, upper = others
-    return float(np.mean(np.all((flight.inputs >= lower) & (flight.inputs <= upper), axis=1)))
+    return float(np.mean(np.all(inside_interval(flight.inputs, lower, upper), axis=1)))
 
 
 def _worst_distance(inputs: Array, others: tuple[Array, Array]) -> Array:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -32,13 +33,24 @@ WIDTH_HEADROOM = 1.25
 _CONSTANT = 1e-9
 
 
-def excess_of_cosine(outside: Any) -> Any:
-    """Distance outside the range of an angle, from that outside the range of its cosine, each in its scale.
+@njit(cache=True)
+def distance_outside(value: float, lower: float, upper: float, width: float, is_cosine: bool) -> float:
+    """Distance of an input outside its range, in widths of the range; negative inside.
 
-    An angle that goes 1.2 times as far as in training takes its cosine 1.9 times as far. To first order, of a
-    range about level flight; 0 stays 0.
+    Outside, that of a cosine becomes the distance of its angle: an angle that goes 1.2 times as far as in
+    training takes its cosine 1.9 times as far. To first order, for a range about level flight.
     """
-    return 0.5 * (np.sqrt(1.0 + outside) - 1.0)
+    distance = max(lower - value, value - upper) / width
+    if is_cosine and distance > 0.0:
+        distance = 0.5 * (np.sqrt(1.0 + distance) - 1.0)
+    return distance
+
+
+@njit(cache=True)
+def _distances_outside(inputs: Array, lower: Array, upper: Array, width: Array, out: Array) -> None:
+    for i in range(inputs.shape[0]):
+        for k in range(inputs.shape[1]):
+            out[i, k] = distance_outside(inputs[i, k], lower[k], upper[k], width[k], COSINES[k])
 
 
 @dataclass(frozen=True)
@@ -151,13 +163,10 @@ class Envelope:
 
     @classmethod
     def outside(cls, inputs: Array, lower: Array, upper: Array) -> Array:
-        """Distance (N, 19) of inputs (N, 19) outside ranges (19,), (19,) in their extent; negative inside.
-
-        See :func:`excess_of_cosine` for those that are cosines.
-        """
-        distance = np.maximum(lower - inputs, inputs - upper) / cls.extent(lower, upper)
-        beyond = excess_of_cosine(np.maximum(distance, 0.0))
-        return np.where(COSINES & (distance > 0.0), beyond, distance)
+        """Distance (N, 19) of inputs (N, 19) outside ranges (19,), (19,); see :func:`distance_outside`."""
+        distances = np.empty(inputs.shape)
+        _distances_outside(inputs, lower, upper, cls.extent(lower, upper), distances)
+        return distances
 
     def input_excess(self, inputs: Array) -> Array:
         """Distance (N, 19) of inputs (N, 19) outside their training range; 0 inside, see :meth:`outside`."""

@@ -246,9 +246,14 @@ def calibrate(held_out: Sequence[FlightErrors], trained: Sequence[FlightErrors])
     return HeldOutRule(np.stack(factors), len(inside))
 
 
+def inside_interval(values: Any, lower: Any, upper: Any) -> Any:
+    """Whether values lie in the closed intervals [lower, upper]: arrays or, in kernels, single numbers."""
+    return (lower <= values) & (values <= upper)
+
+
 def inside_range(inputs: Array, of: Array) -> npt.NDArray[np.bool_]:
     """Which samples (N,) of inputs (N, D) lie in the range of others (M, D) in every input."""
-    inside: npt.NDArray[np.bool_] = np.all((inputs >= of.min(axis=0)) & (inputs <= of.max(axis=0)), axis=1)
+    inside: npt.NDArray[np.bool_] = np.all(inside_interval(inputs, of.min(axis=0), of.max(axis=0)), axis=1)
     return inside
 
 

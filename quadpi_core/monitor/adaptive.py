@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Intervals that adapt while the wrench is measured, so that the coverage of any flight nears the nominal.
+"""Intervals that adapt to the measured wrench, so that the coverage of any flight approaches the nominal one.
 
 Adaptive conformal inference (Gibbs and Candès 2021) in the form of quantile tracking (Angelopoulos, Candès
 and Tibshirani 2023): the interval of sample t is the model's own, its half width times a factor f_t, and
 
     log f_{t+1} = log f_t + η (m_t − α),      f_1 = 1,      α = 1 − confidence,
 
-where m_t is 1 if sample t missed its interval, else 0. Only the past makes the interval of a sample. The
+where m_t is 1 if sample t missed its interval, else 0. The interval of a sample depends on the past only. The
 logarithm keeps the factor positive and makes a step the same share of it on every axis and vehicle.
 
 **Coverage on any sequence.** The factor follows errors of 1/L to L half widths, L = :data:`LARGEST_CHANGE`:
@@ -18,8 +18,8 @@ while it is above L a sample counts as inside, below 1/L as missed, and the next
 
 for the first T samples. This asks for no distribution, independence or exchangeability: it holds for drift,
 jumps and an opponent who knows the factor. Smaller errors only add coverage; larger ones, a thousand times
-the calibrated interval, are no flight. The equality says what a flight pays: a factor that ends where it
-began, nothing.
+the calibrated interval, occur in no flight. By the equality, a flight whose factor ends where it began has
+exactly the nominal coverage.
 
 **Step.** η = :data:`GAIN_PER_S` / sample rate, 0.01 at 500 Hz, so that the factor moves alike at any rate.
 Errors of real flights stay correlated for 0.03 s (Mz) to 3 s (Fz; integrated autocorrelation time). With
@@ -31,14 +31,13 @@ leave a short flight uncorrected.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.interval_rules import inside_interval
 
 GAIN_PER_S = 5.0
 LARGEST_CHANGE = 1000.0
@@ -93,13 +92,22 @@ class AdaptiveFactor:
         return bounds[0], bounds[1]
 
     def bound(self, samples: int) -> float:
-        """Largest difference between the share of misses and its nominal value after so many samples."""
+        """Largest difference between the share of misses and its nominal value after a number of samples."""
         return float((np.log(LARGEST_CHANGE) + self._step) / (self._step * samples))
+
+
+_inside = njit(cache=True)(inside_interval)
 
 
 @njit(cache=True)
 def adapt(
-    measured: Any, lower: Any, upper: Any, step: float, miss_share: float, log_factor: Any, bounds: Any
+    measured: Array,
+    lower: Array,
+    upper: Array,
+    step: float,
+    miss_share: float,
+    log_factor: Array,
+    bounds: Array,
 ) -> None:
     """Fill `bounds` (2, K, 6) and advance `log_factor` (6,), sample by sample."""
     for i in range(measured.shape[0]):
@@ -111,7 +119,7 @@ def adapt(
             bounds[0, i, axis], bounds[1, i, axis] = low, high
             if not (half > 0.0 and np.isfinite(low + high) and np.isfinite(measured[i, axis])):
                 continue
-            missed = not low <= measured[i, axis] <= high
+            missed = not _inside(measured[i, axis], low, high)
             if factor > LARGEST_CHANGE:
                 missed = False
             elif factor < 1.0 / LARGEST_CHANGE:

@@ -13,7 +13,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES, NO_STAMP
 from quadpi_core.frames import Array
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.envelope import excess_of_cosine
+from quadpi_core.models.envelope import distance_outside
 from quadpi_core.models.methods import Evaluation
 from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
 from quadpi_core.monitor.preparation import Verdict
@@ -128,8 +128,6 @@ class State:
 
 LIMITS, ROW, STATE = record_dtype(Limits), record_dtype(Row), record_dtype(State)
 
-_excess_of_cosine = njit(cache=True)(excess_of_cosine)
-
 
 def forget(states: Records) -> None:
     """Empty the state (1,)."""
@@ -220,9 +218,8 @@ def _judge_extrapolation(
     row = state.row
     worst, beyond, near = 0.0, 0, False
     for k in range(inputs.size):
-        outside = max(limits.lower[k] - inputs[k], inputs[k] - limits.upper[k]) / limits.scale[k]
-        if COSINES[k] and outside > 0.0:
-            outside = _excess_of_cosine(outside)
+        lower, upper, scale = limits.lower[k], limits.upper[k], limits.scale[k]
+        outside = distance_outside(inputs[k], lower, upper, scale, COSINES[k])
         distance = 1.0 + 2.0 * outside
         if distance > limits.near_distance[k]:
             beyond |= 1 << k

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
+from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.methods import Evaluation
 from quadpi_core.paper.validation_case import Samples, ValidationCase
 from quadpi_core.parallel import DEFAULT_WORKERS, Progress, Workers
@@ -157,6 +158,9 @@ def _count(
     _count_kernel(_Bounds(reference.lower, reference.upper), noisy.wrench, said, counted)
 
 
+_inside = njit(cache=True)(inside_interval)
+
+
 @njit(cache=True, nogil=True)
 def _count_kernel(reference: _Bounds, measured: Array, noisy: Evaluation, counted: _Counted) -> None:
     """Add up `counted`, from the interval at the noise-free inputs and the evaluation at the noisy ones."""
@@ -167,9 +171,9 @@ def _count_kernel(reference: _Bounds, measured: Array, noisy: Evaluation, counte
         for axis in range(measured.shape[1]):
             y, predicted = measured[i, axis], noisy.predicted[i, axis]
             low, high = reference.lower[i, axis], reference.upper[i, axis]
-            counted.model[axis] += low <= predicted <= high
-            counted.measurement[axis] += low <= y <= high
-            counted.combined[axis] += noisy.lower[i, axis] <= y <= noisy.upper[i, axis]
+            counted.model[axis] += _inside(predicted, low, high)
+            counted.measurement[axis] += _inside(y, low, high)
+            counted.combined[axis] += _inside(y, noisy.lower[i, axis], noisy.upper[i, axis])
             counted.width[axis] += noisy.upper[i, axis] - noisy.lower[i, axis]
             extremes[axis, LOWEST] = min(extremes[axis, LOWEST], predicted)
             extremes[axis, HIGHEST] = max(extremes[axis, HIGHEST], predicted)
