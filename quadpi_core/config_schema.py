@@ -189,7 +189,7 @@ class OneOf:
     def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
         """See pydantic."""
         words = f"must be one of {', '.join(self._names)}"
-        return _worded(core_schema.literal_schema(list(self._names)), words, known=self._names)
+        return _worded(core_schema.literal_schema(list(self._names)), words, known="\n".join(self._names))
 
 
 def _worded(schema: CoreSchema, words: str, **context: Any) -> CoreSchema:
@@ -231,7 +231,7 @@ def _sentence(problem: ErrorDetails, above: tuple[str, ...]) -> str:
     path = _path(place[:-1])
     key = place[-1] if place else ""
     if key == "[key]":
-        return f"{_path(place[:-2])}unknown key `{found}`{_known(context, found)}"
+        return f"{_path(place[:-2])}{unknown_key(found, context.get('known', '').splitlines())}"
     if kind == "missing" or (found is None and isinstance(key, str) and key and kind != "value_error"):
         return f"{path}missing key `{key}`"
     if kind == "value_error":
@@ -244,13 +244,8 @@ def _sentence(problem: ErrorDetails, above: tuple[str, ...]) -> str:
         return f"{_path(place)}expected keys and values, found {shown}"
     words = _EXPECTED.get(kind, problem["msg"][:1].lower() + problem["msg"][1:])
     name = f"`{key}` " if isinstance(key, str) and key else f"entry {key + 1} " if key != "" else ""
-    suggestion = nearest(str(found), context["known"]) if "known" in context else ""
+    suggestion = nearest(str(found), context["known"].splitlines()) if "known" in context else ""
     return f"{path}{name}{words}, found {shown}{suggestion}"
-
-
-def _known(context: Mapping[str, Any], found: Any) -> str:
-    known = context.get("known", ())
-    return f"; known: {', '.join(known)}{nearest(str(found), known)}" if known else ""
 
 
 def _path(place: tuple[int | str, ...]) -> str:

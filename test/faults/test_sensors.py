@@ -153,7 +153,7 @@ def test_half_reading_rotor_sensor(failing, calm, rotor):
 @pytest.mark.parametrize("size", [200.0, -500.0])
 @pytest.mark.parametrize("rotor", [1, 3])
 def test_spiking_rotor_sensor(failing, calm, rotor, size):
-    flown = failing("spike", "rotor_speeds", AT_S, 0.5, rotors=(rotor,), size=size)
+    flown = failing("spike", "rotor_speeds", AT_S, 0.5, rotors=(rotor,), size_rad_s=size)
     assert flown.words(BAD_DATA) == {f"rotor {rotor} jumps"}
     assert flown.not_ok(BAD_DATA)[0] == pytest.approx(AT_S, abs=0.005)
     assert flown.not_ok(BAD_DATA)[1] < AT_S + 0.5 + 0.3 + CLEARED_S
@@ -161,7 +161,7 @@ def test_spiking_rotor_sensor(failing, calm, rotor, size):
 
 
 def test_rotor_sensor_that_spikes_beyond_what_the_rotor_can(failing, calm):
-    flown = failing("spike", "rotor_speeds", AT_S, 0.5, rotors=(1,), size=5000.0)
+    flown = failing("spike", "rotor_speeds", AT_S, 0.5, rotors=(1,), size_rad_s=5000.0)
     assert flown.words(BAD_DATA) == {"sample not plausible"}
     assert len(np.setdiff1d(calm.predictions.time_ns, flown.predictions.time_ns)) in (25, 50)
     assert deviation(flown, calm, AT_S + 0.7) < CLOSE
