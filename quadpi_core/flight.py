@@ -10,7 +10,7 @@ the vehicle file. Stamps are integer nanoseconds; samples are on the first axis.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
@@ -53,6 +53,13 @@ class Stream:
     def take(self: _SomeStream, rows: slice | npt.NDArray[Any]) -> _SomeStream:
         """The samples in a range, at indices, or that a mask (N,) selects."""
         return type(self)(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    @classmethod
+    def join(cls: type[_SomeStream], parts: Sequence[Stream]) -> _SomeStream:
+        """The stream of consecutive parts of this kind."""
+        return cls(
+            *(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls))
+        )
 
     def require_samples(self, source: str) -> None:
         """Refuse an empty stream.

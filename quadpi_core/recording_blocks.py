@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings in blocks, which follow each other: a long flight then needs no more memory than a short one.
+"""Recordings in consecutive blocks, so that a long flight needs no more memory than a short one.
 
 A block is a :class:`Recording` whose arrivals count from its own first IMU sample. The streams of the flight
 are in each of its blocks, if need be without samples.
@@ -20,7 +20,7 @@ from quadpi_core.flight import Recording, Stream
 # IMU samples in a block that is cut from a whole recording: 8 s at 500 Hz.
 BLOCK_SAMPLES = 4096
 _END_NS = 2**63 - 1
-# A column that is joined of parts has room for this share more, so that it need not grow with each.
+# A column that is joined of parts has spare room of one part in this many, so that it rarely grows.
 _ROOM_SHARE = 16
 
 
@@ -31,30 +31,45 @@ def join_blocks(blocks: Iterable[Recording]) -> Recording:
         ValueError: if there is no block.
     """
     first: Recording | None = None
-    columns: dict[str, list[Column]] = {}
+    joined: dict[str, StreamParts] = {}
     arrivals: dict[str, Column] = {}
-    kinds: dict[str, type[Stream]] = {}
     before = 0
     for block in blocks:
         first = first or block
         for name, stream in streams_by_field(block).items():
-            kinds[name] = type(stream)
-            own = columns.setdefault(name, [Column() for _ in fields(stream)])
-            for column, of in zip(own, fields(stream), strict=True):
-                column.extend(getattr(stream, of.name))
+            joined.setdefault(name, StreamParts(type(stream))).extend(stream)
         for topic, counts in block.arrivals.items():
             arrivals.setdefault(topic, Column()).extend(before + counts)
         before += len(block.imu)
     if first is None:
         raise ValueError("a recording needs a block")
-    streams: dict[str, Any] = {
-        name: kinds[name](*(column.whole() for column in own)) for name, own in columns.items()
-    }
+    streams: dict[str, Any] = {name: parts.whole() for name, parts in joined.items()}
     return replace(first, **streams, arrivals={topic: column.whole() for topic, column in arrivals.items()})
 
 
+class StreamParts:
+    """A stream that is joined of parts in place.
+
+    Args:
+        kind: of the stream.
+    """
+
+    def __init__(self, kind: type[Stream]) -> None:
+        self._kind = kind
+        self._columns = {column.name: Column() for column in fields(kind)}
+
+    def extend(self, part: Stream) -> None:
+        """Append samples."""
+        for name, column in self._columns.items():
+            column.extend(getattr(part, name))
+
+    def whole(self) -> Stream:
+        """All samples; nothing can be appended after this."""
+        return self._kind(*(column.whole() for column in self._columns.values()))
+
+
 class Column:
-    """An array that is joined of parts, in place: what is held is hardly more than the whole."""
+    """An array that is joined of parts in place, with little more memory than the whole needs."""
 
     def __init__(self) -> None:
         self._values: npt.NDArray[Any] | None = None
@@ -66,14 +81,14 @@ class Column:
         if self._values is None:
             self._values = np.array(part, order="C")
         elif count > len(self._values):
-            # The memory grows where it is, as nobody else has seen the array.
+            # The memory can grow in place, as there is no other reference to the array.
             room = count + count // _ROOM_SHARE
             self._values.resize((room, *self._values.shape[1:]), refcheck=False)
         self._values[self._count : count] = part
         self._count = count
 
     def whole(self) -> npt.NDArray[Any]:
-        """All rows; nothing can be appended then."""
+        """All rows; nothing can be appended after this."""
         assert self._values is not None  # there is a column where there is a part
         self._values.resize((self._count, *self._values.shape[1:]), refcheck=False)
         return self._values

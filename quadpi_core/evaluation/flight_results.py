@@ -23,7 +23,7 @@ from quadpi_core.evaluation.evaluation_result import (
 from quadpi_core.evaluation.metrics import by_bin, round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.version import __version__
 
@@ -33,8 +33,6 @@ LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 REGIMES = ("speed_m_s", "rotor_speed_rad_s", "height_m")
 # Methods whose intervals are those of a normal distribution, so that CRPS is defined.
 NORMAL_METHODS = ("polynomial", "bootstrap")
-
-_VELOCITY = [INPUT_INDEX[name] for name in ("u", "v", "w")]
 
 
 class EvaluationError(QuadpiError):
@@ -72,7 +70,7 @@ class FlightResult:
     @property
     def speed(self) -> Array:
         """(N,) m/s relative to the air."""
-        return np.asarray(np.linalg.norm(self.inputs[:, _VELOCITY], axis=1))
+        return np.asarray(np.linalg.norm(self.inputs[:, VELOCITY_INPUTS], axis=1))
 
     @property
     def regimes(self) -> dict[str, Array]:

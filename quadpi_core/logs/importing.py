@@ -23,7 +23,7 @@ from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.consistency import checked
-from quadpi_core.screening.missing import missing
+from quadpi_core.screening.plausibility import missing_topics
 from quadpi_core.screening.survey import Excerpting, Selection, samples_left_out, survey
 from quadpi_core.screening.wild_samples import StreamScreening
 from quadpi_core.vehicle import Vehicle
@@ -120,7 +120,7 @@ def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
     bag = staged(task.staging, f"{recording.name}.mcap")
     write_bag(bag, recording)
     topics = tuple(stream.topic for stream in recording.streams())
-    lacking = tuple(missing(recording))
+    lacking = tuple(missing_topics(recording))
     return Imported(bag, len(recording.imu), topics, alignment, lacking, recording.quality), sha256
 
 
@@ -163,6 +163,6 @@ def _convert_in_blocks(task: _Conversion, log: Path) -> tuple[Imported, str]:
             beyond = {streams[name].topic: list(one.finish()) for name, one in screening.items()}
             recording = checked(replace(excerpt, quality=quality), task.vehicle, beyond)
         imported = Imported(
-            path, len(stamps["imu"]), topics, None, tuple(missing(recording)), recording.quality
+            path, len(stamps["imu"]), topics, None, tuple(missing_topics(recording)), recording.quality
         )
         return imported, running.hexdigest()

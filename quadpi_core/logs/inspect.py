@@ -28,16 +28,16 @@ from quadpi_core.logs.bags import bag_topics
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.consistency import findings as inconsistencies
-from quadpi_core.screening.even_rows import EvenRows
-from quadpi_core.screening.missing import missing
 from quadpi_core.screening.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
     finite_rows,
     implausibilities,
+    missing_topics,
     thrust_coefficient,
 )
 from quadpi_core.screening.survey import Excerpting, Selection, StreamSurvey, samples_left_out, survey
+from quadpi_core.screening.wild_samples import EvenRows
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 GAP_INTERVALS = 5.0
@@ -133,7 +133,7 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
         *_rotor_findings(recording, vehicle, summaries),
         *_inconsistencies(excerpting.without(recording, streams), vehicle, streams, values),
         *_battery_findings(recording),
-        *missing(recording),
+        *missing_topics(recording),
     )
     return Inspection(
         name=recording.name,

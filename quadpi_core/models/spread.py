@@ -16,11 +16,9 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_INDEX
+from quadpi_core.inputs import VELOCITY_INPUTS
 from quadpi_core.models.interval_rules import FlightErrors, flights_peak
 
-# u, v, w of the input vector.
-VELOCITY = [INPUT_INDEX[name] for name in ("u", "v", "w")]
 # Least and most that the variance due to airspeed can be on average, relative to that of a hover.
 _LEAST_GROWTH, _MOST_GROWTH = 1e-6, 1e2
 # Mean squared airspeed, m²/s², below which flights tell nothing of growth with airspeed.
@@ -111,7 +109,7 @@ def fit_shape(flights: Sequence[PlacedErrors], most_inflation: float) -> SpreadS
 
 def squared_speed(inputs: Array) -> Array:
     """Squared airspeed (N,), m²/s², of input vectors (N, 19)."""
-    squared: Array = np.square(inputs[:, VELOCITY]).sum(axis=1)
+    squared: Array = np.square(inputs[:, VELOCITY_INPUTS]).sum(axis=1)
     return squared
 
 

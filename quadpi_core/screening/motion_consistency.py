@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Do IMU and state tell of one motion? If not, which mistake in frames, axes, units or clocks explains it.
+"""Whether IMU and state agree on the motion; if not, which mistake in frames, axes, units or clocks it is.
 
-Two innovations, those of a filter without its tuning: what the attitude turned by against the integral of the
-gyro, and the acceleration of the position against the specific force turned into the world. A mistake is a
-hypothesis: a change of the excerpt that undoes it. The one that brings the innovations down most is named,
-if it does so by a margin.
+Two innovations are compared, as in a filter but without its tuning: the change of the attitude with the
+integral of the gyro, and the acceleration of the position with the specific force in the world. Each known
+mistake is a hypothesis: a change of the excerpt that reverses it. The hypothesis that lowers the innovations
+most is named, if it does so by a margin.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from quadpi_core.rotations import (
 from quadpi_core.screening.excerpt import Excerpt
 from quadpi_core.units import STANDARD_GRAVITY
 
-# Over the first the gyro is integrated; over twice the second the position is differentiated twice.
+# The gyro is integrated over TURN_S; the position is differentiated twice over 2 FALL_S.
 TURN_S, FALL_S = 0.1, 0.2
-# The innovations are set against these: what sensors of sound flights differ by.
+# Innovations of flights without mistakes, the unit of the cost.
 TURN_RAD_S, FALL_M_S2 = 0.1, 0.3
 _SHARE_OF_MOTION = 0.1
-# The largest ones are left out: crashes, and state estimates that jump.
+# The largest innovations are left out: crashes, and state estimates that jump.
 _KEPT_SHARE = 0.9
-# Factors of units and clocks that are tried: a thousandth to a thousand, then in between.
+# Factors of units and clocks that are tried: from 1/1000 to 1000, then around the best.
 _FACTORS = np.geomspace(1e-3, 1e3, 121)
 _FINE_FACTORS = np.geomspace(0.93, 1.07, 29)
 # The cost at the best factor over that of a state that does not move: a true factor of
 # the bundled flights leaves at most 0.1, positions with 0.3 m of noise leave 0.68 and more.
 _WORTH_SHARE = 0.5
-# Beyond, nothing that flies is left in windows of this length; such stamps are refused elsewhere.
+# A larger factor leaves no flight dynamics in windows of this length; such stamps are refused elsewhere.
 _LARGEST_CLOCK_FACTOR = 3.0
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([1.0, -1.0, -1.0])
@@ -53,14 +53,14 @@ _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 @dataclass(frozen=True)
 class Innovation:
-    """M innovations of both kinds, before their differences are taken.
+    """M innovations of both kinds, as measured and expected values.
 
     Attributes:
-        turned: (M, 3) rad/s, by the gyro, body axes.
-        turned_attitude: (M, 3) rad/s, by the attitude.
+        turned: (M, 3) rad/s, turn rate of the gyro, body axes.
+        turned_attitude: (M, 3) rad/s, turn rate of the attitude.
         force: (M, 3) m/s², specific force in the world, weighted over 2 FALL_S.
         needed: (M, 3) m/s², the acceleration of the position over the same, less gravity.
-        attitude: (M, 4) in the middle.
+        attitude: (M, 4) in the middle of each.
     """
 
     turned: Array
@@ -71,31 +71,31 @@ class Innovation:
 
     @property
     def turn_rad_s(self) -> float:
-        """Of the attitude against the gyro."""
+        """Size of the innovation of the attitude."""
         return _size(self.turned - self.turned_attitude)
 
     @property
     def fall_m_s2(self) -> float:
-        """Of the position against the specific force."""
+        """Size of the innovation of the acceleration."""
         return _size(self.force - self.needed)
 
     @property
     def motion(self) -> tuple[float, float]:
-        """How fast the gyro turns, and how much the specific force varies."""
+        """Sizes of the turn rate of the gyro and of the variation of the specific force."""
         return _size(self.turned), _size(self.force - np.mean(self.force, axis=0))
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A mistake, and what undoes it.
+    """A possible mistake, and the change of the data that reverses it.
 
     Attributes:
         name: short, for programs.
-        undo: gives the excerpt as it would be without the mistake.
-        looks: what the data look like, in words.
-        remedy: what to change.
-        gyro: (3, 3) what it does to the rates of the IMU, if the mistake may be the IMU's.
-        angle_deg, scale: how large the mistake is, where the data tell.
+        undo: gives the excerpt without the mistake.
+        looks: description of the data.
+        remedy: change that the user can make.
+        gyro: (3, 3) its effect on the rates of the IMU, if the mistake may be the IMU's.
+        angle_deg, scale: size of the mistake, where it is estimated.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Hypothesis:
 
 
 def innovation(sample: Excerpt) -> Innovation:
-    """The innovations of an excerpt, about twenty a second."""
+    """The innovations of an excerpt, about twenty per second."""
     cells = sample.rates.shape[1]
     span, half = round(TURN_S / sample.step_s), round(FALL_S / sample.step_s)
     stride = max(1, span // 2)
@@ -127,7 +127,7 @@ def innovation(sample: Excerpt) -> Innovation:
         sample.force.shape
     )
     at = np.arange(half, cells + 1 - half, stride)
-    # The second difference of a position weighs accelerations by a triangle.
+    # The second difference of a position weights accelerations by a triangle.
     weights = (1.0 - np.abs(np.arange(-half, half) + 0.5) / half) / half
     windows = np.lib.stride_tricks.sliding_window_view(in_world, 2 * half, axis=1)[:, at - half]
     position = sample.position
@@ -143,14 +143,14 @@ def innovation(sample: Excerpt) -> Innovation:
 
 
 def cost(found: Innovation, motion: tuple[float, float]) -> float:
-    """How far the innovations are beyond those of sound flights, squared; `motion` of the data as read."""
+    """Squared innovations in units of those without mistakes; `motion` is that of the data as read."""
     turn = found.turn_rad_s / (TURN_RAD_S + _SHARE_OF_MOTION * motion[0])
     fall = found.fall_m_s2 / (FALL_M_S2 + _SHARE_OF_MOTION * motion[1])
     return turn**2 + fall**2
 
 
 def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
-    """Every mistake that is known, simple ones first; `found` are the innovations as the data are."""
+    """All known mistakes, simple ones first; `found` are the innovations of the data as read."""
     topic = sample.topic
     yield Hypothesis(
         "attitude conjugated",
@@ -239,7 +239,7 @@ def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
 
 
 def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
-    """Mistakes of a size that the data tell."""
+    """Mistakes whose size is estimated from the data."""
     topic = sample.topic
     body = _body_rotation(found)
     angle = np.degrees(_logarithm_of(body))
@@ -316,7 +316,7 @@ def _best_scale(found: Innovation, scales: Callable[[float], tuple[float, float]
 
     coarse = min(_FACTORS, key=cost_of)
     best = float(min(coarse * _FINE_FACTORS, key=cost_of))
-    # Noise shrinks to any size that is small enough; only true motion is worth more than none.
+    # The smallest factor makes any noise vanish: a factor counts only if it is much better than no motion.
     return best if cost_of(best) < _WORTH_SHARE * cost_of(0.0) else 1.0
 
 

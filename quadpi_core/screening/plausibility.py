@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the numbers of a recording can be what they are said to be: units, axes, rotor speeds.
+"""Which topics a recording lacks, and whether its units and axes can be right.
 
-Every test works on recordings that are not checked: samples that are not finite are left out.
+The tests accept unchecked recordings: samples that are not finite are skipped.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
+from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.units import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
@@ -30,11 +31,31 @@ _SPECIFIC_FORCE_G = (0.4, 2.5)
 _ATTITUDE_STEP_S = 0.05
 _TURNING_RAD_S = 0.3
 _LARGEST_RATIO = 10.0
-# Short steps of an attitude that is noisy seem to turn at a multiple of the true rate.
+# Noise makes an attitude seem to turn at a multiple of the true rate over short steps.
 _LARGEST_RATIO_OF_ATTITUDE = 30.0
-# Over this time no vehicle gains so much speed that its mean specific force is far from gravity's.
+# Over this time the mean acceleration of any vehicle is small beside gravity.
 _LONG_S = 5.0
 _MEAN_UP_G = (0.5, 1.5)
+# Samples further apart no longer show the dynamics of rotors and airframe.
+_SLOWEST_IMU_HZ = 50.0
+# A nominal rate may be measured lower by this factor.
+_RATE_MARGIN = 0.9
+
+
+def missing_topics(recording: Recording) -> Iterator[str]:
+    """One sentence for each absent topic, or too slow IMU, with the uses that it rules out."""
+    if recording.rotor_speeds is None:
+        yield "no rotor speeds: rules out identification, prediction and replay"
+    mocap = recording.pose or recording.twist
+    if mocap is None and recording.odometry is None:
+        yield "neither pose nor odometry: rules out everything that needs velocity or attitude"
+    elif mocap is None:
+        yield "no motion-capture pose: the state is the logged odometry; rules out the live estimator"
+    if len(recording.imu) > 1:
+        with np.errstate(divide="ignore"):  # stamps that all repeat are reported elsewhere
+            rate_hz = nominal_rate(recording.imu.time_ns)
+        if rate_hz < _RATE_MARGIN * _SLOWEST_IMU_HZ:
+            yield f"imu at {rate_hz:.3g} Hz: rules out identification, prediction and replay: too slow"
 
 
 def check_plausible(
@@ -52,12 +73,12 @@ def check_plausible(
 def implausibilities(
     recording: Recording, vehicle: Vehicle | None, beyond: Mapping[str, Sequence[Beyond]] | None = None
 ) -> Iterator[str]:
-    """What cannot be right, in plain words, the topic first.
+    """Sentences that say which units or axes cannot be right; each begins with the topic.
 
     Args:
-        recording: all of the flight, or parts spread over it.
+        recording: the whole flight, or parts spread over it.
         vehicle: that flew; without one its limits are not tested.
-        beyond: by topic, what is beyond limits in all of the flight; of the recording unless given.
+        beyond: by topic, the samples beyond limits in the whole flight; by default, in the recording.
     """
     if beyond is None:
         beyond = {stream.topic: list(beyond_limits(stream, vehicle)) for stream in recording.streams()}
@@ -77,15 +98,10 @@ def finite_rows(*signals: Array) -> npt.NDArray[np.bool_]:
     return finite
 
 
-def share(flags: npt.NDArray[np.bool_]) -> float:
-    """Share of samples (N,) that are set; zero where there are none."""
-    return float(np.count_nonzero(flags) / max(len(flags), 1))
-
-
 def thrust_coefficient(recording: Recording, vehicle: Vehicle) -> float | None:
-    """C_T = thrust / (ρ π R⁴ Σω²), thrust from the accelerometer, while the rotors turn fast; None without.
+    """Thrust coefficient C_T = thrust / (ρ π R⁴ Σω²) while the rotors turn fast; None without rotor speeds.
 
-    Hover of a real rotor gives about 0.01 to 0.04.
+    The thrust is mass times specific force. Real rotors have about 0.01 to 0.04 in hover.
     """
     imu, rotors = recording.imu, recording.rotor_speeds
     if rotors is None:
@@ -141,7 +157,7 @@ def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStr
 
 
 def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tuple[float, float, float]:
-    """Median turn rate [rad/s] over short steps: by the gyro, by the attitude, by that less its noise."""
+    """Median turn rates [rad/s] over short steps: of gyro, attitude, and attitude without noise."""
     known = finite_rows(imu.angular_velocity) & np.r_[True, np.diff(imu.time_ns) > 0]
     seen = finite_rows(stream.attitude) & np.r_[True, np.diff(stream.time_ns) > 0]
     if known.sum() < 2 or seen.sum() < 2:
@@ -155,7 +171,7 @@ def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tupl
     turned = np.diff(np.stack([np.interp(clock[short], time, column) for column in angle.T], axis=1), axis=0)
     by_gyro = _median(np.linalg.norm(turned, axis=1) / np.diff(clock[short]))
     by_short, by_long = (_median(_turned(attitude[s]) / np.diff(clock[s])) for s in (short, long))
-    # Over twice the step, noise turns half as fast and the vehicle as fast as before.
+    # Over twice the step, noise contributes half the rate, and the motion the same.
     return by_gyro, by_short, math.sqrt(max(4.0 * by_long**2 - by_short**2, 0.0) / 3.0)
 
 
@@ -167,12 +183,12 @@ def _turned(attitude: Array) -> Array:
 
 
 def _median(values: Array) -> float:
-    """0 of none."""
+    """The median; zero of no values."""
     return float(np.median(values)) if len(values) else 0.0
 
 
 def _up(recording: Recording) -> Iterator[str]:
-    """Turned into the world and averaged, specific force is minus gravity: it must point up."""
+    """The mean specific force in the world must be about minus gravity: it must point up."""
     imu = recording.imu
     known = finite_rows(imu.specific_force)
     if not np.any(known):
@@ -196,7 +212,7 @@ def _up(recording: Recording) -> Iterator[str]:
 
 
 def _units(beyond: Mapping[str, Sequence[Beyond]]) -> Iterator[str]:
-    """Topics with more samples beyond their limits than could be left out as outliers."""
+    """Topics with more samples beyond a limit than outliers can explain."""
     for topic, all_found in beyond.items():
         for found in all_found:
             if found.unit is not None and found.share > found.most:

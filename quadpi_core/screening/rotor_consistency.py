@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Do rotor speeds, the motion and the vehicle's numbers agree? Order, spins, lag, mass and inertia.
+"""Whether rotor speeds, motion and vehicle file agree on rotor order, spins, lag, mass and inertia.
 
-Thrust and torque of a rotor go with its speed squared. So angular acceleration over the squares tells the
-place and spin of each rotor, whatever its coefficients, and how large inertia is beside mass times arm.
+Thrust and torque of a rotor are proportional to its speed squared. So the regression of the angular
+acceleration on the squares shows the place and spin of each rotor, for any coefficients, and the ratio of
+inertia to mass times arm.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from quadpi_core.frames import Array
 from quadpi_core.screening.excerpt import RotorExcerpt
 from quadpi_core.vehicle import ROTORS, Vehicle
 
-# Angular acceleration and squares are compared between these: below, aerodynamics act; above, noise.
+# Periods of the band in which angular acceleration and squares are compared: aerodynamic damping dominates
+# below it, noise above it.
 _SLOW_S, _FAST_S = 0.25, 0.05
-# Lags of rotor speeds that are tried.
+# Largest lag of the rotor speeds that is tried.
 _LAGS_S = 0.3
 # Windows in which the rotors' mean square is below this share of the fastest window's are on the ground.
 _CARRYING_SHARE = 0.4
@@ -27,22 +29,20 @@ _CARRYING_SHARE = 0.4
 
 @dataclass(frozen=True)
 class RotorEvidence:
-    """What rotor speeds tell of a vehicle.
+    """Agreement of rotor speeds with the motion of a vehicle.
 
     Attributes:
-        lag_s: by which the rotor speeds come late.
+        lag_s: delay of the rotor speeds.
         explained: share of the angular acceleration about roll and pitch, and of the thrust, that the squares
             explain together at that lag, 0 to 1.
         explained_now: the same without a lag.
-        correlation: (3,) of roll, pitch and yaw acceleration with what the vehicle's places and spins make of
-            the squares.
+        correlation: (3,) of the roll, pitch and yaw accelerations with the moments that the vehicle's rotor
+            places and spins give.
         ratio: (2,) inertia times acceleration over arm times thrust, about roll and pitch; near 1.
-        torque_ratio_m: yaw moment over thrust.
-        order: rotor columns that fit the vehicle's rotors best, (0, 1, 2, 3) as they are.
-        spins_inverted: whether spins fit best that way.
-        order_correlation: (3,) for these.
+        order: rotor columns that fit the vehicle's rotors best; (0, 1, 2, 3) if none is swapped.
+        spins_inverted: whether inverted spins fit best.
+        order_correlation: (3,) correlation with this order and these spins.
         mean_squares: (4,) of each rotor, over the flight.
-        samples: that were compared.
     """
 
     lag_s: float
@@ -50,16 +50,14 @@ class RotorEvidence:
     explained_now: float
     correlation: Array
     ratio: Array
-    torque_ratio_m: float
     order: tuple[int, ...]
     spins_inverted: bool
     order_correlation: Array
     mean_squares: Array
-    samples: int
 
 
 def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | None:
-    """What an excerpt tells; None if the rotors never turn."""
+    """Compare rotor speeds and motion of an excerpt; None if the rotors never turn."""
     cells, step = sample.rates.shape[1], sample.step_s
     inside = slice(sample.margin, sample.margin + cells)
     level = sample.squares[:, inside].sum(axis=2).mean(axis=1)
@@ -69,11 +67,11 @@ def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | No
     rates, force, squares = sample.rates[flying], sample.force[flying], sample.squares[flying]
     acceleration = np.zeros_like(rates)
     acceleration[:, 1:-1] = (rates[:, 2:] - rates[:, :-2]) / (2.0 * step)
-    # The first and last have no neighbour.
+    # The first and the last cell have no central difference.
     moving = _band(acceleration[:, 1:-1], step)
     lifting = _band(-force[:, 1:-1, 2:], step)
     turning = _band(rates[:, 1:-1], step).reshape(-1, 3)
-    damped = _Without(turning)
+    damped = _Projection(turning)
     moving, lifting = damped(moving.reshape(-1, 3)), lifting.reshape(-1, 1)
     signals = np.concatenate((moving[:, :2], lifting), axis=1)
     lags = range(-round(_LAGS_S / step), round(_LAGS_S / step) + 1)
@@ -94,12 +92,10 @@ def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | No
         explained_now=explained[len(lags) // 2],
         correlation=correlation,
         ratio=gain[:2] * inertia[:2] / thrust,
-        torque_ratio_m=float(gain[2] * inertia[2] / thrust),
         order=order,
         spins_inverted=inverted,
         order_correlation=ordered,
         mean_squares=now.reshape(-1, ROTORS).mean(axis=0),
-        samples=len(moving),
     )
 
 
@@ -139,8 +135,8 @@ def _shifted(squares: Array, first: int, cells: int, step: float) -> Array:
     return _band(mean, step).reshape(-1, ROTORS)
 
 
-class _Without:
-    """Takes out of signals (N, C) what other ones (N, D) explain: damping goes with the rates."""
+class _Projection:
+    """Removes from signals (N, C) their projection on others (N, D): damping is proportional to the rates."""
 
     def __init__(self, others: Array) -> None:
         self._basis, _ = np.linalg.qr(others)
@@ -150,7 +146,7 @@ class _Without:
 
 
 def _band(values: Array, step: float) -> Array:
-    """Values (W, K, C) between the two time scales; as many cells less as the slow one takes."""
+    """Band-pass of values (W, K, C) between the two periods; shorter by the slow one."""
     slow, fast = (2 * round(0.5 * length / step) + 1 for length in (_SLOW_S, _FAST_S))
     edge = (slow - fast) // 2
     return np.asarray(_mean(values, fast)[:, edge:-edge] - _mean(values, slow))

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A first pass over a flight that comes in blocks: stamps, samples to leave out, and which parts are typical.
+"""A first pass over a flight that comes in blocks finds stamps and outliers; a second one takes an excerpt.
 
-What judges a flight as a whole then takes an excerpt of it in a second pass: all of a flight of up to
-FEW_SAMPLES samples of a topic; of a longer one parts spread over it, with those that the consistency check
-looks at among them.
+The excerpt stands for the flight in the checks of the flight as a whole. It is all of a flight with up to
+FEW_SAMPLES samples per topic; of a longer one, parts spread over it that include those of the consistency
+check.
 """
 
 from __future__ import annotations
@@ -19,9 +19,14 @@ import numpy.typing as npt
 from quadpi_core.findings import LeftOut
 from quadpi_core.flight import STREAM_KINDS, Recording, Stamps
 from quadpi_core.recording_blocks import Column, join_blocks, streams_by_field
-from quadpi_core.screening.even_rows import FEW_SAMPLES
 from quadpi_core.screening.excerpt import needed_spans
-from quadpi_core.screening.wild_samples import Beyond, StreamScreening, left_out, usable_samples
+from quadpi_core.screening.wild_samples import (
+    FEW_SAMPLES,
+    Beyond,
+    StreamScreening,
+    left_out,
+    usable_samples,
+)
 from quadpi_core.vehicle import Vehicle
 
 # Parts of a long flight; together they have FEW_SAMPLES samples of its fastest topic.
@@ -30,13 +35,13 @@ PARTS = 64
 
 @dataclass(frozen=True)
 class StreamSurvey:
-    """What there is of one topic.
+    """Stamps and outliers of one topic.
 
     Attributes:
         topic: its name.
         time_ns: (N,) stamps.
-        found: what is beyond limits.
-        usable: (N,) samples that are not left out; None if that is all.
+        found: samples beyond limits.
+        usable: (N,) mask of the samples that are not left out; None if none is.
     """
 
     topic: str
@@ -51,7 +56,7 @@ class StreamSurvey:
 
 
 def survey(blocks: Iterable[Recording], vehicle: Vehicle | None) -> dict[str, StreamSurvey]:
-    """What there is of each stream of a flight, by the fields of a recording, in their order.
+    """Survey each stream of a flight, by its field of the recording.
 
     Args:
         blocks: of the flight.
@@ -75,16 +80,16 @@ def survey(blocks: Iterable[Recording], vehicle: Vehicle | None) -> dict[str, St
 
 
 def samples_left_out(surveys: Mapping[str, StreamSurvey]) -> Iterator[LeftOut]:
-    """What is to be said of the samples that are left out."""
+    """A note for each kind of outlier that is left out."""
     for stream in surveys.values():
         yield from left_out(stream.topic, stream.found, stream.time_ns, surveys["imu"].time_ns)
 
 
 class Selection:
-    """Takes some samples of a flight out of its blocks.
+    """Selects samples of a flight from its blocks.
 
     Args:
-        rows: which ones (N,) of each stream, by its field; None for all.
+        rows: mask (N,) of each stream, by its field; None for all.
     """
 
     def __init__(self, rows: Mapping[str, npt.NDArray[np.bool_] | None]) -> None:
@@ -92,7 +97,7 @@ class Selection:
         self._before = dict.fromkeys(rows, 0)
 
     def of(self, block: Recording) -> Recording:
-        """Those of the block that comes next; nothing is known of arrivals then."""
+        """The selected samples of the next block, without arrivals."""
         taken: dict[str, Any] = {}
         for name, stream in streams_by_field(block).items():
             rows, before = self._rows[name], self._before[name]
@@ -102,12 +107,12 @@ class Selection:
 
 
 def excerpt_rows(stamps: Mapping[str, Stamps]) -> dict[str, npt.NDArray[np.bool_] | None]:
-    """Which samples (N,) of each stream judge the flight as a whole; None for all."""
+    """Mask (N,) of the samples of each stream in the excerpt; None for all."""
     most = max(map(len, stamps.values()))
     if most <= FEW_SAMPLES or len(stamps["imu"]) == 0:
         return dict.fromkeys(stamps)
     first, last = int(stamps["imu"][0]), int(stamps["imu"][-1])
-    # Stamps that are not checked may run backward.
+    # Unchecked stamps may run backward.
     length = max(0, int((last - first) * (FEW_SAMPLES / most) / PARTS))
     starts = np.linspace(first, last - length, PARTS).astype(np.int64).tolist()
     spans = sorted([*((start, start + length) for start in starts), *needed_spans(stamps)])
@@ -120,14 +125,14 @@ def excerpt_rows(stamps: Mapping[str, Stamps]) -> dict[str, npt.NDArray[np.bool_
     rows: dict[str, npt.NDArray[np.bool_] | None] = {}
     for name, time_ns in stamps.items():
         own = np.searchsorted(np.array(edges), time_ns, side="right") % 2 == 1
-        # From where to where a stream reaches is to be seen.
+        # The ends of each stream show which time it covers.
         own[:1] = own[-1:] = True
         rows[name] = own
     return rows
 
 
 class Excerpting:
-    """Collects the excerpt of a flight, while its blocks come.
+    """Collects the excerpt of a flight from its blocks.
 
     Args:
         stamps: (N,) of each stream of the flight, by its field.
@@ -139,11 +144,11 @@ class Excerpting:
         self._parts: list[Recording] = []
 
     def add(self, block: Recording) -> None:
-        """Take what belongs to the excerpt of the block that comes next."""
+        """Take the excerpt's part of the next block."""
         self._parts.append(self._selection.of(block))
 
     def finish(self) -> Recording:
-        """The excerpt; nothing is known of arrivals.
+        """The excerpt, without arrivals.
 
         Raises:
             ValueError: if there was no block.
@@ -151,7 +156,7 @@ class Excerpting:
         return join_blocks(self._parts)
 
     def without(self, excerpt: Recording, surveys: Mapping[str, StreamSurvey]) -> Recording:
-        """The excerpt without the samples that are to be left out."""
+        """The excerpt without outliers."""
         usable = {}
         for name, stream in surveys.items():
             rows = self._rows[name]

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that cannot be those of a flight are left out of a recording.
+"""Outliers of a recording: samples beyond the limits of a flight, and spikes, which are left out.
 
-These are what the live path leaves out too, by the same limits, and besides spikes within the limits: one or
-two samples far from those before and after them. The live path cannot know what comes after.
+The limits are those of the live path. Spikes are one or two samples within the limits but far from those
+before and after them; the live path cannot detect them, as it does not know what comes after.
 """
 
 from __future__ import annotations
@@ -37,16 +37,15 @@ from quadpi_core.sample_limits import (
     RATE_MAX_RAD_S,
     SPECIFIC_FORCE_MAX_M_S2,
 )
-from quadpi_core.screening.even_rows import EvenRows
 from quadpi_core.vehicle import Vehicle
 
-# More of a topic than this share is no outlier but a wrong unit, which is refused and not left out.
+# If a larger share of a topic is beyond a limit, its unit is wrong: it is refused, nothing is left out.
 OUTLIER_SHARE = 0.01
 # Up to this share of a topic is left out as spikes: no unit makes single samples stand out.
 SPIKE_SHARE = 0.1
-# A spike is as far from the median of five samples as no vehicle gets in two, and as noise does not get
-# either: this many times what 80 % of the samples stay within. Of the flights that were tried the farthest
-# were at 2 rad/s, 17 m/s² and 11 % of the largest rotor speed in the air, and more in crashes.
+# A spike is farther from the median of five samples than a vehicle moves in two of them, and farther than
+# noise: this many times the distance that 80 % of the samples stay within. The largest distances in the air,
+# in the flights examined, were 2 rad/s, 17 m/s² and 11 % of the largest rotor speed; crashes have more.
 _SPIKE_NEIGHBOURS = 5
 _SPIKE_RATE_RAD_S, _SPIKE_FORCE_M_S2 = 5.0, 20.0
 _SPIKE_POSITION_M, _SPIKE_VELOCITY_M_S = 0.5, 5.0
@@ -54,15 +53,50 @@ _SPIKE_ROTOR_SHARE = 0.2
 _SPIKE_NOISES, _SPIKE_NOISE_PERCENTILE = 20.0, 80.0
 
 
+# Samples up to which a flight is judged by all of them: nearly 9 minutes at 500 Hz.
+FEW_SAMPLES = 1 << 18
+
+
+class EvenRows:
+    """Rows evenly spread over all that came, for the quantiles of a long flight in bounded memory.
+
+    Keeps all rows up to FEW_SAMPLES of them, then every second, every fourth and so on. Which are kept does
+    not depend on the parts that they come in.
+    """
+
+    def __init__(self) -> None:
+        self._parts: list[Array] = []
+        self._stride = 1
+        self._count = 0
+
+    def add(self, rows: Array) -> None:
+        """Append rows (N, C), or numbers (N,)."""
+        self._parts.append(rows[-self._count % self._stride :: self._stride].copy())
+        self._count += len(rows)
+        while self._count > FEW_SAMPLES * self._stride:
+            self._parts = [self.rows()[::2].copy()]
+            self._stride *= 2
+
+    def rows(self) -> Array:
+        """The rows that were kept.
+
+        Raises:
+            ValueError: if nothing was added.
+        """
+        if len(self._parts) != 1:
+            self._parts = [np.concatenate(self._parts)]
+        return self._parts[0]
+
+
 class Beyond(NamedTuple):
     """Samples of a topic that are finite and beyond a limit.
 
     Attributes:
-        samples: (N,) indices, rising.
-        of: how many samples the topic has.
-        limit: in words.
-        unit: what the numbers look like where there are too many to be left out; None if they then stay.
-        most: share up to which they are left out.
+        samples: (N,) increasing indices.
+        of: number of samples of the topic.
+        limit: description of the limit, for messages.
+        unit: what the numbers look like if there are too many outliers; None if they are then kept.
+        most: largest share of the topic that is left out.
     """
 
     samples: npt.NDArray[np.int64]
@@ -73,22 +107,22 @@ class Beyond(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of all samples; zero where there are none."""
+        """Share of all samples of the topic."""
         return len(self.samples) / max(self.of, 1)
 
     @property
     def first(self) -> int:
-        """Index of the first one, where there is one."""
+        """Index of the first such sample; there must be one."""
         return int(self.samples[0])
 
     @property
     def is_left_out(self) -> bool:
-        """Whether they are some, and few enough to be left out."""
+        """Whether there are any, and few enough to be left out."""
         return 0.0 < self.share <= self.most
 
 
 class StreamScreening:
-    """Holds a topic against its limits while its samples come in parts.
+    """Compares the samples of a topic, which come in parts, with its limits.
 
     Args:
         kind: of the stream.
@@ -99,22 +133,22 @@ class StreamScreening:
         self._judges = list(_judges(kind, vehicle))
 
     def add(self, stream: Stream) -> None:
-        """Look at the samples that come next."""
+        """Examine the next samples."""
         for judge in self._judges:
             judge.add(stream)
 
     def finish(self) -> Iterator[Beyond]:
-        """What is beyond each limit, of all samples; none can be added then."""
+        """The samples beyond each limit; no more can be added after this."""
         for judge in self._judges:
             yield from judge.finish()
 
 
 def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
-    """The recording without the samples beyond the limits; its `quality` says how many there were, and where.
+    """The recording without outliers; its `quality` says how many were left out, and where.
 
-    Values that are not finite stay, as no sensor sends them: :meth:`Recording.check` refuses them. So does a
-    topic of which too much is beyond a limit to be outliers: its unit is wrong, which
-    :func:`quadpi_core.screening.plausibility.check_plausible` says.
+    Values that are not finite are kept, as no sensor sends them: :meth:`Recording.check` refuses them. Topics
+    with too many samples beyond a limit are kept whole: their unit is wrong, which
+    :func:`quadpi_core.screening.plausibility.check_plausible` reports.
 
     Args:
         recording: as read.
@@ -142,14 +176,14 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
 
 
 def beyond_limits(stream: Stream, vehicle: Vehicle | None) -> Iterator[Beyond]:
-    """Hold a topic against its limits; without a vehicle rotor speeds have none."""
+    """The samples of a topic beyond each of its limits; without a vehicle rotor speeds have none."""
     screening = StreamScreening(type(stream), vehicle)
     screening.add(stream)
     yield from screening.finish()
 
 
 def usable_samples(found: Iterable[Beyond]) -> npt.NDArray[np.bool_] | None:
-    """Samples (N,) of a topic that are not left out; None where all are."""
+    """Mask (N,) of the samples of a topic that are not left out; None if none is."""
     outliers = [beyond for beyond in found if beyond.is_left_out]
     if not outliers:
         return None
@@ -160,13 +194,13 @@ def usable_samples(found: Iterable[Beyond]) -> npt.NDArray[np.bool_] | None:
 
 
 def left_out(topic: str, found: Iterable[Beyond], time_ns: Stamps, imu_ns: Stamps) -> Iterator[LeftOut]:
-    """What is to be said of the samples of a topic that are left out.
+    """A note for each kind of outlier that is left out of a topic.
 
     Args:
         topic: its name.
-        found: in it.
+        found: its outliers.
         time_ns: (N,) its stamps.
-        imu_ns: (M,) those of the IMU, of which the first is where times count from.
+        imu_ns: (M,) stamps of the IMU; times count from the first.
     """
     start_ns = int(imu_ns[0]) if len(imu_ns) else 0
     for beyond in found:
@@ -176,7 +210,7 @@ def left_out(topic: str, found: Iterable[Beyond], time_ns: Stamps, imu_ns: Stamp
 
 
 class _Limit(NamedTuple):
-    """Of a quantity: its largest value, the least spike, and how both are called."""
+    """Limits of a quantity: its largest value, the smallest spike, and the words for both."""
 
     quantity: str
     largest: float
@@ -235,7 +269,7 @@ def _judges(kind: type[Stream], vehicle: Vehicle | None) -> Iterator[_OfQuantity
 
 
 class _Negative:
-    """Finds samples of which a finite value of a column is below zero."""
+    """Finds samples with a negative value in a column."""
 
     def __init__(self, column: str) -> None:
         self._column = column
@@ -252,7 +286,7 @@ class _Negative:
 
 
 class _OfQuantity:
-    """Finds samples of a column beyond a limit, then spikes that are not."""
+    """Finds samples of a column beyond a limit, and spikes within it."""
 
     def __init__(self, column: str, limit: _Limit) -> None:
         self._column, self._limit = column, limit
@@ -262,7 +296,7 @@ class _OfQuantity:
     def add(self, stream: Stream) -> None:
         values = getattr(stream, self._column)
         largest = np.abs(values).max(axis=1)
-        # The largest of some numbers and NaN is NaN, which is neither.
+        # The maximum of numbers and NaN is NaN, for which both comparisons are false.
         self._beyond.add((largest > self._limit.largest) & (largest < np.inf))
         self._spikes.add(values)
 
@@ -277,24 +311,24 @@ class _OfQuantity:
 
 
 class _Spikes:
-    """Finds samples far from the median of those around them, which come in parts.
+    """Finds samples far from the median of their neighbours; they come in parts.
 
     Args:
-        least: a spike is at least as far from it.
+        least: smallest distance of a spike from that median.
     """
 
     def __init__(self, least: float) -> None:
         self._least = least
         self._count = 0
         self._noise = EvenRows()
-        # Samples that are spikes unless the noise is large: which ones, and how far they are off.
+        # Candidates, which are spikes unless the noise is large: their indices and distances from the median.
         self._likely: list[tuple[npt.NDArray[np.int64], Array]] = []
-        # Of the last known samples, and those around them: their numbers and values.
+        # Indices and values of the last finite samples, the neighbours of those to come.
         self._last: tuple[npt.NDArray[np.int64], Array] | None = None
         self._begun = False
 
     def add(self, values: Array) -> None:
-        """Look at values (N, C); those not finite are passed over."""
+        """Examine values (N, C); those not finite are skipped."""
         known = np.flatnonzero(np.isfinite(values).all(axis=1))
         which, near = self._count + known, values[known]
         self._count += len(values)
@@ -307,18 +341,18 @@ class _Spikes:
             self._begun = True
 
     def finish(self) -> npt.NDArray[np.int64]:
-        """Indices of the spikes, rising."""
+        """Increasing indices of the spikes."""
         if not self._begun:
             return np.empty(0, dtype=np.int64)
-        # Beyond the end the values are those before it, mirrored.
+        # Beyond the end the values are mirrored.
         self._look(None)
         noise = np.percentile(self._noise.rows(), _SPIKE_NOISE_PERCENTILE, axis=0)
         farthest = np.maximum(self._least, _SPIKE_NOISES * noise)
         return _joined([which[np.any(off > farthest, axis=1)] for which, off in self._likely])
 
     def _look(self, end: int | None) -> None:
-        """Judge the last samples that were not yet, up to one from which on those around are not known."""
-        assert self._last is not None  # there are some to look at
+        """Examine the samples not yet examined, up to `end`, after which neighbours are still missing."""
+        assert self._last is not None  # set by the first samples
         which, near = self._last
         off = np.abs(near - median_filter(near, size=(_SPIKE_NEIGHBOURS, 1), mode="mirror"))
         new = slice(_SPIKE_NEIGHBOURS // 2 if self._begun else 0, end)
@@ -330,20 +364,20 @@ class _Spikes:
 
 
 class _Found:
-    """Indices of samples that are found while samples come in parts; `of` counts them all."""
+    """Indices of the samples found in a topic that comes in parts; `of` counts all samples."""
 
     def __init__(self) -> None:
         self.of = 0
         self._parts: list[npt.NDArray[np.int64]] = []
 
     def add(self, which: npt.NDArray[np.bool_]) -> None:
-        """Take which ones (N,) of the samples that come next are found."""
+        """Append a mask (N,) of those found among the next samples."""
         if np.any(which):
             self._parts.append(self.of + np.flatnonzero(which))
         self.of += len(which)
 
     def samples(self) -> npt.NDArray[np.int64]:
-        """Those found, rising."""
+        """Increasing indices of those found."""
         return _joined(self._parts)
 
 

@@ -22,9 +22,8 @@ from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.logs.inspect import inspect_blocks, inspect_recording
 from quadpi_core.recording_blocks import streams_by_field
-from quadpi_core.screening import even_rows, survey
+from quadpi_core.screening import survey, wild_samples
 from quadpi_core.screening.consistency import checked
-from quadpi_core.screening.even_rows import EvenRows
 from quadpi_core.screening.excerpt import excerpt, rotor_excerpt
 from quadpi_core.screening.survey import Excerpting
 from quadpi_core.screening.wild_samples import StreamScreening, beyond_limits
@@ -79,7 +78,7 @@ def long_bag(tmp_path) -> Path:
 
 
 def few_samples(monkeypatch, count: int) -> None:
-    for module in (even_rows, survey):
+    for module in (wild_samples, survey):
         monkeypatch.setattr(module, "FEW_SAMPLES", count)
 
 
@@ -154,7 +153,7 @@ def test_the_hash_is_that_of_stamps_and_values(flown):
 @pytest.mark.parametrize("size", [1, 7, 1000])
 def test_even_rows_do_not_depend_on_the_parts(monkeypatch, size):
     few_samples(monkeypatch, 50)
-    rows = EvenRows()
+    rows = wild_samples.EvenRows()
     for start in range(0, 330, size):
         rows.add(np.arange(start, min(start + size, 330)))
     np.testing.assert_array_equal(rows.rows(), np.arange(0, 330, 8))
