@@ -49,7 +49,7 @@ def parse_config(
         data: mappings, lists and scalars.
         where: the file, for messages.
         error: class of the error to raise.
-        above: the keys of the file under which the data stands.
+        above: the keys of the file that lead to the data.
 
     Raises:
         QuadpiError: of that class, naming the key that is missing, unknown or impossible.
@@ -80,8 +80,8 @@ class Section:
     """Base of a dataclass whose fields are the keys of a mapping in a file.
 
     A key of another name is refused. A key without a value (null) counts as absent if its field has a
-    default, unless `blank_is_absent` is False. Rules between keys stand in `__post_init__`, which raises
-    ValueError.
+    default, unless `blank_is_absent` is False. Rules between keys are checked in `__post_init__`, which
+    raises ValueError.
     """
 
     blank_is_absent: ClassVar[bool] = True

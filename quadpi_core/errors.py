@@ -19,7 +19,7 @@ class QuadpiError(Exception):
     """
 
     def __str__(self) -> str:
-        """The message in one line of bounded length, whatever controls stand in what it cites."""
+        """The message in one printable line of bounded length."""
         line = " ".join(super().__str__().splitlines())
         if not line.isprintable():
             line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
@@ -80,7 +80,7 @@ class OutputError(QuadpiError):
 
 @contextmanager
 def named_in(where: str) -> Iterator[None]:
-    """Put the file and key that name another file before what is wrong with that other file."""
+    """Put the file and key that refer to another file before an error in that other file."""
     try:
         yield
     except QuadpiError as error:
@@ -89,5 +89,5 @@ def named_in(where: str) -> Iterator[None]:
 
 
 def one_line(error: BaseException) -> str:
-    """The message of an error of another library, whatever its line breaks, as part of ours."""
+    """The message of another library's error in one line, as part of ours."""
     return " ".join(str(error).split())

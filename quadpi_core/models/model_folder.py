@@ -101,7 +101,7 @@ def load_model(folder: Path) -> AerodynamicModel:
         return model
     except ModelError as error:
         raise ModelError(f"{folder}: {error}") from error
-    except Exception as error:  # what a part of a model raises depends on what stands in its place
+    except Exception as error:  # parts of a model raise many kinds of errors on damaged input
         raise ModelError(f"{path}: not a quadpi model: {type(error).__name__} {error}") from error
 
 
@@ -217,7 +217,7 @@ def _read_files(folder: Path) -> tuple[str, bytes]:
     for _ in range(_READS_MAX):
         before = _number(folder)
         try:
-            # First, for what stands in a folder that is no model at all is nothing to take out.
+            # First, so that a folder without a model is refused as such, not for its other files.
             text = _read(folder / MODEL_FILE).decode(errors="replace")
             if foreign := _foreign(folder):
                 raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
@@ -241,7 +241,7 @@ _READS_MAX, _READ_AGAIN_S = 50, 0.01
 
 
 def _number(folder: Path) -> tuple[int, int] | None:
-    """What tells a folder from another of the same name; None if there is none."""
+    """Identity of a folder, which differs from that of another of the same name; None if there is none."""
     try:
         found = folder.stat()
     except OSError:

@@ -75,7 +75,7 @@ class FlightPlan(Section):
     truth_rate_hz: Annotated[int, Within(1, LOG_HZ)] = LOG_HZ
 
     def __post_init__(self) -> None:
-        """Refuse what no flight can be, whatever its vehicle."""
+        """Resolve the durations of signals, and refuse plans that are impossible for any vehicle."""
         motion = {
             axis: tuple(
                 within_flight(signal, self.duration_s, f"motion.{axis}, entry {number}")

@@ -17,7 +17,7 @@ from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flight_plan import FlightPlan
 
-# What a scenario may set for all flights in its file, each of which may set it otherwise.
+# Keys that a scenario may set for all flights in its file; the key of a flight takes precedence.
 _SHARED = ("vehicle", "noise", "duration_s", "height_m", "head_wind_m_s", "truth_rate_hz")
 _FLIGHT_KEYS = [column.name for column in fields(FlightPlan) if column.name not in {"name", "scenario"}]
 
@@ -53,7 +53,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
     Flights of included files come first. What a file sets for all holds for the flights in it; the effects
     that it switches on hold for the included flights too. A flight without a seed of its own gets one from
-    that of its file and its name, so that it stays the same whatever flies beside it.
+    that of its file and its name, which other flights of the scenario do not change.
 
     Raises:
         SimulationError: naming file, flight and key that is missing, unknown or impossible; for flights of

@@ -56,7 +56,7 @@ class Sensed:
         recording: as a bag of the flight gives it back; where faults ask for it, :meth:`Recording.check`
             refuses it.
         erpm: (M, 4) electrical speeds, whole numbers, whose mechanical ones are `recording.rotor_speeds`;
-            None for a vehicle without pole pairs, of which those are the measurement.
+            None for a vehicle without pole pairs, whose mechanical speeds are measured directly.
         arrival_ns: when each sample arrived, by topic.
     """
 
@@ -151,7 +151,7 @@ def _seen_poses(truth: Truth, mocap: MotionCapture, seed: int) -> PoseStream:
     jitter = (mocap.capture_jitter * mocap.rate * random.standard_normal(count)).clip(
         -_JITTER_MAX, _JITTER_MAX
     )
-    # Half a period from the start: whatever the jitter, no frame lies outside the flight.
+    # Half a period from the start: with jitter, too, every frame lies within the flight.
     frames = truth.time_ns[0] + np.rint(1e9 / mocap.rate * (np.arange(count) + 0.5 + jitter)).astype(np.int64)
     attitude = interpolate_attitude(truth.time_ns, truth.attitude, frames, MAX_GAP_NS).values
     lost = random.random(count) < mocap.dropout_probability
