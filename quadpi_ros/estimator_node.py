@@ -180,10 +180,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         if self.listener:
             self.listener.take_estimate(sample)
         world_frame, body_frame = self._frames
-        odometry = sensor_messages.pack_odometry(
+        for odometry in sensor_messages.pack_odometry(
             sample.odometry, sample.pose_covariance, sample.twist_covariance, world_frame, body_frame
-        )
-        self._publish(odometry[0])
+        ):
+            self._publish(odometry)
 
     def _take_pose(self, pose: PoseStream) -> None:
         self._consistency.take(pose)

@@ -71,6 +71,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._silence = Silence()
         self._silence_published_s = -math.inf
         self._rate = ImuRate()
+        self._rate_begins = True
         self._rate_problem = ""
 
     def configure(self) -> None:
@@ -205,7 +206,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if self._pairing.rate is not self._rate:
             self._follow_rate()
         # In the first second the rate of the IMU is measured: nothing can be filtered.
-        if samples is None or self._rate.begins:
+        if samples is None or self._rate_begins:
             return
         if not self._consistency.complete:
             self._consistency.take(
@@ -235,6 +236,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def _follow_rate(self) -> None:
         """Design the filters for the rate of the IMU; nothing is predicted without one."""
         rate = self._rate = self._pairing.rate
+        self._rate_begins = rate.begins
         problems = [f"topic {IMU_TOPIC}: {rate}: set it to 0"] if rate.differs else []
         problems += self._results.monitors.retune(rate)
         self._rate_problem = "; ".join(problems)

@@ -84,7 +84,7 @@ def alarm_of_flight(
     verdicts["usable"], verdicts["settled"] = known, True
     # The flight was in the air all the time: at an infinite speed the alarm never takes it for standing.
     verdicts["velocity"] = np.inf
-    rows = alarm.step(Prepared(verdicts, inputs, wrench), evaluation)
+    rows = alarm.step(Prepared(verdicts, inputs, wrench, verdicts["time_ns"][known]), evaluation)
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
     missed[known] = ~inside_interval(wrench, evaluation.lower, evaluation.upper)
     outside = np.zeros(samples, dtype=np.bool_)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
-from quadpi_core.messages.payloads import Bytes, Indices, Payloads
+from quadpi_core.messages.payloads import FIRST, Bytes, Indices, Payloads
 
 Columns: TypeAlias = dict[str, npt.NDArray[Any]]
 
@@ -97,7 +97,10 @@ class Layout:
         """Whether the message has this layout."""
         if not 0 <= len(message) - len(self.template) <= _PADDING_MAX:
             return False
-        return all(message[span] == expected for span, expected in self._marks)
+        for span, expected in self._marks:  # noqa: SIM110 - a generator costs a call per mark, at each message
+            if message[span] != expected:
+                return False
+        return True
 
 
 class Stamped(NamedTuple):
@@ -158,7 +161,9 @@ class Codec:
             SampleError: naming the sample whose bytes are no message of this type, or whose stamp is none.
         """
         if isinstance(payloads, bytes):
-            layout = self._layout_of(payloads, 0)
+            layout = self._latest
+            if layout is None or not layout.describes(payloads):
+                layout = self._layout_of(payloads, 0)
             seconds, nanoseconds = _STAMP.unpack_from(payloads, _ORIGIN)
             if nanoseconds >= _NANOSECONDS:
                 raise _no_stamp(0, nanoseconds)
@@ -194,12 +199,12 @@ class Codec:
         if len(time_ns) == 1:
             row = template.copy()
             _STAMP.pack_into(row.data, _ORIGIN, *divmod(int(time_ns[0]), _NANOSECONDS))
-            rows = row[None]
-        else:
-            rows = np.repeat(template[None], len(time_ns), axis=0)
-            seconds, nanoseconds = np.divmod(time_ns, _NANOSECONDS)
-            stamps = np.stack((seconds, nanoseconds), axis=1).astype("<u4")
-            rows[:, _ORIGIN : _ORIGIN + _STAMP.size] = stamps.view(np.uint8)
+            row[layout.doubles] = values.view(np.uint8)[0]
+            return Payloads(row, FIRST, np.array([row.size]))
+        rows = np.repeat(template[None], len(time_ns), axis=0)
+        seconds, nanoseconds = np.divmod(time_ns, _NANOSECONDS)
+        stamps = np.stack((seconds, nanoseconds), axis=1).astype("<u4")
+        rows[:, _ORIGIN : _ORIGIN + _STAMP.size] = stamps.view(np.uint8)
         rows[:, layout.doubles] = values.view(np.uint8)
         return Payloads.from_rows(rows)
 

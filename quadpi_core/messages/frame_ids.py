@@ -168,7 +168,8 @@ class Framed(Generic[Content]):
         """
         content = self._unpack(payloads)
         if isinstance(payloads, bytes):
-            self._meet(payloads, 0)
+            if payloads[_TEXTS : self._end] != self._known or self._judged_at != self._transforms.changes:
+                self._meet(payloads, 0)
             if self._mounting is not None:
                 self._move(content, slice(0, 1))
             return content
@@ -179,9 +180,7 @@ class Framed(Generic[Content]):
         return content
 
     def _meet(self, message: bytes, sample: int) -> None:
-        """Judge the frames of a message, unless they are those of the one before."""
-        if message[_TEXTS : self._end] == self._known and self._judged_at == self._transforms.changes:
-            return
+        """Judge the frames of a message; those of messages one by one only where they change."""
         names, end = _names(message, self._texts)
         try:
             self._mounting = self._judge(names)

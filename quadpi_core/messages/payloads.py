@@ -32,7 +32,7 @@ def copy_spans(
 
 
 # Where a message alone starts.
-_FIRST: Indices = np.zeros(1, dtype=np.int64)
+FIRST: Indices = np.zeros(1, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,6 @@ class Payloads:
     def from_rows(cls, rows: Bytes) -> Payloads:
         """Messages of one length, one per row."""
         count, length = rows.shape
-        if count == 1:
-            return cls(rows.reshape(-1), _FIRST, np.array([length]))
         return cls(np.ascontiguousarray(rows).reshape(-1), np.arange(count) * length, np.full(count, length))
 
     @classmethod
@@ -76,8 +74,8 @@ class Payloads:
         return self.data[start : start + self.lengths[index]].tobytes()
 
     def __iter__(self) -> Iterator[bytes]:
-        for index in range(len(self.lengths)):
-            yield self[index]
+        for start, length in zip(self.starts.tolist(), self.lengths.tolist(), strict=True):
+            yield self.data[start : start + length].tobytes()
 
     def take(self, order: npt.NDArray[Any]) -> Payloads:
         """The messages at the indices `order`, sharing the buffer."""

@@ -165,8 +165,9 @@ def pack_odometry(
         frame_id: the world.
         child_frame_id: the body.
     """
-    unknown = np.zeros((len(stream), 6, 6))
-    values = np.empty((len(stream), ODOMETRY_VALUES))
+    count = len(stream.time_ns)
+    unknown = np.zeros((count, 6, 6))
+    values = np.empty((count, ODOMETRY_VALUES))
     odometry_values(
         stream.position,
         stream.attitude,

@@ -138,7 +138,9 @@ class Alarm:
     def step(self, prepared: Prepared, evaluation: Evaluation) -> Alarms:
         """Take K samples, and what the model says of the U usable ones with its own intervals."""
         rows = np.empty(len(prepared.verdicts), kernel.ROW)
-        count = kernel.advance(self._limits, self._state, *prepared, evaluation, rows)
+        count = kernel.advance(
+            self._limits, self._state, prepared.verdicts, prepared.inputs, prepared.measured, evaluation, rows
+        )
         return self._alarms(rows[:count]) if count else self._no_rows
 
     def without_sample(self, time_ns: int) -> Alarms:

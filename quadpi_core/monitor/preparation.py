@@ -111,23 +111,19 @@ class Prepared(NamedTuple):
         verdicts: (K,) a :class:`Verdict` of each.
         inputs: (U, 19) input vectors of the usable samples.
         measured: (U, 6) their measured wrench, N and Nm, body axes.
+        usable_ns: (U,) their stamps.
     """
 
     verdicts: Records
     inputs: Array
     measured: Array
+    usable_ns: Stamps
 
     @property
     def usable(self) -> npt.NDArray[np.bool_]:
         """(K,) which samples are usable."""
         usable: npt.NDArray[np.bool_] = self.verdicts["usable"]
         return usable
-
-    @property
-    def usable_ns(self) -> Stamps:
-        """(U,) stamps of the usable samples."""
-        time_ns: Stamps = self.verdicts["time_ns"]
-        return time_ns if len(self.inputs) == len(time_ns) else time_ns[self.usable]
 
     @property
     def settled(self) -> npt.NDArray[np.bool_]:
@@ -139,7 +135,7 @@ class Prepared(NamedTuple):
         """The same with only those of the usable samples (U,) left that a mask chooses."""
         verdicts = self.verdicts.copy()
         verdicts["usable"][self.usable] = chosen
-        return Prepared(verdicts, self.inputs[chosen], self.measured[chosen])
+        return Prepared(verdicts, self.inputs[chosen], self.measured[chosen], self.usable_ns[chosen])
 
 
 class Preparation:
@@ -200,7 +196,8 @@ class Preparation:
         verdicts = np.empty(count, VERDICT)
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
         used = _prepare(self._memory, time_ns, values, verdicts, inputs, measured)
-        return Prepared(verdicts, inputs[:used], measured[:used])
+        usable_ns = time_ns if used == count else time_ns[verdicts["usable"]]
+        return Prepared(verdicts, inputs[:used], measured[:used], usable_ns)
 
 
 @njit(cache=True)

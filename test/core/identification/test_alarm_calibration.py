@@ -55,7 +55,7 @@ def raised(envelope: Envelope, limits: AlarmLimits, flight: LeftOut) -> dict[int
     verdicts = np.zeros(count, VERDICT)
     verdicts["time_ns"] = np.round(1e9 * flight.time)
     verdicts["usable"] = verdicts["settled"] = True
-    prepared = Prepared(verdicts, flight.inputs, np.nan_to_num(2.0 * flight.miss))
+    prepared = Prepared(verdicts, flight.inputs, np.nan_to_num(2.0 * flight.miss), verdicts["time_ns"])
     bound = np.ones((count, 6))
     rows = alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, flight.leverage, flight.width))
     at_alarm = rows.cause_level == LEVEL_ALARM

@@ -51,7 +51,8 @@ class Samples:
             verdicts = np.zeros(len(used), VERDICT)
             for name in ("time_ns", "usable", "faults", "settled", "velocity"):
                 verdicts[name] = getattr(self, name)[keep]
-            prepared = Prepared(verdicts, self.inputs[keep][used], self.measured[keep][used])
+            inputs, measured = self.inputs[keep][used], self.measured[keep][used]
+            prepared = Prepared(verdicts, inputs, measured, self.time_ns[keep][used])
             bound = np.ones_like(prepared.measured)
             leverage, width = self.leverage[keep][used], self.width[keep][used]
             yield alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, leverage, width))
