@@ -97,7 +97,7 @@ def test_gap_of_the_rotor_speeds(failing, calm):
 @pytest.mark.parametrize("kind", ["stamps_repeated", "stamps_backward"])
 def test_short_stop_or_step_of_a_clock(failing, calm, topic, kind):
     """For 50 ms: nothing but these samples is lost, and nobody need know of it."""
-    flown = failing(kind, topic, AT_S, 0.05, **({"size": 0.2} if kind == "stamps_backward" else {}))
+    flown = failing(kind, topic, AT_S, 0.05, **({"size_s": 0.2} if kind == "stamps_backward" else {}))
     assert not flown.alarms.level.any()
     assert not flown.standing()
     lost = np.setdiff1d(calm.predictions.time_ns, flown.predictions.time_ns)
@@ -107,14 +107,14 @@ def test_short_stop_or_step_of_a_clock(failing, calm, topic, kind):
 
 @pytest.mark.parametrize(
     ("kind", "options"),
-    [("stamps_repeated", {}), ("stamps_backward", {"size": 0.2}), ("stamps_backward", {"size": 5.0})],
+    [("stamps_repeated", {}), ("stamps_backward", {"size_s": 0.2}), ("stamps_backward", {"size_s": 5.0})],
 )
 @pytest.mark.parametrize("topic", ["imu", "mocap/pose", "rotor_speeds"])
 def test_clock_that_stands_or_is_set_back(failing, calm, topic, kind, options):
     flown = failing(kind, topic, AT_S, FOR_S, **options)
     if topic == "imu":
         # Set back by more than a second it is a new beginning, of which there is nothing to say yet.
-        if options.get("size", 0.0) < 1.0:
+        if options.get("size_s", 0.0) < 1.0:
             assert_said_at_once(flown, AT_S + FOR_S)
         assert_starts_anew(flown, calm, AT_S + FOR_S)
     elif topic == "rotor_speeds":
