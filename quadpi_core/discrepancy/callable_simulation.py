@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, read_tolerances
+from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, axis_columns, read_tolerances
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
@@ -87,21 +87,9 @@ class CallableSimulation(Simulation):
 
     def uncertain(self, flight: Flight) -> list[Column]:
         """Per axis: of the rotors at rest, of what rates add, of what the airspeed adds."""
-        tolerances = self.tolerances
         moved, still = self.wrench(_without_airspeed(flight)), self.wrench(_still(flight))
-        columns = []
-        for part, wrench in (
-            ("rotors", still),
-            ("rates", moved - still),
-            ("airspeed", self.wrench(flight) - moved),
-        ):
-            for axis, name in enumerate(AXES):
-                share = tolerances.thrust if (part, name) == ("rotors", "Fz") else tolerances.coefficient
-                single = np.zeros_like(wrench)
-                single[:, axis] = share * wrench[:, axis]
-                if np.any(single):
-                    columns.append(Column(f"{name} of {part}", single))
-        return columns
+        parts = {"rotors": still, "rates": moved - still, "airspeed": self.wrench(flight) - moved}
+        return [column for column in axis_columns(parts, self.tolerances) if np.any(column.wrench)]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, read_tolerances
+from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, axis_columns, read_tolerances
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps, WrenchStream
+from quadpi_core.flight import MAX_GAP_NS, Flight, Stamps, WrenchStream
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.logs.bags import read_bag
@@ -114,20 +114,13 @@ class RecordedSimulation(Simulation):
 
     def uncertain(self, flight: Flight) -> list[Column]:
         """Per axis: of thrust and torque, and of the rest."""
-        tolerances, wrench = self.tolerances, self.wrench(flight)
+        wrench = self.wrench(flight)
         thrusts, torques = self.thrusts(flight)
         x, y, _ = self.vehicle.rotor_positions.T
         rotors = np.zeros_like(wrench)
         rotors[:, 2], rotors[:, 5] = -thrusts.sum(axis=1), torques.sum(axis=1)
         rotors[:, 3], rotors[:, 4] = -thrusts @ y, thrusts @ x
-        columns = []
-        for part, values in (("rotors", rotors), ("the rest", wrench - rotors)):
-            for axis, name in enumerate(AXES):
-                share = tolerances.thrust if (part, name) == ("rotors", "Fz") else tolerances.coefficient
-                single = np.zeros_like(values)
-                single[:, axis] = share * values[:, axis]
-                columns.append(Column(f"{name} of {part}", single))
-        return columns
+        return axis_columns({"rotors": rotors, "the rest": wrench - rotors}, self.tolerances)
 
 
 def _even(stream: WrenchStream, source: str, cutoff_hz: float) -> Recorded:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from quadpi_core.config_schema import Section, Share, parse_config
 from quadpi_core.errors import DiscrepancyError, VehicleError
-from quadpi_core.flight import Flight
+from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.simulation.rotor_local import (
@@ -71,6 +71,18 @@ class Column(NamedTuple):
 
     name: str
     wrench: Array
+
+
+def axis_columns(parts: Mapping[str, Array], tolerances: Tolerances) -> list[Column]:
+    """One column per part (N, 6) of a wrench and axis; the part `rotors` has the thrust as its Fz."""
+    columns = []
+    for part, wrench in parts.items():
+        for axis, name in enumerate(AXES):
+            share = tolerances.thrust if (part, name) == ("rotors", "Fz") else tolerances.coefficient
+            single = np.zeros_like(wrench)
+            single[:, axis] = share * wrench[:, axis]
+            columns.append(Column(f"{name} of {part}", single))
+    return columns
 
 
 class Simulation(ABC):
