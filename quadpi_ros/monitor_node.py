@@ -89,7 +89,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._results = Results(self, monitors, parameters.body_frame)
 
     def activate(self) -> None:
-        """Start anew from what comes now."""
+        """Start to listen, with an empty memory."""
         self._restart()
         self._consistency = ConsistencyWatch(self, self._vehicle)
         if self._estimator is None:

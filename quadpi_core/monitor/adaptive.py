@@ -12,7 +12,7 @@ logarithm keeps the factor positive and makes a step the same share of it on eve
 
 **Coverage on any sequence.** The factor follows errors of 1/L to L half widths, L = :data:`LARGEST_CHANGE`:
 while it is above L a sample counts as inside, below 1/L as missed, and the next step leads back. So
--log L − ηα ≤ log f_t ≤ log L + η(1 − α) whatever comes. Summing the steps,
+-log L − ηα ≤ log f_t ≤ log L + η(1 − α) for any sequence. Summing the steps,
 
     Σ (m_t − α) = (log f_{T+1} − log f_1)/η,    hence    |Σ m_t / T − α| ≤ (log L + η)/(ηT)
 

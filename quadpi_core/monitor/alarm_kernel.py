@@ -122,8 +122,8 @@ class State:
     previous_ns: int  # stamp of the last sample; NO_STAMP before the first
     flying: bool
     settled: bool  # whether the misses of the last usable sample counted
-    told_inputs: int  # bits of the inputs outside that a row has told since the level was last ok
-    told_faults: int  # the same of faults
+    reported_inputs: int  # bits of the inputs outside that rows have reported since the level was last ok
+    reported_faults: int  # the same for faults
 
 
 LIMITS, ROW, STATE = record_dtype(Limits), record_dtype(Row), record_dtype(State)
@@ -179,9 +179,9 @@ def advance(
         is_due = _set_levels(limits, state) or first
         is_due |= sample.time_ns // limits.period_ns != before_ns // limits.period_ns
         if state.row.level == LEVEL_OK:
-            state.told_inputs, state.told_faults = 0, 0
+            state.reported_inputs, state.reported_faults = 0, 0
         else:
-            is_due |= beyond & ~state.told_inputs != 0 or faults & ~state.told_faults != 0
+            is_due |= beyond & ~state.reported_inputs != 0 or faults & ~state.reported_faults != 0
         if is_due:
             state.row.time_ns = sample.time_ns
             rows[count] = state.row
@@ -345,12 +345,12 @@ def _set_levels(limits: Limits, state: State) -> bool:
 
 @njit(cache=True)
 def _begin_next_row(limits: Limits, state: State) -> None:
-    """Remember what the row has told, and empty it of evidence; levels and health stay."""
+    """Remember what the row reports, and clear its evidence; levels and health stay."""
     row = state.row
     for k in range(row.input_excess.size):
         if 1.0 + 2.0 * row.input_excess[k] > limits.near_distance[k]:
-            state.told_inputs |= 1 << k
-    state.told_faults |= row.faults
+            state.reported_inputs |= 1 << k
+    state.reported_faults |= row.faults
     row.faults = 0
     row.cause_evidence[:] = 0.0
     row.leverage[:] = 0.0

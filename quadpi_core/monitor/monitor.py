@@ -103,7 +103,7 @@ class Monitor:
     def _evaluate(self, prepared: Prepared) -> tuple[Predictions, Prepared, Evaluation]:
         """Predictions of the usable samples, these, and what the model says of them with its own intervals.
 
-        Samples of which a number overflows are no longer usable.
+        A sample one of whose numbers overflows is no longer usable.
         """
         inputs, measured = prepared.inputs, prepared.measured
         evaluation = self.model.evaluate(inputs, self.confidence)
@@ -155,7 +155,7 @@ class Monitor:
 def _all_finite(
     lower: Array, upper: Array, measured: Array, leverage: Array, inputs: Array, finite: npt.NDArray[np.bool_]
 ) -> bool:
-    """Mark the samples (U,) of which every number is finite; True if all are."""
+    """Mark the samples (U,) whose numbers are all finite; True if every sample's are."""
     everywhere = True
     for i in range(finite.size):
         total = lower[i].sum() + upper[i].sum() + measured[i].sum() + leverage[i].sum() + inputs[i].sum()

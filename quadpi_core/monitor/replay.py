@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the live nodes would have published for a recorded flight, computed block by block.
+"""Replay: what the live nodes would have published for a recorded flight, computed block by block.
 
-Estimator, pairing and monitor remember what live they remember between two samples; what they give is written
-as it comes. So memory does not grow with the flight, and the bytes do not depend on the blocks.
+Estimator, pairing and monitor keep the same state between blocks as live between samples, and results are
+written as they come. So memory does not grow with the flight, and the bytes do not depend on the blocks.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReplaySummary:
-    """What came of a replay.
+    """Counts and times of a replay.
 
     Attributes:
         samples_in: IMU samples in the bag.
@@ -81,12 +81,12 @@ def replay(
 ) -> ReplaySummary:
     """Write the topics odometry, prediction and extrapolation_alarm for a flight; the same bytes each time.
 
-    Samples that other commands refuse (not finite, stamps that do not rise) are followed as in flight: the
+    Samples that other commands refuse (not finite, stamps that do not rise) are handled as in flight: the
     alarm reports them.
 
     With motion capture in the bag this is estimator and monitor in one process: the state comes from the
-    causal EKF, and is written as odometry with its covariance. Else it is the monitor alone, fed with the
-    bag's odometry. Rotor speeds and wind meet the IMU samples as in
+    causal EKF, and is written as odometry with its covariance. Without it, the state is the bag's odometry,
+    as for a monitor node in a process of its own. Rotor speeds and wind are paired with the IMU samples by
     :class:`quadpi_core.monitor.pairing.Pairing`.
 
     Args:
@@ -110,7 +110,7 @@ def replay(
 
 
 def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: Path) -> ReplaySummary:
-    """Follow a flight, write what comes of it and sum it up."""
+    """Judge a flight, write its results and sum them up."""
     model = monitor.model
     metadata = {
         "vehicle": vehicle.name,
@@ -126,7 +126,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
         )
         for stretch in follow(flight, vehicle):
             if stretch.begin != pairing.CONTINUES:
-                # Stamps come again, which must not mix with those before.
+                # Stamps repeat from here on, and must not mix with the earlier ones.
                 writer.flush()
             if stretch.begin == pairing.SET_BACK:
                 monitor.reset()
@@ -146,7 +146,7 @@ def _messages(
     events: Events,
     monitor: Monitor,
 ) -> Iterator[Topic]:
-    """What the nodes publish."""
+    """The topics that the nodes publish, with their messages."""
     if states is not None:
         payloads = sensor_messages.pack_odometry(
             states.odometry, states.pose_covariance, states.twist_covariance
@@ -173,12 +173,12 @@ def _messages(
 
 @dataclass(frozen=True)
 class RecordedFlight:
-    """A flight to follow.
+    """A flight to replay, as blocks of samples.
 
     Attributes:
         name, source: see :class:`Recording`.
-        has_mocap: whether the state comes from the EKF; else from the flight's odometry.
-        blocks: the flight, as :func:`quadpi_core.recording_blocks.by_arrival` gives it.
+        has_mocap: whether the state comes from the EKF; otherwise from the flight's odometry.
+        blocks: parts of the flight in order of arrival, see :func:`quadpi_core.recording_blocks.by_arrival`.
     """
 
     name: str
@@ -224,14 +224,14 @@ def _flight(name: str, source: str, streams: Collection[str], blocks: Iterator[R
 
 
 class Followed(NamedTuple):
-    """What comes of a part of a flight until it reaches the monitor; see :class:`.pairing.Stretch`.
+    """A stretch of a flight, estimated and paired, ready for the monitor; see :class:`.pairing.Stretch`.
 
     Attributes:
-        rate: of the IMU, as its stamps tell it.
-        samples: what the monitor gets; none before the rate is known.
-        states: what the estimator publishes; None without one.
-        imu_ns: (N,) stamps of the IMU samples that came since what was followed before.
-        settled_ns: no sample or state that is still to come is stamped then or before.
+        rate: of the IMU, by its stamps.
+        samples: input of the monitor; none before the rate is known.
+        states: output of the estimator; None without one.
+        imu_ns: (N,) stamps of the IMU samples that arrived since the previous stretch.
+        settled_ns: every later sample and state has a stamp after this.
     """
 
     begin: int
@@ -303,7 +303,7 @@ def replay_all(
         workers: that replay the flights; the bags are those that :func:`replay` writes.
 
     Returns:
-        What came of each, by name.
+        The summary of each, by name.
 
     Raises:
         LogError: see :func:`replay`; for two bags of the same name.
@@ -351,10 +351,10 @@ def _replay(task: _Replay, bag: Path) -> ReplaySummary:
 
 
 def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, FusedSamples, Stamps]:
-    """What the estimator hands to the monitor in its process: IMU samples less their biases, and states.
+    """IMU samples less their biases, states, and the IMU sample (S,) of each: what the estimator hands on.
 
-    Samples without an estimate come as they are, and while it is lost there are no states: the monitor has to
-    report both. The last are the IMU samples that the states belong to.
+    Samples without an estimate are handed on as they are, and while the estimate is lost there are no
+    states: the monitor has to report both.
     """
     specific_force = with_gyro_faults(imu).specific_force
     specific_force[trace.sample] = trace.fused.imu.specific_force
@@ -376,18 +376,18 @@ class _Imu(NamedTuple):
 def _arriving(
     block: Recording, imu: _Imu, odometry: OdometryStream, state_of: Stamps | None
 ) -> pairing.Arriving:
-    """What reaches the pairing of a block, in the order of its arrival.
+    """The samples of a block in the order in which they reach the pairing.
 
     Args:
         block: with rotor speeds.
-        imu: what the monitor gets of it.
+        imu: its IMU samples as the monitor gets them.
         odometry: the states.
-        state_of: (S,) IMU sample that each state comes right after; None where it came by itself.
+        state_of: (S,) IMU sample that each state follows; None where states arrive by themselves.
     """
     rotor_speeds = block.rotor_speeds
     assert rotor_speeds is not None  # RecordedFlight says so
     wind = block.wind or WindStream(np.empty(0, dtype=np.int64), np.empty((0, 3)))
-    # Of what belongs to one IMU sample: what came since the one before, the sample, its state.
+    # Three places per IMU sample: for what came since the previous one, for the sample, and for its state.
     came = {
         pairing.WIND_TOPIC: 3 * block.arrivals_of(wind),
         pairing.ROTORS: 3 * block.arrivals_of(rotor_speeds),
@@ -411,7 +411,7 @@ def _arriving(
 
 
 class _Tally:
-    """Counts what comes of a replay; of an alarm row it keeps the stamp and the level."""
+    """Counts the results of a replay; of the alarm rows it keeps stamps and levels."""
 
     def __init__(self) -> None:
         self._imu_ns: tuple[int, int] | None = None
@@ -432,7 +432,7 @@ class _Tally:
         self._levels.append(alarms.level.copy())
 
     def summary(self) -> ReplaySummary:
-        """What all of it amounts to; there was a sample at least."""
+        """The summary; there was at least one sample."""
         start_ns, end_ns = self._imu_ns or (0, 0)
         time_ns, levels = np.concatenate(self._alarm_ns), np.concatenate(self._levels)
         alarm, warning = (
