@@ -30,7 +30,7 @@ from quadpi_core.report.evaluation_page import (
 )
 from quadpi_core.report.model_tables import structure_table
 from quadpi_core.report.page import Page
-from quadpi_core.report.plots import bins_within, extreme_samples, series, styled
+from quadpi_core.report.plots import Subplot, bins_within, label_axes_over_time, styled
 from quadpi_core.report.style import (
     INK,
     MEASURED,
@@ -287,8 +287,8 @@ def interval_figure(comparison: Comparison, results: Mapping[str, FlightResult],
     """A row per axis and a column per low-pass: bounds of the models around what was measured.
 
     Args:
-        comparison: as :func:`quadpi_core.evaluation.compare.compare` gives it.
-        results: what each model says of one flight.
+        comparison: of the models.
+        results: predictions of each model on one flight.
         bins: parts that the flight is cut into; of each the extremes are drawn.
     """
     models, axes, colours = comparison.models, modelled_axes(comparison), _colours(comparison)
@@ -311,37 +311,23 @@ def interval_figure(comparison: Comparison, results: Mapping[str, FlightResult],
     for column, cutoff in enumerate(cutoffs, start=1):
         names = [name for name, model in models.items() if model.cutoff_hz == cutoff]
         for row, axis in enumerate(axes, start=1):
-            cell = {"row": row, "col": column}
-            first = results[names[0]]
-            measured = first.column("measured", axis)
-            drawn = extreme_samples(measured, measured, bins)
-            figure.add_scatter(
-                **series(first.time[drawn], measured[drawn]),
-                line={"color": MEASURED, "width": 1},
-                name="measured",
-                legendgroup="measured",
-                showlegend=row == column == 1,
-                **cell,
-            )
-            for name in names:
-                if axis not in results[name].axes:
-                    continue
-                result = results[name]
+            subplot = Subplot(figure, row, column, in_legend=row == column == 1)
+            flight = results[names[0]]
+            measured = flight.column("measured", axis)
+            subplot.thinned_line(flight.time, measured, bins, name="measured", colour=MEASURED, width=1)
+            for name in (name for name in names if axis in results[name].axes):
                 for bound in ("lower", "upper"):
-                    values = result.column(bound, axis)
-                    drawn = extreme_samples(values, values, bins)
-                    figure.add_scatter(
-                        **series(result.time[drawn], values[drawn]),
-                        line={"color": colours[name], "width": 1.4},
+                    in_legend = row == 1 and bound == "lower" and labels[name] not in shown
+                    replace(subplot, in_legend=in_legend).thinned_line(
+                        results[name].time,
+                        results[name].column(bound, axis),
+                        bins,
                         name=labels[name],
-                        legendgroup=labels[name],
-                        showlegend=row == 1 and bound == "lower" and labels[name] not in shown,
-                        **cell,
+                        colour=colours[name],
+                        width=1.4,
                     )
                 shown.add(labels[name])
-    for row, axis in enumerate(axes, start=1):
-        figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
-    figure.update_xaxes(title_text="time [s]", row=len(axes))
+    label_axes_over_time(figure, axes)
     return _with_legend_below(figure, height=130 + 230 * len(axes))
 
 

@@ -16,7 +16,7 @@ from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.report.plots import extreme_samples, series, styled
+from quadpi_core.report.plots import Subplot, label_axes_over_time, series, styled
 from quadpi_core.report.style import GROUPS, MEASURED, translucent, unit
 
 BEFORE, AFTER = GROUPS[1], GROUPS[0]
@@ -165,26 +165,17 @@ def residual_figure(flight: Residual, floor: Array, bins: int) -> go.Figure:
         bins: parts that the flight is cut into; of each the extremes are drawn.
     """
     figure = make_subplots(rows=len(AXES), cols=1, shared_xaxes=True, vertical_spacing=0.035)
-    for row, axis in enumerate(AXES, start=1):
-        k = row - 1
+    for k in range(len(AXES)):
+        row = k + 1
+        subplot = Subplot(figure, row, in_legend=row == 1)
         for name, values, colour in (("before", flight.before, BEFORE), ("after", flight.after, AFTER)):
-            drawn = extreme_samples(values[:, k], values[:, k], bins)
-            figure.add_scatter(
-                **series(flight.time[drawn], values[drawn, k]),
-                line={"color": colour, "width": 1.2},
-                name=name,
-                legendgroup=name,
-                showlegend=row == 1,
-                row=row,
-                col=1,
-            )
+            subplot.thinned_line(flight.time, values[:, k], bins, name=name, colour=colour)
         # After the lines: plotly leaves shapes out of a subplot that is still empty.
         band = 2.0 * float(floor[k])
         figure.add_hrect(
             -band, band, fillcolor=translucent(MEASURED, 0.18), line_width=0, layer="below", row=row, col=1
         )
-        figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
-    figure.update_xaxes(title_text="time [s]", row=len(AXES), col=1)
+    label_axes_over_time(figure, AXES)
     return styled(figure, height=90 + 130 * len(AXES), hovermode="x unified")
 
 

@@ -15,7 +15,7 @@ from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.report.plots import extreme_samples, series, styled
+from quadpi_core.report.plots import Subplot, extreme_samples, label_axes_over_time, series, styled
 from quadpi_core.report.style import (
     INK,
     INPUT_LABELS,
@@ -58,64 +58,14 @@ def time_history_figure(
         measured, predicted, lower, upper = (
             result.column(quantity, axis) for quantity in ("measured", "predicted", "lower", "upper")
         )
-        band = extreme_samples(lower, upper, bins)
-        line = extreme_samples(measured, measured, bins)
-        first = row == 1
-        # Both bounds must be Scatter: with Scattergl, "tonexty" fills to zero.
-        figure.add_scatter(
-            **series(result.time[band], lower[band]),
-            line_width=0,
-            hoverinfo="skip",
-            showlegend=False,
-            name=f"{axis} lower",
-            row=row,
-            col=1,
-        )
-        figure.add_scatter(
-            **series(result.time[band], upper[band]),
-            line_width=0,
-            fill="tonexty",
-            hoverinfo="skip",
-            fillcolor=translucent(colour, 0.25),
-            name="prediction interval",
-            legendgroup="band",
-            showlegend=first,
-            row=row,
-            col=1,
-        )
-        figure.add_scatter(
-            **series(result.time[line], measured[line]),
-            line={"color": MEASURED, "width": 1},
-            name="measured",
-            legendgroup="measured",
-            showlegend=first,
-            row=row,
-            col=1,
-        )
-        figure.add_scatter(
-            **series(result.time[band], predicted[band]),
-            line={"color": colour, "width": 1.5},
-            name="predicted",
-            legendgroup="predicted",
-            showlegend=first,
-            row=row,
-            col=1,
-        )
-        figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
-        figure.add_annotation(
-            text=f"PICP {percent(metrics[axis].picp)}",
-            x=1,
-            y=1,
-            xref="x domain",
-            yref="y domain",
-            xanchor="right",
-            yanchor="bottom",
-            showarrow=False,
-            font={"size": 11, "color": MEASURED},
-            row=row,
-            col=1,
-        )
-    figure.update_xaxes(title_text="time [s]", row=len(axes), col=1)
+        drawn = extreme_samples(lower, upper, bins)
+        time = result.time[drawn]
+        subplot = Subplot(figure, row, in_legend=row == 1)
+        subplot.band(time, lower[drawn], upper[drawn], name="prediction interval", colour=colour)
+        subplot.thinned_line(result.time, measured, bins, name="measured", colour=MEASURED, width=1)
+        subplot.line(time, predicted[drawn], name="predicted", colour=colour, width=1.5)
+        subplot.note(f"PICP {percent(metrics[axis].picp)}")
+    label_axes_over_time(figure, axes)
     return styled(figure, height=90 + 150 * len(axes), hovermode="x unified")
 
 
@@ -248,19 +198,10 @@ def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> g
     for i, axis in enumerate(axes):
         cell = {"row": i // columns + 1, "col": i % columns + 1}
         for (group, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
-            bands = _residual_bands(flights, axis, edges, tail)
+            speed, low, high, below, above = _residual_bands(flights, axis, edges, tail)
+            subplot = Subplot(figure, cell["row"], cell["col"], in_legend=i == 0)
+            subplot.band(speed, low, high, name=group, colour=colour)
             legend = {"legendgroup": group, "hoverinfo": "skip", **cell}
-            speed, low, high, below, above = bands
-            figure.add_scatter(**series(speed, low), line_width=0, showlegend=False, **legend)
-            figure.add_scatter(
-                **series(speed, high),
-                line_width=0,
-                fill="tonexty",
-                fillcolor=translucent(colour, 0.25),
-                name=group,
-                showlegend=i == 0,
-                **legend,
-            )
             dashed = {"line": {"color": colour, "width": 1.5, "dash": "dash"}, "showlegend": False}
             figure.add_scatter(**series(speed, below), **dashed, **legend)
             figure.add_scatter(**series(speed, above), **dashed, **legend)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +14,7 @@ import numpy.typing as npt
 import plotly.graph_objects as go
 
 from quadpi_core.frames import Array
-from quadpi_core.report.style import GROUPS, INK, MEASURED, RULE
+from quadpi_core.report.style import GROUPS, INK, MEASURED, RULE, translucent, unit
 
 # Fewer parts of a flight cannot be read, more cannot be seen.
 _FEWEST_BINS, _MOST_BINS = 150, 1000
@@ -41,6 +43,86 @@ def extreme_samples(low: Array, high: Array, bins: int) -> npt.NDArray[np.intp]:
 def series(x: Array, y: Array) -> dict[str, Any]:
     """A line in single precision: finer than a screen, half the page."""
     return {"x": x.astype(np.float32), "y": y.astype(np.float32), "mode": "lines"}
+
+
+@dataclass(frozen=True)
+class Subplot:
+    """One cell of a figure over time, to draw lines and bands in.
+
+    Attributes:
+        figure: that it is part of.
+        row, column: of it, from 1.
+        in_legend: whether what is drawn appears in the legend; lines of one name share an entry.
+    """
+
+    figure: go.Figure
+    row: int
+    column: int = 1
+    in_legend: bool = True
+
+    def line(self, x: Array, y: Array, *, name: str, colour: str, width: float = 1.2) -> None:
+        """Draw a line (N,)."""
+        self.figure.add_scatter(
+            **series(x, y),
+            line={"color": colour, "width": width},
+            name=name,
+            legendgroup=name,
+            showlegend=self.in_legend,
+            row=self.row,
+            col=self.column,
+        )
+
+    def thinned_line(
+        self, x: Array, y: Array, bins: int, *, name: str, colour: str, width: float = 1.2
+    ) -> None:
+        """Draw the extremes of a line (N,) in each of `bins` parts."""
+        drawn = extreme_samples(y, y, bins)
+        self.line(x[drawn], y[drawn], name=name, colour=colour, width=width)
+
+    def band(
+        self, x: Array, low: Array, high: Array, *, name: str, colour: str, opacity: float = 0.25
+    ) -> None:
+        """Fill the area between two lines (N,)."""
+        place = {
+            "legendgroup": name,
+            "hoverinfo": "skip",
+            "line_width": 0,
+            "row": self.row,
+            "col": self.column,
+        }
+        # Both bounds must be Scatter: with Scattergl, "tonexty" fills to zero.
+        self.figure.add_scatter(**series(x, low), name=f"{name}, lower", showlegend=False, **place)
+        self.figure.add_scatter(
+            **series(x, high),
+            fill="tonexty",
+            fillcolor=translucent(colour, opacity),
+            name=name,
+            showlegend=self.in_legend,
+            **place,
+        )
+
+    def note(self, text: str) -> None:
+        """Write above the upper right corner."""
+        self.figure.add_annotation(
+            text=text,
+            x=1,
+            y=1,
+            xref="x domain",
+            yref="y domain",
+            xanchor="right",
+            yanchor="bottom",
+            showarrow=False,
+            font={"color": MEASURED},
+            row=self.row,
+            col=self.column,
+        )
+
+
+def label_axes_over_time(figure: go.Figure, axes: Sequence[str]) -> None:
+    """Name the axes of the wrench at the left of their rows, and the time below the last."""
+    for row, axis in enumerate(axes, start=1):
+        figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
+    figure.update_xaxes(title_text="time [s]", row=len(axes))
 
 
 def styled(figure: go.Figure, height: int, hovermode: str = "closest") -> go.Figure:

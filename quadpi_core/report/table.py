@@ -170,7 +170,9 @@ def terminal_table(table: Table) -> RichTable:
     for column, places in groups:
         headings = _GAP.join(f"{table.columns[place].heading:>{widths[place]}}" for place in places)
         shown.add_column(
-            Text(f"{column.group:^{cell_len(headings)}}\n{headings}" if column.group else column.heading),
+            Text(f"{column.group:^{cell_len(headings)}}\n{headings}", justify="left")
+            if column.group
+            else column.heading,
             justify="left" if column.is_text else "right",
             vertical="bottom" if grouped else "top",
             no_wrap=not (column.wraps or column.group),

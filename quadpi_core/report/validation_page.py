@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from rich.text import Text
 from scipy.stats import t as student_t
 
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array
 from quadpi_core.paper.realisations import HIGHEST, LOWEST, Spread
 from quadpi_core.paper.validation_case import ValidationCase
 from quadpi_core.paper.validation_result import (
@@ -29,7 +28,7 @@ from quadpi_core.paper.validation_result import (
 )
 from quadpi_core.report.coverage_verdict import Coverage, count_verdicts
 from quadpi_core.report.page import Page
-from quadpi_core.report.plots import bins_within, extreme_samples, series, styled
+from quadpi_core.report.plots import Subplot, bins_within, extreme_samples, label_axes_over_time, styled
 from quadpi_core.report.style import (
     INK,
     MEASURED,
@@ -38,7 +37,6 @@ from quadpi_core.report.style import (
     method_colours,
     nominal,
     number,
-    translucent,
     unit,
 )
 from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, terminal_table
@@ -259,74 +257,25 @@ def band_figure(case: ValidationCase, place: int, spread: Spread, result: Valida
             if axis not in case.models[name].axes:
                 continue
             k = AXES.index(axis)
-            cell = {"row": row, "col": column, "first": row == 1 and column == 1}
-            _band(figure, flight.time, spread.measured[..., k], MEASURED, "noisy measurements", bins, cell)
-            _band(
-                figure,
-                flight.time,
-                spread.predicted[name][..., k],
-                PREDICTED,
-                "noisy predictions",
-                bins,
-                cell,
+            subplot = Subplot(figure, row, column, in_legend=row == column == 1)
+            for name_of_band, extremes, shade in (
+                ("noisy measurements", spread.measured[..., k], MEASURED),
+                ("noisy predictions", spread.predicted[name][..., k], PREDICTED),
+            ):
+                low, high = extremes[LOWEST], extremes[HIGHEST]
+                drawn = extreme_samples(low, high, bins)
+                subplot.band(
+                    flight.time[drawn], low[drawn], high[drawn], name=name_of_band, colour=shade, opacity=0.45
+                )
+            subplot.thinned_line(
+                flight.time, reference.wrench[:, k], bins, name="without noise", colour=INK, width=1.4
             )
-            _line(figure, flight.time, reference.wrench[:, k], INK, "without noise", bins, cell)
+            bounds = replace(subplot, in_legend=False)
             for bound in (reference.lower, reference.upper):
-                _line(figure, flight.time, bound[:, k], colour, f"{name} interval", bins, cell)
+                bounds.thinned_line(
+                    flight.time, bound[:, k], bins, name=f"{name} interval", colour=colour, width=1.4
+                )
             covered = result.models[name].flights[flight.name][axis].measurement_variation
-            figure.add_annotation(
-                text=f"{100.0 * covered:.1f} % covered",
-                x=1,
-                y=1,
-                xref="x domain",
-                yref="y domain",
-                xanchor="right",
-                yanchor="bottom",
-                showarrow=False,
-                row=row,
-                col=column,
-            )
-    for row, axis in enumerate(axes, start=1):
-        figure.update_yaxes(title_text=f"{axis} [{unit(axis)}]", row=row, col=1)
-    figure.update_xaxes(title_text="time [s]", row=len(axes))
+            subplot.note(f"{100.0 * covered:.1f} % covered")
+    label_axes_over_time(figure, axes)
     return styled(figure, height=110 + 250 * len(axes)).update_layout(showlegend=True)
-
-
-def _band(
-    figure: go.Figure,
-    time: Array,
-    extremes: Array,
-    colour: str,
-    name: str,
-    bins: int,
-    cell: Mapping[str, Any],
-) -> None:
-    low, high = extremes[LOWEST], extremes[HIGHEST]
-    drawn = extreme_samples(low, high, bins)
-    place = {"row": cell["row"], "col": cell["col"], "hoverinfo": "skip", "line_width": 0}
-    # Both bounds must be Scatter: with Scattergl, "tonexty" fills to zero.
-    figure.add_scatter(**series(time[drawn], low[drawn]), name=f"{name}, lowest", showlegend=False, **place)
-    figure.add_scatter(
-        **series(time[drawn], high[drawn]),
-        fill="tonexty",
-        fillcolor=translucent(colour, 0.45),
-        name=name,
-        legendgroup=name,
-        showlegend=cell["first"],
-        **place,
-    )
-
-
-def _line(
-    figure: go.Figure, time: Array, values: Array, colour: str, name: str, bins: int, cell: Mapping[str, Any]
-) -> None:
-    drawn = extreme_samples(values, values, bins)
-    figure.add_scatter(
-        **series(time[drawn], values[drawn]),
-        line={"color": colour, "width": 1.4},
-        name=name,
-        legendgroup=name,
-        showlegend=cell["first"] and colour == INK,
-        row=cell["row"],
-        col=cell["col"],
-    )
