@@ -45,6 +45,9 @@ def record_dtype(declaration: type) -> np.dtype[np.void]:
 
     `float` and `int` have 64 bits, `bool` has one byte, `Annotated[Array, 3, 3]` is an array of that shape,
     and `Annotated[Records, Other, 2]` an array of two records of another class.
+
+    Raises:
+        TypeError: for a class without annotated fields.
     """
     fields = []
     for name, hint in get_type_hints(declaration, include_extras=True).items():
@@ -55,4 +58,6 @@ def record_dtype(declaration: type) -> np.dtype[np.void]:
             kind, *shape = shape
         dtype = _NUMBERS[kind] if kind in _NUMBERS else record_dtype(kind)
         fields.append((name, dtype, tuple(shape)))
+    if not fields:
+        raise TypeError(f"{declaration.__name__} declares no fields")
     return np.dtype(fields, align=True)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The consistency check: findings on a recording and its vehicle, each with the likeliest mistake and remedy.
 
-What it finds, what it cannot, and how the thresholds compare with real flights: docs/mistakes.md.
+docs/mistakes.md says which mistakes it can and cannot find, and how the thresholds compare with real flights.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 # A cost of 1 is what sensors of sound flights differ by (`motion.cost`). Of 139 real flights that any mistake
 # explained better by half, none reached 1.8; mistakes on bundled flights begin at 3.5.
 IMPLAUSIBLE_COST = 2.0
-# By which a mistake must lower it: real flights of an implausible cost reach 1.05, mistakes begin at 2.7.
+# Factor by which a hypothesis must lower the cost: real flights of an implausible cost reach 1.05, mistakes
+# begin at 2.7.
 EXPLAINS_FACTOR = 2.0
-# From these on there is no doubt, and the recording is refused.
+# From this cost and factor on a recording is refused.
 CERTAIN_COST, CERTAIN_FACTOR = 10.0, 5.0
-# Mistakes that explain a recording equally well, within this factor: the simplest is named.
+# Of the mistakes that explain a recording equally well, within this factor, the simplest is named.
 _EQUAL_FACTOR = 1.1
 # Rigid bodies of motion capture are defined, and IMUs mounted, to a few degrees; clocks keep time.
 _SMALLEST_ANGLE_DEG, _SMALLEST_SCALE = 6.0, 1.12
@@ -50,10 +51,10 @@ _THRUST_RATIO = (0.4, 1.18)
 def checked(
     recording: Recording, vehicle: Vehicle, beyond: Mapping[str, Sequence[Beyond]] | None = None
 ) -> Recording:
-    """The recording with what is to be said of it in its `quality`.
+    """The recording with the findings of the check in its `quality`.
 
     Args:
-        recording: without samples that are left out.
+        recording: without outliers.
         vehicle: that flew.
         beyond: see :func:`quadpi_core.screening.plausibility.implausibilities`.
 
@@ -69,10 +70,10 @@ def checked(
 
 
 def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]:
-    """What contradicts itself in a recording; without a vehicle, only the motion is looked at.
+    """Contradictions in a recording; without a vehicle, only the motion is checked.
 
     Args:
-        recording: with values that are finite, and stamps that rise.
+        recording: with finite values and increasing stamps.
         vehicle: that flew.
     """
     rotors = rotor_excerpt(recording)
@@ -89,7 +90,7 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
                 turned = hypothesis if imu_is_wrong else turned
                 culprit = f"; the rotor speeds agree with {state.topic if imu_is_wrong else 'the IMU'}"
             yield _finding(state.topic, hypothesis, before, after, culprit)
-            # What is wrong with the IMU shows in every state.
+            # A mistake of the IMU shows in every state.
             break
     if rotors is None or vehicle is None:
         return
@@ -102,7 +103,7 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
 
 
 def _motion(sample: Excerpt) -> tuple[Hypothesis, Innovation, Innovation] | None:
-    """The mistake that explains the innovations, with those before and after it is undone."""
+    """The mistake that explains the innovations, with those before and after its reversal."""
     before = innovation(sample)
     motion = before.motion
     cost_before = cost(before, motion)
@@ -139,7 +140,7 @@ def _finding(
 
 
 def _rotors_follow_better(rotors: RotorExcerpt, vehicle: Vehicle, hypothesis: Hypothesis) -> bool:
-    """Whether the rotor speeds agree with the IMU once a mistake in its axes is undone, and not before."""
+    """Whether the rotor speeds agree better with the IMU once a mistake in its axes is reversed."""
     assert hypothesis.gyro is not None
     undone = replace(rotors, rates=rotors.rates @ hypothesis.gyro.T)
     before, after = (rotor_evidence(one, vehicle) for one in (rotors, undone))
@@ -177,7 +178,7 @@ def _rotor_findings(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Findi
 
 
 def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
-    """Rotors that the vehicle file lists in another order, other places or other spins."""
+    """Rotors in another order, at other places or with other spins than in the vehicle file."""
     now, best = evidence.correlation, evidence.order_correlation
     gain = float(np.sum(best * np.abs(best)) - np.sum(now * np.abs(now)))
     topic, same = "rotor_speeds", evidence.order == tuple(range(ROTORS))
@@ -219,7 +220,7 @@ def _mirrored(vehicle: Vehicle, axis: int) -> tuple[int, ...]:
 
 
 def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
-    """One rotor whose speed, were it another, would balance roll, pitch and yaw over the flight."""
+    """One rotor whose speeds, multiplied by a factor, would balance roll, pitch and yaw over the flight."""
     squares = evidence.mean_squares / evidence.mean_squares.mean()
     places = vehicle.rotor_positions[:, :2] / np.abs(vehicle.rotor_positions[:, :2]).mean(axis=0)
     levers = np.stack((-places[:, 1], places[:, 0], -vehicle.rotor_spins))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Short windows spread over a recording, every sensor on one grid: what the consistency check looks at."""
+"""Short windows spread over a recording, with every sensor on one grid, for the consistency check."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from quadpi_core.frames import Array
 WINDOWS, WINDOW_S = 24, 2.5
 # Bodies of this size turn and accelerate below 20 Hz.
 STEP_S = 0.01
-# The least that tells anything.
+# Fewest cells of a window that can be checked.
 _FEWEST_CELLS = 100
-# Poses farther apart than this say nothing of the motion in between.
+# Poses farther apart than this do not show the motion between them.
 _POSE_GAP_NS = 300_000_000
-# Rotor speeds may come late by as much; samples around a window are kept for it.
+# Largest delay of rotor speeds that is examined; a window includes their samples this far around it.
 _MARGIN_S = 0.4
 
 Pose: TypeAlias = PoseStream | OdometryStream
@@ -30,7 +30,7 @@ Pose: TypeAlias = PoseStream | OdometryStream
 
 @dataclass(frozen=True)
 class Excerpt:
-    """W windows of K cells of STEP_S; a state belongs to the borders of cells, other sensors to the cells.
+    """W windows of K cells of STEP_S: states at the borders of the cells, means of other sensors over them.
 
     Attributes:
         topic: of the state.
@@ -156,7 +156,7 @@ def _near(time_ns: Stamps, grid: Stamps) -> slice:
 
 
 def _pauses(time_ns: Stamps, grid: Stamps, longest_ns: int) -> bool:
-    """Whether a topic pauses in a window, or does not cover it, or its stamps do not rise."""
+    """Whether a topic pauses in a window or does not cover it, or its stamps do not increase."""
     stamps = time_ns[_near(time_ns, grid)]
     steps = np.diff(stamps)
     return bool(
@@ -174,7 +174,7 @@ def _seconds(time_ns: Stamps, grid: Stamps) -> Array:
 
 
 def _continuous(attitude: Array) -> Array:
-    """The same rotations, each of the sign that is nearest to the one before."""
+    """The same rotations, each with the sign nearest to the previous one."""
     opposite = np.sum(attitude[1:] * attitude[:-1], axis=1) < 0.0
     signs = np.cumprod(np.concatenate(([1.0], np.where(opposite, -1.0, 1.0))))
     return np.asarray(attitude * signs[:, np.newaxis])

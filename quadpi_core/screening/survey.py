@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A first pass over a flight that comes in blocks finds stamps and outliers; a second one takes an excerpt.
 
-The excerpt stands for the flight in the checks of the flight as a whole. It is all of a flight with up to
-FEW_SAMPLES samples per topic; of a longer one, parts spread over it that include those of the consistency
-check.
+The checks of the flight as a whole use the excerpt: a whole flight with up to FEW_SAMPLES samples per topic,
+or parts spread over a longer one that include those of the consistency check.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""All signals of a flight through one low-pass, so that they share one delay: offline and live."""
+"""One low-pass for all signals of a flight, so that they share one delay, offline and live."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from quadpi_core.signals.filters import (
     zero_phase,
 )
 
+# Columns of the signals in one array, offline and live.
 VELOCITY = slice(0, 3)
 ATTITUDE = slice(3, 7)
 RATES = slice(7, 10)
@@ -51,12 +52,12 @@ class FilteredSignals(NamedTuple):
 
 
 class ChainMemory(NamedTuple):
-    """What the causal low-pass over every signal remembers; arrays, because the kernel changes them in place.
+    """Memory of the causal low-pass over all signals: arrays, as the kernel changes them in place.
 
     Attributes:
         delays: (2 sections, 2 delays, 20) delay lines of the channels.
-        attitude: (4,) the last one, of the sign that it was filtered with; zeros before the first.
-        started: (1,) whether there is a past.
+        attitude: (4,) last attitude, with the sign that it was filtered with; zeros before the first.
+        started: (1,) whether there was a sample.
     """
 
     delays: Array
@@ -65,13 +66,13 @@ class ChainMemory(NamedTuple):
 
     @classmethod
     def empty(cls) -> ChainMemory:
-        """The memory of a chain that has seen nothing."""
+        """The memory before the first sample."""
         return cls(np.zeros((SECTIONS, DELAYS, CHANNELS)), np.zeros(4), np.zeros(1))
 
 
 @njit(cache=True)
 def forget(memory: ChainMemory) -> None:
-    """Forget the past, after a gap or a jump of the clock: the next sample starts the chain anew."""
+    """Forget all samples, after a gap or a jump of the clock: the filter settles at the next one."""
     memory.attitude[:] = 0.0
     memory.started[0] = 0.0
 
@@ -80,8 +81,8 @@ def forget(memory: ChainMemory) -> None:
 def filter_sample(design: LowPass, memory: ChainMemory, sample: Array, value: Array, slope: Array) -> None:
     """Pass one finite sample (20,) through the causal low-pass; the rate is taken as constant.
 
-    Fills `value` (20,), its attitude of unit norm, and `slope` (20,), the derivative per second. The sign of
-    the attitude in `sample` becomes that nearest to the one before. The chain starts settled at its first
+    Fills `value` (20,), with an attitude of unit norm, and `slope` (20,), the derivative per second. The
+    attitude in `sample` gets the sign nearest to the previous one. The filter starts settled at its first
     sample.
     """
     make_continuous(sample[ATTITUDE].reshape(1, 4), memory.attitude)
@@ -118,9 +119,9 @@ def filter_zero_phase(
 
 @njit(cache=True)
 def make_continuous(attitude: Array, last: Array) -> Array:
-    """Choose in place the sign of each quaternion (K, 4) nearest to the one before; gives the last one.
+    """Give each quaternion (K, 4), in place, the sign nearest to the previous one; returns the last one.
 
-    q and −q are the same attitude, but the average of the two is none.
+    q and −q are the same attitude, but their mean is not an attitude.
     """
     previous = last.copy()
     for row in range(attitude.shape[0]):

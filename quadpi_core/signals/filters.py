@@ -58,7 +58,7 @@ def design_low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
         raise SignalError(
             f"cut-off {cutoff_hz:g} Hz must lie between 0 and half the sample rate ({0.5 * rate_hz:g} Hz)"
         )
-    # Slow to import, and much that imports this module designs no filter.
+    # Slow to import, and most importers of this module design no filter.
     from scipy.signal import butter
 
     first, second = (
@@ -70,7 +70,7 @@ def design_low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
 
 @njit(cache=True)
 def settled_state(design: LowPass, sample: Array) -> Array:
-    """Delay lines (2 sections, 2 delays, C) of a filter that has seen `sample` (C,) forever."""
+    """Delay lines (2 sections, 2 delays, C) of a filter whose input has always been `sample` (C,)."""
     state = np.empty((SECTIONS, DELAYS, len(sample)))
     for channel in range(len(sample)):
         state[0, :, channel] = sample[channel] / (1.0 + design.first.a1 + design.first.a2)
@@ -103,7 +103,7 @@ def low_pass(design: LowPass, state: Array, samples: Array, value: Array, deriva
 def zero_phase(
     signal: Array, cutoff_hz: float, rate_hz: float, derivative_of: slice = slice(None)
 ) -> Filtered:
-    """Filter samples (N, C) forward, then backward, so that nothing is delayed; the gain is |H|².
+    """Filter samples (N, C) forward, then backward, without delay; the gain is |H|².
 
     The derivative covers the channels `derivative_of`, all of them by default.
 
@@ -133,7 +133,7 @@ def zero_phase(
 
 
 def filter_settled(design: LowPass, samples: Array) -> Filtered:
-    """Filter a whole signal (N, C) from the settled state of its first sample, as it would be live."""
+    """Filter a whole signal (N, C) from the settled state of its first sample, as live."""
     samples = np.ascontiguousarray(samples)
     filtered = Filtered(np.empty_like(samples), np.empty_like(samples))
     low_pass(design, settled_state(design, samples[0]), samples, filtered.value, filtered.derivative)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bring streams to another time grid: linear between samples, never beyond them nor across a gap."""
+"""Resampling of streams to another time grid: linear between samples, never beyond them or across a gap."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import make_continuous
 
-# Steps that a rate is measured over: long enough for stamps that are rounded to a millisecond.
+# Number of steps that a rate is measured over: enough for stamps that are rounded to a millisecond.
 RATE_SPAN = 10
-# Stamps are whole nanoseconds: a last sample that misses its place by less than this part of a step counts.
+# Share of a step by which the last sample may be early, as stamps are whole nanoseconds.
 _ROUNDING = 1e-4
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
 
 class Resampled(NamedTuple):
-    """Values (M, C) at the wanted stamps, and which of them lie between samples close enough.
+    """Values (M, C) at the requested stamps, and a mask of those between samples without a gap.
 
     Rows where `valid` is False hold the nearest sample.
     """
@@ -60,7 +60,7 @@ def interpolate_attitude(time_ns: Stamps, attitude: Array, at_ns: Stamps, max_ga
 
 
 def nominal_rate(time_ns: Stamps) -> float:
-    """Sample rate in Hz that a sensor keeps between the samples that were lost.
+    """Sample rate in Hz of a sensor, whether or not samples were lost.
 
     The median over spans of ten samples: neither lost samples nor stamps rounded to a millisecond change it.
     """
@@ -79,6 +79,6 @@ def uniform_stamps(time_ns: Stamps) -> Stamps:
 
 
 def first_gap(time_ns: Stamps, max_gap_ns: int) -> int | None:
-    """Index of the first sample that comes more than `max_gap_ns` after the one before; None if none does."""
+    """Index of the first sample more than `max_gap_ns` after the previous one; None if there is none."""
     late = np.diff(time_ns) > max_gap_ns
     return int(np.argmax(late)) + 1 if late.any() else None

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The wrench that a vehicle measures of itself, by the Newton-Euler equations of a rigid body."""
+"""The measured wrench on a vehicle, by the Newton-Euler equations of a rigid body."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def newton_euler(
 
 
 def measured_wrench(flight: Flight, vehicle: Vehicle) -> Array:
-    """Wrench (N, 6) that the flight measured: N and Nm, body axes, gravity not included.
+    """Measured wrench (N, 6) of a flight: N and Nm, body axes, gravity not included.
 
-    The low-pass of the flight has already been applied to every factor, and its angular acceleration is the
-    consistent derivative of its rates.
+    All factors have passed the low-pass of the flight; its angular acceleration is the consistent derivative
+    of its rates.
     """
     wrench: Array = newton_euler(
         flight.specific_force, flight.rates, flight.angular_acceleration, vehicle.mass_kg, vehicle.inertia
