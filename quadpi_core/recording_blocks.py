@@ -3,7 +3,7 @@
 """Recordings in consecutive blocks, so that a long flight needs no more memory than a short one.
 
 A block is a :class:`Recording` whose arrivals count from its own first IMU sample. The streams of the flight
-are in each of its blocks, if need be without samples.
+are in each of its blocks, possibly without samples.
 """
 
 from __future__ import annotations

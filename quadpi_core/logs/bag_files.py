@@ -195,7 +195,7 @@ class Bag:
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Turn whatever a parser raises on damaged bytes into one LogError that names the bag."""
+        """Turn any error of a parser on damaged bytes into one LogError that names the bag."""
         try:
             yield
         except LogError as error:

@@ -103,7 +103,7 @@ class _ChecksummedStorage(storage_mcap.McapWriter):
         self.compressor = partial(zstd.compress, options=options)
 
     def close_chunk(self) -> None:
-        """Write the chunk and its index, the channels of which would be in the order of the blocks."""
+        """Write the chunk and its index, by channel: the order of first use would depend on the blocks."""
         self.chunk.msgs = dict(sorted(self.chunk.msgs.items()))
         super().close_chunk()
 
@@ -227,7 +227,7 @@ class BagWriter:
     def flush(self, until_ns: int = _STAMP_END_NS) -> None:
         """Write the messages logged until then, as no earlier one is still to come.
 
-        Without a time all waiting messages are written; what comes later follows them, whatever its log time.
+        Without a time all waiting messages are written, and later ones follow them even if logged earlier.
         """
         new = {
             int(channel.waiting[0].log_time_ns[0])

@@ -428,7 +428,7 @@ def bag_vehicle(path: Path | str) -> str:
 
 
 def bag_topics(path: Path | str) -> list[TopicSummary]:
-    """Summarise every topic of any bag, whatever its types, ordered by name.
+    """Summarise every topic of a bag, of any type, ordered by name.
 
     Raises:
         LogError: for a bag that cannot be read.
@@ -469,7 +469,7 @@ def _has_header(connection: Connection) -> bool:
 def find_topic(bag: Bag, topic: str) -> Connection | None:
     """The topic of that name in any namespace, or None if it is absent or holds no messages.
 
-    Below a namespace `truth` stands what a simulation knows, none of it measured: it is passed over.
+    Topics below a namespace `truth` are passed over: a simulation computed them, no sensor measured them.
     """
     candidates = {
         connection.topic: connection

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reader for Betaflight's Blackbox logs (.bbl, .bfl, .txt).
 
-Betaflight's body axes are forward-left-up. `gyroADC` is in deg/s, `accSmooth` in counts of which the header
-`acc_1G` makes one g, `eRPM` (bidirectional DShot) in hundreds of electrical revolutions per minute, time in
-µs.
+Betaflight's body axes are forward-left-up. `gyroADC` is in deg/s, `accSmooth` in counts (the header
+`acc_1G` gives counts per g), `eRPM` (bidirectional DShot) in hundreds of electrical revolutions per minute,
+time in µs.
 Source: Betaflight's blackbox.c, and the Blackbox log viewer.
 """
 

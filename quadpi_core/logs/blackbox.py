@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Blackbox logs: header lines, then frames of which each field is what a predictor lacks, in few bytes.
+"""Blackbox logs: header lines, then frames whose fields hold the error of a predictor, in few bytes.
 
 A log has frames of the main loop (I: by themselves; P: on top of those before), others that are only stepped
 over (S, G, H) and events (E). There are no lengths and no checksums: a frame is whole if the byte after it
@@ -248,14 +248,14 @@ def _unsigned(data: _Bytes, position: int) -> tuple[int, int]:
 
 @njit(cache=True)
 def _signed(data: _Bytes, position: int) -> tuple[int, int]:
-    """The same for numbers of which the lowest bit is the sign."""
+    """The same for numbers whose lowest bit is the sign."""
     value, position = _unsigned(data, position)
     return (value >> 1) ^ -(value & 1), position
 
 
 @njit(cache=True)
 def _extended(value: int, bits: int) -> int:
-    """A number of so many bits, in two's complement."""
+    """A number of the given bits, in two's complement."""
     value &= (1 << bits) - 1
     return value - (1 << bits) if value >> (bits - 1) else value
 

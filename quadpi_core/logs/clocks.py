@@ -20,7 +20,7 @@ DRIFT = 100e-6
 _EXCHANGES = 64
 _WINDOW_NS = 10_000_000_000
 _BUCKET_NS = 1_000_000_000
-# How often the offset is estimated anew.
+# How often the offset is estimated again.
 _ESTIMATE_NS = 10_000_000
 # Stamps that are too early by so much, or too late by a second, are moved at once. Smaller errors are worked
 # off at a share of the sender's time, the larger the error the faster, so that stamps keep rising.

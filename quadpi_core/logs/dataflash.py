@@ -53,7 +53,7 @@ _LETTERS: MappingProxyType[str, tuple[str, float]] = MappingProxyType(
         "a": ("V64", 1.0),
     }
 )
-# Names that would stand for something else in the layout of a record.
+# Names with another meaning in the layout of a record.
 _NO_COLUMNS = ("", "head")
 _TIME_UNITS = MappingProxyType({"TimeUS": 1_000, "TimeMS": 1_000_000})
 

@@ -71,7 +71,7 @@ def import_logs(
         folder: bags of the same names in it are replaced.
         mapping: see :func:`quadpi_core.logs.read_recording`.
         align: move the stamps of the poses so that the turns they show match the gyro's.
-        workers: that convert the logs; the bytes are the same whatever does the work.
+        workers: that convert the logs; the bytes do not depend on them.
 
     Raises:
         LogError: naming file, topic and sample, for a log that cannot be read or is not plausible, a flight

@@ -99,7 +99,7 @@ def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> I
 
 
 def inspect_blocks(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None = None) -> Inspection:
-    """Describe a recording that comes in blocks, of which there is at least one.
+    """Describe a recording that comes in at least one block.
 
     Args:
         blocks: gives them from the first on; they are read twice.

@@ -284,7 +284,7 @@ class MavlinkSamples:
         return self._rotors("ESC_STATUS", m.index, m.rpm, m.time_usec, arrival_s)
 
     def _esc_telemetry(self, m: Any, arrival_s: float) -> Sample | None:
-        """Mechanical rpm; `count` tells which controllers have reported since the last message."""
+        """Mechanical rpm; `count` changes for the controllers that have reported since the last message."""
         name = type(m).__name__
         first = int(name.split("_")[2]) - 1
         fresh = [self._speed_count.get(first + k) != count for k, count in enumerate(m.count)]

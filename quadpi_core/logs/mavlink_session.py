@@ -90,7 +90,7 @@ class Received(NamedTuple):
 
 
 class Peer(NamedTuple):
-    """The autopilot that a session is with; `address` is whatever the link calls the place it sends from."""
+    """The autopilot of a session; `address` is the link's name for the place it sends from."""
 
     system: int
     component: int
@@ -172,7 +172,7 @@ class MavlinkSession:
 
     @property
     def address(self) -> object:
-        """Where the autopilot sends from, as `take` was told; None before its first heartbeat."""
+        """Address of the autopilot, as given to `take`; None before its first heartbeat."""
         return self._peer.address if self._peer else None
 
     def take(self, data: bytes, arrival_ns: int, *, complete: bool, address: object = None) -> list[Received]:
@@ -343,7 +343,7 @@ class MavlinkSession:
         return packed
 
     def report(self, now_ns: int) -> SessionReport:
-        """How the session stands."""
+        """State of the session, for diagnostics."""
         clocks = []
         if self._peer is not None:
             of_peer = (self._peer.system, self._peer.component)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much a Parquet file unpacks to, by its footer and by what each page says of itself.
 
-A reader takes memory for a page as large as its own header says, whatever the footer says. Both are read
+A reader takes memory for a page as large as the page's own header announces, not the footer. Both are read
 here and not through pyarrow, which ends the process on some damaged footers when it is asked for a column.
 
 Source: parquet.thrift, by whose numbers fields are named here; Thrift's compact protocol.

@@ -128,7 +128,7 @@ class _Endless(Exception):  # noqa: N818 - pyulog goes on after the usual kinds
     """Reading would not end."""
 
 
-# pyulog reads heads of messages and messages apart: each read counts as so many bytes.
+# pyulog reads the head and the body of a message apart; the cost of one read, in bytes.
 _READ_COST = 256
 # So many times a file may be read, and behind damage these bytes more in search of the next message.
 _PASSES_MAX, _RESYNC_BYTES = 16, 2**26

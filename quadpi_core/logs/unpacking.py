@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much a log may unpack to, and decompressors that never give more than they are asked for.
 
-Whatever a header announces is held against one limit before memory is taken for it: a few kilobytes can
-unpack to gigabytes.
+Every size that a header announces is held against one limit before memory is taken for it: a few kilobytes
+can unpack to gigabytes.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def unzstd(data: bytes | memoryview, size: int) -> bytes:
     """The content of one Zstandard frame or several, which must be `size` bytes.
 
     Raises:
-        LogError: if it is of another size, of which no more than one byte beyond it is unpacked, or of more
-            frames than anybody writes.
+        LogError: if it is of another size (unpacking stops one byte beyond `size`), or of more frames than
+            any program writes.
         zstd.ZstdError: if the bytes are damaged.
     """
     return _of_size(b"".join(unzstd_blocks(data, size)), size)
@@ -103,7 +103,7 @@ def zstd_size(data: bytes | memoryview, most: int) -> int:
     """How many bytes Zstandard frames unpack to: counted, not kept, and at most one beyond `most`.
 
     Raises:
-        LogError: if there are more frames than anybody writes.
+        LogError: if there are more frames than any program writes.
         zstd.ZstdError: if the bytes are damaged.
     """
     return sum(map(len, unzstd_blocks(data, most)))
@@ -113,7 +113,7 @@ def unzstd_blocks(data: bytes | memoryview, most: int) -> Iterator[bytes]:
     """The content of Zstandard frames in blocks, up to one byte beyond `most` or to where they are cut.
 
     Raises:
-        LogError: if there are more frames than anybody writes.
+        LogError: if there are more frames than any program writes.
         zstd.ZstdError: if the bytes are damaged.
     """
     unread = memoryview(data)

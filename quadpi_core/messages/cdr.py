@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
+from quadpi_core.flight import Stamps
 from quadpi_core.messages.payloads import FIRST, Bytes, Indices, Payloads
 
 Columns: TypeAlias = dict[str, npt.NDArray[Any]]
@@ -28,6 +29,8 @@ _ORIGIN = len(_ENCAPSULATION)
 # A message that begins with a header begins with its stamp.
 _STAMP = struct.Struct("<iI")
 _NANOSECONDS = 1_000_000_000
+_MICROSECOND = 1_000
+_LAST_US = np.iinfo(np.int64).max // _MICROSECOND
 _DOUBLE = "<f8"
 _DOUBLE_BYTES = 8
 _PADDING_MAX = 3
@@ -74,7 +77,7 @@ class Layout:
     Attributes:
         dtype: structured, the size of a message; a sequence of strings is one field per string.
         template: (size,) bytes of a message of zeros, with its encapsulation and lengths.
-        identifying: indices of the bytes that tell this layout from others: encapsulation and lengths.
+        identifying: indices of the bytes that distinguish this layout: encapsulation and lengths.
         names: fields of `dtype` that are fields of the message.
         sequences: for each sequence of strings, the fields of `dtype` that hold them.
         doubles: the bytes of the float64 fields that end the message.
@@ -330,10 +333,10 @@ class Codec:
         )
 
     def _walk(self, length_at: Callable[[int], int]) -> Iterator[_Place]:
-        """Place each number, string and length behind the other, aligned as CDR asks.
+        """Place numbers, strings and lengths one after the other, aligned by the rules of CDR.
 
         Args:
-            length_at: gives the length that stands at a position.
+            length_at: gives the length stored at a position.
         """
         position = 0
         for field in self._fields:
@@ -412,3 +415,31 @@ def _reunite(name: str, parts: Sequence[tuple[Indices, Columns]]) -> npt.NDArray
     for (order, _), column in zip(parts, columns, strict=True):
         whole[order] = column
     return whole
+
+
+def header_stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:
+    """Stamps (N,) from the columns of a builtin_interfaces/Time.
+
+    Raises:
+        SampleError: naming the sample, for a stamp that is none.
+    """
+    nanoseconds = columns[f"{prefix}nanosec"]
+    _check_stamps(nanoseconds < _NANOSECONDS, nanoseconds, "ns beyond its second")
+    stamps: Stamps = columns[f"{prefix}sec"].astype(np.int64) * _NANOSECONDS + nanoseconds
+    return stamps
+
+
+def microsecond_stamps(microseconds: npt.NDArray[np.uint64]) -> Stamps:
+    """Stamps (N,) of a clock that counts microseconds.
+
+    Raises:
+        SampleError: naming the sample, for a stamp that nanoseconds cannot hold.
+    """
+    _check_stamps(microseconds <= _LAST_US, microseconds, "µs")
+    return microseconds.astype(np.int64) * _MICROSECOND
+
+
+def _check_stamps(usable: npt.NDArray[np.bool_], value: npt.NDArray[np.unsignedinteger], unit: str) -> None:
+    if not usable.all():
+        sample = int(np.argmin(usable))
+        raise SampleError(sample, f"the stamp has {value[sample]} {unit}")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the frame_id of a message says of the axes that its numbers are in; live and in bags by the same rule.
+"""The axes of a message's numbers by its frame_id; one rule for live messages and bags.
 
 A world whose name ends in `ned` is not the east-north-up that these messages are read in: refused. An IMU in
 another frame than the body's is turned, and moved by its lever arm, where static transforms lead from its
@@ -55,7 +55,7 @@ class BodyFrames:
         strict: whether an IMU in a frame that nothing is known of is refused.
         patience_s: for how long transforms may still come, from the first sample that needs one.
         hint: why there may be none, for messages.
-        warn: told once of each frame that is taken as the body's.
+        warn: called once for each frame that is taken as the body's.
 
     Attributes:
         transforms: the static ones; more may be taken at any time.

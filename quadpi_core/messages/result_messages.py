@@ -15,8 +15,8 @@ import numpy.typing as npt
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages.cdr import header_stamps
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.message_stamps import header_stamps
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import (
     ALARM,
@@ -151,7 +151,7 @@ def pack_events(events: Sequence[AlarmEvent], frame_id: str = BODY_FRAME) -> Pay
 def unpack_events(payloads: Payloads | bytes) -> list[AlarmEvent]:
     """Decode quadpi/AlarmEvent."""
     columns = codec(EVENT).decode(payloads)
-    told = _texts(columns["reasons"])
+    reasons = _texts(columns["reasons"])
     times, starts, ends = (header_stamps(columns, prefix) for prefix in ("header.stamp.", "start.", "end."))
     return [
         AlarmEvent(
@@ -163,7 +163,7 @@ def unpack_events(payloads: Payloads | bytes) -> list[AlarmEvent]:
             peak_evidence=float(columns["peak_evidence"][k]),
             reasons=words,
         )
-        for k, words in enumerate(told)
+        for k, words in enumerate(reasons)
     ]
 
 

@@ -33,8 +33,8 @@ from quadpi_core.frames import (
     world_enu_to_ned,
     world_ned_to_enu,
 )
+from quadpi_core.messages.cdr import header_stamps
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.message_stamps import header_stamps
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.values import (
     ODOMETRY_VALUES,
@@ -203,7 +203,7 @@ def without_namespace(frame: str) -> str:
 
 
 def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: str = WORLD_FRAME) -> Payloads:
-    """Encode as geometry_msgs/TwistStamped of no rotation; the frame tells the axes."""
+    """Encode as geometry_msgs/TwistStamped without rotation; the frame_id names the axes."""
     parts, orders = [], []
     for in_body, frame in ((True, body_frame), (False, world_frame)):
         rows = np.flatnonzero(stream.in_body == in_body)

@@ -82,7 +82,7 @@ class StaticTransforms:
             raise LogError(wrong[0])
 
     def between(self, source: str, target: str) -> Transform | None:
-        """From one frame to another, over others if need be; None where nothing is known."""
+        """From one frame to another, through others if necessary; None without a path."""
         reached = {source: Transform(np.eye(3), np.zeros(3))}
         waiting = [source]
         while waiting and target not in reached:

@@ -18,9 +18,8 @@ from quadpi_core.messages.adapters.adapter_settings import AdapterSettings, Body
 from quadpi_core.messages.adapters.px4_messages import OdometryReader, read_sensor_combined
 from quadpi_core.messages.adapters.rigid_bodies import BodyReader
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
-from quadpi_core.messages.cdr import Columns
+from quadpi_core.messages.cdr import Columns, header_stamps
 from quadpi_core.messages.foreign_messages import ForeignCodec, Items, foreign_codec
-from quadpi_core.messages.message_stamps import header_stamps
 from quadpi_core.messages.payloads import Indices, Payloads
 from quadpi_core.vehicle import Vehicle
 

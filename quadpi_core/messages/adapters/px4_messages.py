@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """px4_msgs/VehicleOdometry and SensorCombined, which name their frames: FRD body, NED or FRD world, SI.
 
-An FRD world is NED but for its heading; as nothing in the core depends on where north is, both are taken.
+An FRD world is NED with another heading; nothing in the core depends on where north is, so both are accepted.
 Stamps count microseconds: of the companion's clock if the uXRCE-DDS agent synchronises (its default), else
 since the autopilot started.
 """
@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream
-from quadpi_core.messages.cdr import Columns
-from quadpi_core.messages.message_stamps import microsecond_stamps
+from quadpi_core.messages.cdr import Columns, microsecond_stamps
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.units import NORM_TOLERANCE
 
@@ -78,7 +77,7 @@ class OdometryReader:
         )
 
     def _all_of(self, known: dict[str, npt.NDArray[np.bool_]]) -> npt.NDArray[np.bool_]:
-        """Messages (N,) of which all is known; counts the others by the first reason that they meet."""
+        """Mask (N,) of messages without unknown values; counts the others by their first reason."""
         kept: npt.NDArray[np.bool_] = np.logical_and.reduce(list(known.values()))
         if not kept.all():
             left = np.ones_like(kept)

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """ESC reports of mavros and PX4 as rotor speeds.
 
-Whatever the message, each row becomes four speeds and four marks, numbers that change when the ESC reports
-anew. Autopilots and bridges repeat what an ESC said last: a row in which nothing is new is no sample, and one
-in which an ESC has been silent for SILENT_NS is none that can be trusted.
+Each message becomes four speeds and four marks, numbers that change with every report of an ESC. Autopilots
+and bridges repeat an ESC's last report: a row without a new report is no sample, and neither is one in
+which an ESC has been silent for SILENT_NS.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.messages.cdr import Columns
+from quadpi_core.messages.cdr import Columns, header_stamps, microsecond_stamps
 from quadpi_core.messages.foreign_messages import Items
-from quadpi_core.messages.message_stamps import header_stamps, microsecond_stamps
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -64,7 +63,7 @@ class EscReports(NamedTuple):
     Attributes:
         time_ns: (N,).
         rpm: (N, 4); any number where there is no sample.
-        marks: (N, 4) change when the ESC reports anew.
+        marks: (N, 4) change with every report of the ESC.
         verdict: (N,) see :class:`Verdict`.
     """
 
@@ -94,7 +93,7 @@ def _in_esc_order(columns: Columns, array: Items, marks: Indices, order: Indices
 
 
 def px4_status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
-    """Reports of px4_msgs/EscStatus: `actuator_function` names the motor, whatever the place in the array."""
+    """Reports of px4_msgs/EscStatus: `actuator_function` names the motor, in any place of the array."""
     array = items["esc"]
     found = _named(
         array.columns["actuator_function"].astype(np.int64),
@@ -202,7 +201,7 @@ def _judge_news(
 
 
 class RotorReader:
-    """Rotor speeds from the reports of any message; keeps what tells new reports from repeated ones.
+    """Rotor speeds from the reports of any message; keeps the marks that distinguish new from repeated ones.
 
     Attributes:
         dropped: how many messages gave no sample, by reason.
