@@ -10,6 +10,7 @@ for bit.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ from quadpi_core.estimator.initialise import (
     initial_from_velocities,
 )
 from quadpi_core.estimator.output import FUSED, FusedSamples
-from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
 from quadpi_core.sample_limits import usable_imu
@@ -138,6 +139,7 @@ class Segment(NamedTuple):
         first: place in `samples` of the first one that has an estimate live.
         journal: (J,) each :class:`quadpi_core.estimator.filter_state.Correction`.
         noise: (1,) what it assumed, a :class:`quadpi_core.estimator.filter_state.Noise`.
+        rate_hz: of the IMU, as it assumed.
     """
 
     initial: Initial
@@ -145,6 +147,26 @@ class Segment(NamedTuple):
     first: int
     journal: Records
     noise: Records
+    rate_hz: float
+
+
+@dataclass
+class _SegmentLog:
+    """Segments of a recording that is taken in blocks.
+
+    Attributes:
+        imu_ns: stamps of all its IMU samples.
+        journal: (M,) room for a correction by each of its measurements.
+        segments: that have ended.
+        used: indices of the IMU samples that the present segment used since its start, by block.
+        taken: IMU samples of the blocks taken so far.
+    """
+
+    imu_ns: Stamps
+    journal: Records
+    segments: list[Segment]
+    used: list[npt.NDArray[np.int64]]
+    taken: int
 
 
 class Ekf:
@@ -162,6 +184,7 @@ class Ekf:
         self._rate_hz = rate_hz or RATE_BEFORE_HZ
         self._memory = filter_state.allocate(vehicle, self._rate_hz)
         self._initial: Initial | None = None
+        self._log: _SegmentLog | None = None
         # Collected before the start, each (1,); of the IMU samples, those since the initial estimate stay.
         self._imu: deque[Records] = deque(maxlen=_COLLECTED_MAX)
         self._measurements: deque[Records] = deque(maxlen=_COLLECTED_MAX)
@@ -299,7 +322,7 @@ class Ekf:
             SignalError: if the recording has no motion capture.
         """
         arrivals = filter_run.in_order_of_arrival(block)
-        trace = Trace.empty(arrivals, _NO_JOURNAL)
+        trace = Trace.empty(arrivals, self._journal, fused=True)
         self._run(arrivals, trace)
         count = int(trace.progress["estimates"][0])
         rows, fused = trace.rows[:count], trace.fused[:count]
@@ -311,44 +334,67 @@ class Ekf:
         Raises:
             SignalError: as :meth:`run`.
         """
+        self.log_segments(recording)
         arrivals = filter_run.in_order_of_arrival(recording)
-        trace = Trace.empty(arrivals, np.empty(len(arrivals.measurements), CORRECTION))
-        segments = self._run(arrivals, trace)
+        self._run(arrivals, Trace.empty(arrivals, self._journal, fused=False))
+        segments = self.logged_segments()
         if not segments:
             raise never_started(recording.source, Spans().extended(recording))
         return segments
 
-    def _run(self, arrivals: Arrivals, trace: Trace) -> list[Segment]:
-        """Take every sample; where a journal is kept, the segments between initialisations."""
+    def log_segments(self, recording: Recording) -> None:
+        """Log what the smoother needs while blocks of this recording are taken; before the first of them."""
+        streams = (stream for stream in (recording.pose, recording.twist) if stream is not None)
+        journal = np.empty(sum(map(len, streams)), CORRECTION)
+        self._log = _SegmentLog(recording.imu.time_ns, journal, segments=[], used=[], taken=0)
+
+    def logged_segments(self) -> list[Segment]:
+        """The segments of the blocks taken since :meth:`log_segments`, which ends the log."""
+        log, self._log = self._log, None
+        assert log is not None  # the caller began it
+        if self._initial is not None:
+            self._end_segment(self._initial, log)
+        return log.segments
+
+    @property
+    def _journal(self) -> Records:
+        return _NO_JOURNAL if self._log is None else self._log.journal
+
+    def _run(self, arrivals: Arrivals, trace: Trace) -> None:
+        """Take every sample."""
         progress = trace.progress[0]
-        segments: list[Segment] = []
         first = 0
         while True:
             if self._initial is not None:
                 filter_run.run(*self._memory, arrivals, trace)
-                if len(trace.journal):
+                if self._log is not None:
                     used = trace.rows["sample"][first : progress["estimates"]]
-                    segments.append(self._segment(self._initial, arrivals, used, trace.journal))
+                    self._log.used.append(self._log.taken + used)
             index = int(progress["samples"])
             if index == len(arrivals.samples):
-                return segments
+                break
             # Before the start, and at a RESET, samples come as they do live.
+            if self._initial is not None and self._log is not None:
+                self._end_segment(self._initial, self._log)
             self._feed_next(arrivals, trace)
             if self._initial is not None and progress["samples"] > index:
                 first = int(progress["estimates"])
                 filter_run.record(*self._memory, trace, index)
+        if self._log is not None:
+            self._log.taken += index
 
-    def _segment(
-        self, initial: Initial, arrivals: Arrivals, used: npt.NDArray[np.int64], journal: Records
-    ) -> Segment:
-        """What the filter did since its start; `used` are the IMU samples that it gave an estimate at."""
+    def _end_segment(self, initial: Initial, log: _SegmentLog) -> None:
+        """Log what the filter did since its start."""
         # The start itself propagates to the newest IMU sample.
         stamps = [sample["time_ns"][0] for sample in self._imu]
-        caught_up = np.searchsorted(arrivals.samples["time_ns"], stamps)
-        samples = np.concatenate((caught_up[:-1], used))
+        caught_up = np.searchsorted(log.imu_ns, stamps)
+        samples = np.concatenate((caught_up[:-1], *log.used))
         count = int(self._memory.filter["journalled"][0])
         noise = self._memory.filter["noise"].copy()
-        return Segment(initial, samples, len(caught_up) - 1, journal[:count].copy(), noise)
+        log.segments.append(
+            Segment(initial, samples, len(caught_up) - 1, log.journal[:count].copy(), noise, self._rate_hz)
+        )
+        log.used.clear()
 
     def _feed_next(self, arrivals: Arrivals, trace: Trace) -> None:
         """Take the next sample by arrival as if it came live."""

@@ -177,14 +177,14 @@ class Trace(NamedTuple):
     journal: Records
 
     @classmethod
-    def empty(cls, arrivals: Arrivals, journal: Records) -> Trace:
-        """Room for a run; a run with a journal is for the smoother, which needs no odometry."""
+    def empty(cls, arrivals: Arrivals, journal: Records, *, fused: bool) -> Trace:
+        """Room for a run, with `fused` where odometry is needed of it."""
         count = len(arrivals.samples)
         return cls(
             np.zeros(1, _PROGRESS),
             np.zeros(count, dtype=np.int64),
             np.empty(count, FILTERED),
-            np.empty(0 if len(journal) else count, FUSED),
+            np.empty(count if fused else 0, FUSED),
             journal,
         )
 

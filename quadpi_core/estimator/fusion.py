@@ -4,14 +4,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from quadpi_core.errors import LogError, SignalError
-from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.ekf import Ekf, Segment
 from quadpi_core.estimator.smoother import smooth
-from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, Stamps, Stream, WindStream
+from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, RotorSpeedStream, Stamps, Stream, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.resample import (
@@ -38,7 +39,9 @@ class Estimate(NamedTuple):
     accelerometer_bias: Array
 
 
-def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
+def fuse(
+    recording: Recording, vehicle: Vehicle, cutoff_hz: float, segments: Sequence[Segment] | None = None
+) -> Flight:
     """Estimate the state, bring every stream to the IMU's nominal grid and low-pass all of it alike.
 
     The state comes from the smoother over the EKF's model where the recording has motion capture, else from
@@ -52,19 +55,15 @@ def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
         vehicle: for sensor noise and gravity.
         cutoff_hz: of the fourth-order Butterworth low-pass, run both ways
             (see :func:`quadpi_core.signals.filters.zero_phase`).
+        segments: what the filter did over the recording, where it has run already.
 
     Raises:
         LogError: naming the topic that is missing or pauses for more than 0.1 s, or if the streams share too
             little time.
         SignalError: if the estimator never starts, or the cut-off is impossible.
     """
-    recording.check()
-    imu, rotor_speeds = recording.imu, recording.rotor_speeds
-    if rotor_speeds is None:
-        raise LogError(f"{recording.source}: topic rotor_speeds is missing")
-    for stream in (imu, rotor_speeds):
-        _require_no_gap(recording.source, stream)
-    estimate = _estimate(recording, vehicle)
+    imu, rotor_speeds = recording.imu, require_streams(recording)
+    estimate = _estimate(recording, vehicle, segments)
 
     grid = uniform_stamps(imu.time_ns)
     start_ns = max(estimate.time_ns[0], rotor_speeds.time_ns[0])
@@ -105,9 +104,30 @@ def fuse(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
     )
 
 
-def fuse_airborne(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Flight:
+def require_streams(recording: Recording) -> RotorSpeedStream:
+    """The rotor speeds of a recording that has the streams that :func:`fuse` needs.
+
+    Raises:
+        LogError: naming the topic that is missing or pauses for more than 0.1 s.
+    """
+    recording.check()
+    rotor_speeds = recording.rotor_speeds
+    if rotor_speeds is None:
+        raise LogError(f"{recording.source}: topic rotor_speeds is missing")
+    for stream in (recording.imu, rotor_speeds):
+        _require_no_gap(recording.source, stream)
+    if recording.pose is None and recording.twist is None:
+        if recording.odometry is None:
+            raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
+        _require_no_gap(recording.source, recording.odometry)
+    return rotor_speeds
+
+
+def fuse_airborne(
+    recording: Recording, vehicle: Vehicle, cutoff_hz: float, segments: Sequence[Segment] | None = None
+) -> Flight:
     """The part of a flight in the air: :func:`fuse`, then :func:`airborne`, and what they raise."""
-    return airborne(fuse(recording, vehicle, cutoff_hz), vehicle.gravity_m_s2)
+    return airborne(fuse(recording, vehicle, cutoff_hz, segments), vehicle.gravity_m_s2)
 
 
 def airborne(flight: Flight, gravity: float) -> Flight:
@@ -127,9 +147,12 @@ def airborne(flight: Flight, gravity: float) -> Flight:
     return flight.slice(slice(int(carrying[0]), int(carrying[-1]) + 1))
 
 
-def _estimate(recording: Recording, vehicle: Vehicle) -> Estimate:
-    if recording.pose is not None or recording.twist is not None:
-        smoothed = smooth(recording, Ekf(vehicle, nominal_rate(recording.imu.time_ns)))
+def _estimate(recording: Recording, vehicle: Vehicle, segments: Sequence[Segment] | None) -> Estimate:
+    odometry = recording.odometry
+    if recording.pose is not None or recording.twist is not None or odometry is None:
+        if segments is None:
+            segments = Ekf(vehicle, nominal_rate(recording.imu.time_ns)).segments(recording)
+        smoothed = smooth(recording.imu, segments)
         return Estimate(
             smoothed.time_ns,
             smoothed.position,
@@ -138,10 +161,6 @@ def _estimate(recording: Recording, vehicle: Vehicle) -> Estimate:
             smoothed.gyro_bias,
             smoothed.accelerometer_bias,
         )
-    odometry = recording.odometry
-    if odometry is None:
-        raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
-    _require_no_gap(recording.source, odometry)
     no_bias = np.zeros((len(odometry), 3))
     return Estimate(
         odometry.time_ns, odometry.position, odometry.attitude, odometry.velocity, no_bias, no_bias

@@ -11,6 +11,7 @@ gets there, so that memory stays bounded.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.estimator import corrections
-from quadpi_core.estimator.ekf import Ekf, Segment
+from quadpi_core.estimator.ekf import Segment
 from quadpi_core.estimator.filter_run import (
     ESTIMATED,
     EstimatedSample,
@@ -40,7 +41,7 @@ from quadpi_core.estimator.filter_state import (
     interpolate_sample,
 )
 from quadpi_core.estimator.propagate import apply_transposed, inject, propagate_between
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.flight import ImuStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.records import Records, record_dtype
 
@@ -104,18 +105,15 @@ class Tape(NamedTuple):
         )
 
 
-def smooth(recording: Recording, ekf: Ekf) -> Estimates:
-    """Smoothed estimates over a whole recording, at the IMU samples that a fresh EKF uses.
+def smooth(imu_stream: ImuStream, segments: Sequence[Segment]) -> Estimates:
+    """Smoothed estimates over a whole recording, at the IMU samples that the filter used.
 
     Args:
-        recording: with poses or velocities of motion capture.
-        ekf: fresh; it runs over the recording first.
-
-    Raises:
-        SignalError: as :meth:`Ekf.run`.
+        imu_stream: of the recording.
+        segments: at least one, see :meth:`.ekf.Ekf.segments`.
     """
-    imu = imu_records(recording.imu)
-    rows = np.concatenate([_smooth(imu, segment) for segment in ekf.segments(recording)])
+    imu = imu_records(imu_stream)
+    rows = np.concatenate([_smooth(imu, segment) for segment in segments])
     return Estimates(rows["time_ns"].copy(), rows)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.estimator.fusion import fuse_airborne
+from quadpi_core.estimator.ekf import Ekf, Segment
+from quadpi_core.estimator.fusion import fuse_airborne, require_streams
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, Stamps
 from quadpi_core.frames import Array
@@ -22,10 +23,10 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
-from quadpi_core.monitor.replay import follow, recorded_flight
+from quadpi_core.monitor.replay import Followed, follow, recorded_flight
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.screening.consistency import checked
-from quadpi_core.signals.resample import interpolate
+from quadpi_core.signals.resample import interpolate, nominal_rate
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 
@@ -112,9 +113,11 @@ def prepare_flights(
 def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
     vehicle, cutoff_hz = task
     recording = _read(path, vehicle)
-    flight = fuse_airborne(recording, vehicle, cutoff_hz)
+    require_streams(recording)
+    causal = CausalPass.over(recording, vehicle)
+    flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
     at_ns = flight.start_ns + np.rint(1e9 * flight.time).astype(np.int64)
-    live = live_samples(recording, vehicle, cutoff_hz, at_ns)
+    live = causal.samples(vehicle, cutoff_hz, at_ns)
     return PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
 
 
@@ -149,26 +152,67 @@ class LiveSamples(NamedTuple):
     known: npt.NDArray[np.bool_]
 
 
-def live_samples(recording: Recording, vehicle: Vehicle, cutoff_hz: float, at_ns: Stamps) -> LiveSamples:
-    """Run estimator, pairing and low-pass as a replay does, and take the stamps (N,) of a flight from that.
+@dataclass(frozen=True)
+class CausalPass:
+    """One pass of the causal filter over a recording, for the samples of the live path and for the smoother.
 
-    Raises:
-        LogError: naming what is missing, or if no sample could be judged.
-        SignalError: if the estimator never starts, or the cut-off is impossible.
+    Attributes:
+        source: of the recording.
+        parts: samples that the estimator and the pairing give the monitor.
+        segments: what the filter did, where the smoother's filter does the same to the last bit; else None.
     """
-    preparation = Preparation(vehicle, None, cutoff_hz)
-    stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 7))]
-    for part in follow(recorded_flight(recording), vehicle):
-        if part.begin == SET_BACK:
-            preparation.reset()
-        preparation.retune(part.rate)
-        prepared = preparation.step(*part.samples)
-        stamps.append(prepared.usable_ns)
-        rows.append(np.column_stack((prepared.inputs, prepared.measured, prepared.settled)))
-    time_ns, values = np.concatenate(stamps), np.concatenate(rows)
-    if len(time_ns) == 0:
-        raise LogError(f"{recording.source}: no sample that a monitor could judge")
-    values, known = interpolate(time_ns, values, at_ns, MAX_GAP_NS)
-    inputs, wrench, settled = np.split(values, [len(INPUT_NAMES), len(INPUT_NAMES) + 6], axis=1)
-    known &= settled[:, 0] == 1.0
-    return LiveSamples(np.ascontiguousarray(inputs), np.ascontiguousarray(wrench), known)
+
+    source: str
+    parts: Sequence[Followed]
+    segments: Sequence[Segment] | None
+
+    @classmethod
+    def over(cls, recording: Recording, vehicle: Vehicle) -> CausalPass:
+        """Run estimator and pairing as a replay does.
+
+        Raises:
+            LogError: naming what is missing.
+            SignalError: if the estimator never starts.
+        """
+        flight = recorded_flight(recording)
+        ekf = None
+        if flight.has_mocap:
+            ekf = Ekf(vehicle)
+            ekf.log_segments(recording)
+        parts = [part._replace(states=None) for part in follow(flight, vehicle, ekf)]
+        segments = None if ekf is None else ekf.logged_segments()
+        return cls(recording.source, parts, cls._shared(segments, recording))
+
+    @staticmethod
+    def _shared(segments: Sequence[Segment] | None, recording: Recording) -> Sequence[Segment] | None:
+        """The segments, if a filter that assumes the IMU rate of the whole recording would give the same.
+
+        Live the rate is that of the second before the start, and a change of it starts the filter again.
+        """
+        if segments is None or len(segments) != 1:
+            return None
+        return segments if segments[0].rate_hz == nominal_rate(recording.imu.time_ns) else None
+
+    def samples(self, vehicle: Vehicle, cutoff_hz: float, at_ns: Stamps) -> LiveSamples:
+        """Low-pass as a replay does, and take the stamps (N,) of a flight from that.
+
+        Raises:
+            LogError: if no sample could be judged.
+            SignalError: if the cut-off is impossible.
+        """
+        preparation = Preparation(vehicle, None, cutoff_hz)
+        stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 7))]
+        for part in self.parts:
+            if part.begin == SET_BACK:
+                preparation.reset()
+            preparation.retune(part.rate)
+            prepared = preparation.step(*part.samples)
+            stamps.append(prepared.usable_ns)
+            rows.append(np.column_stack((prepared.inputs, prepared.measured, prepared.settled)))
+        time_ns, values = np.concatenate(stamps), np.concatenate(rows)
+        if len(time_ns) == 0:
+            raise LogError(f"{self.source}: no sample that a monitor could judge")
+        values, known = interpolate(time_ns, values, at_ns, MAX_GAP_NS)
+        inputs, wrench, settled = np.split(values, [len(INPUT_NAMES), len(INPUT_NAMES) + 6], axis=1)
+        known &= settled[:, 0] == 1.0
+        return LiveSamples(np.ascontiguousarray(inputs), np.ascontiguousarray(wrench), known)

@@ -242,14 +242,20 @@ class Followed(NamedTuple):
     settled_ns: int
 
 
-def follow(flight: RecordedFlight, vehicle: Vehicle) -> Iterator[Followed]:
+def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> Iterator[Followed]:
     """Take a flight as estimator and pairing take it live.
+
+    Args:
+        flight: to follow.
+        vehicle: that flew.
+        ekf: fresh filter of a flight with motion capture; one is made unless given.
 
     Raises:
         LogError: naming what cannot be read, or if IMU, rotor speeds and state share no time.
         SignalError: if the estimator never starts.
     """
-    ekf = Ekf(vehicle) if flight.has_mocap else None
+    if ekf is None and flight.has_mocap:
+        ekf = Ekf(vehicle)
     spans, started, measured = Spans(), False, False
     meeting = pairing.Pairing()
     for block in flight.blocks:

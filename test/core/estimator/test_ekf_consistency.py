@@ -236,7 +236,7 @@ def test_smoothed_errors_are_smaller_than_filtered_ones_and_as_stated(dash):
         recording, _ = flown(dash, seed)
         for estimate, squares in (
             (Ekf(dash.vehicle, RATE).run(recording), filtered),
-            (smooth(recording, Ekf(dash.vehicle, RATE)), smoothed),
+            (smooth(recording.imu, Ekf(dash.vehicle, RATE).segments(recording)), smoothed),
         ):
             index = np.searchsorted(dash.truth.time_ns, estimate.time_ns)
             error = error_of(estimate.position, estimate.velocity, estimate.attitude, dash, index)[1000:]

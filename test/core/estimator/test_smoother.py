@@ -90,7 +90,7 @@ def test_it_is_the_smoother_of_the_textbook(noisy_vehicle, brief):
     assert forward(inputs, segment.initial.estimate.copy(), 0, count, 0, tape) == len(segment.journal)
     errors, variances = textbook(tape, segment.initial.estimate["covariance"][0], segment.noise[0])
 
-    smoothed = smooth(brief, Ekf(noisy_vehicle, RATE))
+    smoothed = smooth(brief.imu, Ekf(noisy_vehicle, RATE).segments(brief))
     live = slice(segment.first, None)
     expected, errors = tape.estimates[live], errors[live]
     np.testing.assert_allclose(smoothed.velocity, expected["velocity"] + errors[:, VELOCITY], atol=1e-6)
@@ -100,7 +100,7 @@ def test_it_is_the_smoother_of_the_textbook(noisy_vehicle, brief):
 
 
 def test_the_last_estimate_is_that_of_the_filter_in_the_order_of_instants(noisy_vehicle, brief):
-    smoothed = smooth(brief, Ekf(noisy_vehicle, RATE))
+    smoothed = smooth(brief.imu, Ekf(noisy_vehicle, RATE).segments(brief))
     trace = Ekf(noisy_vehicle, RATE).run(brief)
     assert np.array_equal(smoothed.time_ns, trace.time_ns)
     np.testing.assert_allclose(smoothed.velocity[-1], trace.velocity[-1], rtol=1e-12)
@@ -109,7 +109,7 @@ def test_the_last_estimate_is_that_of_the_filter_in_the_order_of_instants(noisy_
 
 def test_errors_are_smaller_and_the_beginning_is_as_good_as_the_middle(noisy_vehicle, simulated):
     recording, true = simulated.recording, simulated.truth
-    smoothed = smooth(recording, Ekf(noisy_vehicle, RATE))
+    smoothed = smooth(recording.imu, Ekf(noisy_vehicle, RATE).segments(recording))
     trace = Ekf(noisy_vehicle, RATE).run(recording)
     index = np.searchsorted(recording.imu.time_ns, trace.time_ns)
     expected = rotate_world_to_body(true.attitude[index], true.velocity[index])
@@ -130,7 +130,7 @@ def test_a_pause_of_the_imu_makes_two_segments(noisy_vehicle, simulated):
     keep[2000:2100] = False
     parts = {column.name: getattr(imu, column.name)[keep] for column in fields(imu)}
     recording = replace(simulated.recording, imu=replace(imu, **parts))
-    smoothed = smooth(recording, Ekf(noisy_vehicle, RATE))
+    smoothed = smooth(recording.imu, Ekf(noisy_vehicle, RATE).segments(recording))
     trace = Ekf(noisy_vehicle, RATE).run(recording)
     assert np.array_equal(smoothed.time_ns, trace.time_ns)
     index = np.searchsorted(imu.time_ns, smoothed.time_ns)
