@@ -328,13 +328,13 @@ def write_bag(
 ) -> None:
     """Write a recording as an MCAP bag; equal input gives equal bytes.
 
-    The metadata record "quadpi" names the vehicle, the source file with its SHA-256, and the version.
+    Its custom data (of rosbag2) name the vehicle, the source file with its SHA-256, and the version.
 
     Args:
         path: .mcap file to write; it appears whole or not at all.
         recording: its `battery_v` has no standard topic and is left out.
         extra: further topics, such as those of :func:`output_topic`.
-        metadata: further entries of the metadata record.
+        metadata: further entries of the custom data.
 
     Raises:
         LogError: if the path does not end in .mcap.

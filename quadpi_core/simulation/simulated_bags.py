@@ -73,7 +73,7 @@ class RecordedTruth:
 def write_simulated_bag(path: Path | str, plan: FlightPlan, truth: Truth, sensed: Sensed) -> None:
     """Write a simulated flight as an MCAP bag; equal input gives equal bytes.
 
-    The metadata record "quadpi" names vehicle, version, scenario, flight and seed; as JSON it holds the
+    Its custom data (of rosbag2) name vehicle, version, scenario, flight and seed; as JSON it holds the
     effects, the whole plan, and mass and inertia as flown. Messages of sensors are logged at their arrival.
 
     Args:
