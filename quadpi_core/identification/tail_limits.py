@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far one more flight may go, from what flights that the model has not seen have reached.
+"""Limits for one more flight, from the signals of held-out flights.
 
-Two laws, as two things decide. How far a flight leaves the envelope depends on which flight it is: each
-counts once, by its largest value that lasts, and the next one is foretold from their spread
-(:func:`next_flight`). How far the sequential test wanders while nothing is wrong is chance within flights, of
-which theory knows the law (:class:`Walk`).
+Two distributions are used. How far a flight leaves the envelope varies between flights: each contributes
+its largest sustained value, and a one-sided prediction bound for the next flight follows from their scatter
+(:func:`next_flight`). How far the sequential test wanders while nothing is wrong varies within flights; in
+theory its tail is exponential (:class:`Walk`).
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.monitor.alarm_kernel import ROUNDING, STEP_MAX_S
 
-# Long against what correlates the samples, short against a flight.
+# Much longer than the correlation time of the samples, much shorter than a flight.
 BLOCK_S = 5.0
-# What is known of the spread beforehand counts as so many flights.
+# Weight of the prior spread between flights, in degrees of freedom.
 USUAL_FLIGHTS = 6
-# Share of the blocks that tells the tail, and least number of them, if need be up to half.
+# Share of the blocks that the tail is fitted to, and their least number, at most half of all.
 _TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
 # Confidence of the upper bound of the tail's mean.
 _SURE = 0.8
-# Least value, and mean excess in seconds: what never moved is no reason for a tight limit.
+# Least value, and least mean excess in seconds: a signal that never moved does not justify a tight limit.
 _LEAST = 0.02
-# Halvings of the range that a largest value is looked for in.
+# Bisections in the search for a largest sustained value: to 1e-9 of its range.
 _HALVINGS = 30
 
 
 def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
-    """Value that one more flight passes with a chance.
+    """Value that one more flight exceeds with probability `chance`.
 
     The logarithms of the flights' largest values are taken to be normal. One more of them then lies about
     the mean of n as Student's t with ν degrees of freedom, times s √(1 + 1/n) (Hahn and Meeker 1991,
-    prediction intervals). A dozen flights tell little of their own spread, which may come out half as large
-    by chance: the usual one counts as if it came from :data:`USUAL_FLIGHTS` more. So s² is the mean of both,
+    prediction intervals). A dozen flights estimate their own spread poorly, it may come out half as large by
+    chance: the usual spread enters as a prior worth :data:`USUAL_FLIGHTS` flights. So s² is the mean of both,
     weighted, and ν the sum of their degrees of freedom (Gelman et al., Bayesian Data Analysis, the scaled
     inverse χ²).
 
@@ -59,7 +59,7 @@ def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
 
 
 def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:
-    """Highest level that a signal (N,) passes for long enough to raise the alarm; its least value if none is.
+    """Highest level that a signal (N,) exceeds long enough to raise the alarm; its least value if none.
 
     Args:
         values: (N,).
@@ -80,7 +80,7 @@ def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s:
 
 @dataclass(frozen=True)
 class Walk:
-    """Largest values of the sequential test, by blocks: so many in an hour begin beyond `start`.
+    """Tail of the largest values of the sequential test in blocks of :data:`BLOCK_S`.
 
     The excess beyond the highest tenth is exponential: of a walk that drifts downward theory says so, with
     dependent steps too (Cramér and Lundberg; Glynn and Whitt 1994).
@@ -113,7 +113,7 @@ class Walk:
         return cls(start, max(excess * unsure, _LEAST), count / hours)
 
     def limit(self, rate_per_hour: float) -> float:
-        """Level that is passed so often."""
+        """Level that is exceeded at this rate."""
         folds = float(np.log(max(self.per_hour / rate_per_hour, 1.0)))
         return self.start + self.mean * folds
 
@@ -138,7 +138,7 @@ def _block_starts(time: Array) -> Any:
 
 
 def _steps(time: Array) -> Array:
-    """Seconds (N,) since the sample before; a gap counts as a moment, as the alarm has it."""
+    """Seconds (N,) since the previous sample; a gap counts as one step, as in the alarm."""
     steps = np.diff(time, prepend=time[0])
     return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
 

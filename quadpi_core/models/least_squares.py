@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gram matrices of regressors and target, per flight, in one pass and without an N × p matrix."""
+"""Least squares on Gram matrices, accumulated per flight in one pass without an N × p matrix, and Huber's."""
 
 from __future__ import annotations
 
@@ -198,12 +198,12 @@ def _add_products(rows: Array, factors: npt.NDArray[np.int64], sums: Array) -> N
             sums[i + 3, j + 1] += s31
 
 
-# Residuals up to so many deviations count in full (Huber's k). Of normal ones two in a thousand million are
-# beyond, so that nothing is lost where there is nothing wild: the efficiency is 1 to eight digits.
+# Huber's k: residuals up to this many standard deviations have weight 1. Two in 1e9 normal residuals lie
+# beyond, so without outliers the efficiency is 1 to eight digits.
 TUNING = 6.0
-# From the median of absolute residuals to a standard deviation, of normal ones.
+# Standard deviation over median absolute residual, of a normal distribution.
 _MAD = 1.4826
-# Until predictions change by less than this share of the deviation.
+# Iterations end when predictions change by less than this share of the standard deviation.
 _CHANGE, _ITERATIONS = 1e-3, 30
 
 

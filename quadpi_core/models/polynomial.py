@@ -30,7 +30,7 @@ from quadpi_core.models.spread import PlacedErrors, SpreadShape, fit_shape, leve
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]
 
-# Every so manieth sample tells how far leverage and spread went.
+# Stride over the training samples when recording the largest leverage and spread.
 _PEAK_STEP = 8
 # Contiguous parts that stand in for flights where the samples are not grouped.
 _PARTS_WITHOUT_GROUPS = 5
@@ -223,7 +223,7 @@ class StepwisePolynomial:
             shape, rule, self.held_out_ = SpreadShape(1.0, 0.0), ResidualRule(std, freedom), None
         else:
             held_out = self._held_out_errors(grams, X, y, flights)
-            # κ = N says that all training samples are worth a single one.
+            # κ = N means that all training samples carry the information of a single one.
             shape = fit_shape(held_out, most_inflation=len(y))
             members = [flights == k for k in range(len(grams))]
             everywhere = np.ones(len(y), dtype=bool)
@@ -307,7 +307,7 @@ class StepwisePolynomial:
             raise ModelError("intervals from held-out flights need two flights or more, or noise='residual'")
         settings, regressors = self._settings, self._regressors
         if settings.stop == "leave-one-flight-out" and len(grams) == 2:
-            # Without one of two flights there is no second one to hold out.
+            # With one of two flights left out, the rule would have only one flight, and it needs two.
             settings = replace(settings, stop="pse")
         held_out = []
         for left_out in range(len(grams)):

@@ -31,7 +31,7 @@ Records: TypeAlias = npt.NDArray[Any]
 CONSTANT: Monomial = ()
 # Samples evaluated at a time, so that the rows in between stay in the cache.
 _BLOCK = 1024
-# No number to a higher power says anything of a flight.
+# Far above any useful degree; refuses powers that overflow.
 DEGREE_MAX = 100
 _FACTOR = re.compile(
     r"\|(?P<absolute>\w+)\|(?:\^(?P<absolute_power>\d+))?|(?P<plain>\w+)(?:\^(?P<power>\d+))?"

@@ -25,13 +25,13 @@ StopRule: TypeAlias = Literal["pse", "r2", "bic", "leave-one-flight-out"]
 # A score of a set of regressors, to be made as small as possible.
 _Score: TypeAlias = Callable[[list[int], float], float]
 
-# Least growth of R² that a further term must bring under the rule "r2".
+# Least increase of R² by a further term under the rule "r2".
 R2_GROWTH = 0.005
 # Least fall of the leave-one-flight-out error, relative, that counts as progress.
 HELD_OUT_GAIN = 0.01
-# Share of the target's variance below which errors on a flight left out are all alike.
+# Floor of the error on a flight left out, as a share of the target's variance: smaller ones count as equal.
 HELD_OUT_FLOOR = 0.01
-# Steps without progress after which the rules "bic" and "leave-one-flight-out" give up.
+# Steps without progress after which the rules "bic" and "leave-one-flight-out" stop.
 PATIENCE = 2
 
 

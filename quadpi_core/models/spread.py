@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shape of a polynomial's interval over the inputs: how much its errors on new flights grow, and with what.
+"""Shape of a polynomial's interval over the inputs: how its errors on new flights grow.
 
-Two causes are told apart: leverage, where the training samples say little of the coefficients, and airspeed,
-with which the terms that the polynomial lacks grow, however many samples there were.
+They grow with leverage, where the training samples constrain the coefficients poorly, and with airspeed, as
+the terms that the polynomial lacks do, however many samples there were.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from quadpi_core.models.interval_rules import FlightErrors, flights_peak
 
 # Least and most that the variance due to airspeed can be on average, relative to that of a hover.
 _LEAST_GROWTH, _MOST_GROWTH = 1e-6, 1e2
-# Mean squared airspeed, m²/s², below which flights tell nothing of growth with airspeed.
+# Mean squared airspeed, m²/s², below which flights do not determine the growth with airspeed.
 _HOVER = 0.01
 
 
