@@ -399,6 +399,7 @@ class Ros1Bag(rosbag1.Reader):
         self._size = self.path.stat().st_size
         self._chunk_places: set[int] = set()
         self._unpacked_bytes = 0
+        self._recent: dict[int, bytes] = {}
         super().open()
         self._types = get_typestore(Stores.EMPTY)
         jazzy = get_typestore(Stores.ROS2_JAZZY).fielddefs
@@ -440,13 +441,21 @@ class Ros1Bag(rosbag1.Reader):
         if chunk.datapos + chunk.datasize > self._size:
             raise LogError(f"damaged: the chunk at byte {place} is not whole")
         compression, size = header.get_string("compression"), header.get_uint32("size")
-        return chunk._replace(decompressor=partial(self._unpacked, compression, size))
+        return chunk._replace(decompressor=partial(self._unpacked, place, compression, size))
 
-    def _unpacked(self, compression: str, size: int, packed: bytes) -> bytes:
-        # A chunk is unpacked again whenever its messages alternate with those of another.
-        self._unpacked_bytes += size
-        require_unpackable(self._size, self._unpacked_bytes)
-        return _ROS1_UNPACKERS[compression](packed, size)
+    def _unpacked(self, place: int, compression: str, size: int, packed: bytes) -> bytes:
+        """A chunk by its place; rosbags asks for it whenever its messages alternate with those of another."""
+        if compression == "none":
+            return packed
+        content = self._recent.pop(place, None)
+        if content is None:
+            self._unpacked_bytes += size
+            require_unpackable(self._size, self._unpacked_bytes)
+            content = _ROS1_UNPACKERS[compression](packed, size)
+        self._recent[place] = content
+        if len(self._recent) > _RECENT_CHUNKS:
+            del self._recent[next(iter(self._recent))]
+        return content
 
     def cdr_messages(self, connections: Collection[Connection], head: int | None) -> Iterator[Message]:
         """Messages in log-time order, converted to CDR; with `head`, only stamps of headers are right.
@@ -474,8 +483,9 @@ class Ros1Bag(rosbag1.Reader):
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 # Types that ROS 2 changed or made a message; definitions of ROS 1 refer to them by the same names.
 _ROS2_OWN = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+# Unpacked chunks that are kept: a bag with topics written one after the other alternates between as many.
+_RECENT_CHUNKS = 16
 _ROS1_UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
-    "none": lambda packed, _: packed,
     "lz4": unlz4,
     "bz2": unbz2,
 }

@@ -5,6 +5,7 @@
 import shutil
 import struct
 from dataclasses import fields
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def write_folder(folder, topics, plugin, mode):
             writer.write(connections[topic.name], time_ns, payload)
 
 
-def write_ros1(path, topics, compression=None):
+def write_ros1(path, topics, compression=None, *, one_after_the_other=False):
     store = typestore()
     writer = rosbag1.Writer(path)
     if compression is not None:
@@ -90,7 +91,8 @@ def write_ros1(path, topics, compression=None):
             topic.name: writer.add_connection(topic.name, topic.type_name, typestore=store)
             for topic in topics
         }
-        for time_ns, topic, payload in messages_of(topics):
+        parts = [[topic] for topic in topics] if one_after_the_other else [topics]
+        for time_ns, topic, payload in chain.from_iterable(map(messages_of, parts)):
             message = store.cdr_to_ros1(payload, topic.type_name)
             writer.write(connections[topic.name], time_ns, bytes(message))
 
@@ -155,6 +157,17 @@ def test_a_ros1_bag(tmp_path, topics, expected, vehicle, compression):
     assert_same_flight(path, expected, vehicle)
     with open_recording(path, vehicle) as recording:
         assert recording.sources["imu"] == "/imu"
+
+
+def test_a_ros1_bag_whose_topics_were_written_one_after_the_other(tmp_path, topics, expected, vehicle):
+    """Messages in log-time order alternate between its chunks: each is unpacked once all the same."""
+    path = tmp_path / "flight.bag"
+    write_ros1(path, topics, rosbag1.Writer.CompressionFormat.LZ4, one_after_the_other=True)
+    with Bag(path) as bag:
+        bag.read(SENSORS)
+        storage = bag._reader.storage
+        assert storage._unpacked_bytes < 2 * sum(topic.payloads.lengths.sum() for topic in topics)
+    assert_same_flight(path, expected, vehicle)
 
 
 def test_topics_of_a_ros1_bag_have_their_header_stamps(tmp_path, topics):
