@@ -30,7 +30,7 @@ def main() -> int:
 
             return call
 
-        monitor._advance = failing(monitor._advance, MONITOR_FAILS_HZ)
+        monitor._judge_completed = failing(monitor._judge_completed, MONITOR_FAILS_HZ)
         estimator._take_pose = failing(estimator._take_pose, ESTIMATOR_FAILS_HZ)
         serve([estimator, monitor])
 
