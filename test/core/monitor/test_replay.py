@@ -26,6 +26,7 @@ from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.replay import recorded_flight, replay, replay_all
+from quadpi_core.parallel import Workers
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM
 
 RATE_HZ = 500.0
@@ -458,9 +459,15 @@ class TestSeveral:
             for flight, output in zip(flights, outputs, strict=True)
         }
         monkeypatch.chdir(tmp_path)
-        for place in ({}, {"scheduler": cluster}):
+        for workers in (Workers(), Workers(scheduler=cluster)):
             together = replay_all(
-                each_model, vehicle, flights, Path("together"), confidence=0.9, settings=settings, **place
+                each_model,
+                vehicle,
+                flights,
+                Path("together"),
+                confidence=0.9,
+                settings=settings,
+                workers=workers,
             )
             assert together == alone
             for output in outputs:
