@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import fcntl
 import os
+import random
 import re
 import shutil
+import string
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -23,6 +25,9 @@ MADE, REPLACED = "made", "replaced"
 
 _PREFIX, _LOCK = ".quadpi.", "lock"
 _NAME = re.compile(rf"{re.escape(_PREFIX)}[a-z0-9_]{{8}}")
+_LETTERS = string.ascii_lowercase + string.digits
+# Not the generator that a program may have seeded: two runs would choose the same names.
+_random = random.SystemRandom()
 # Of the folders that this run has cleared of what others left: once is enough.
 _cleared: set[Path] = set()
 
@@ -37,12 +42,19 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
     Raises:
         OSError: if it cannot be made.
     """
-    folder, lock = _locked(Path(tempfile.gettempdir()) if place is None else place)
+    place = Path(tempfile.gettempdir()) if place is None else place
+    _clear(place)
+    # A signal may come at any instant: what is about to be made is noted before, and removed in any case.
+    made, lock = [_free_name(place)], None
     try:
-        yield folder
+        while (lock := _make(made[-1])) is None:
+            made.append(_free_name(place))
+        yield made[-1]
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
+        for folder in made:
+            shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
 
 
 def is_being_replaced(path: Path) -> bool:
@@ -52,18 +64,26 @@ def is_being_replaced(path: Path) -> bool:
     return False
 
 
-def _locked(place: Path) -> tuple[Path, int]:
-    """A new folder and its lock, held."""
-    _clear(place)
-    while True:
-        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=place))
-        # Until it is locked another run may take it for one of a run that was killed.
-        with suppress(FileNotFoundError):
-            lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
-            if _lock(lock) is not False and _is_at(lock, folder / _LOCK):
-                (folder / MADE).mkdir()
-                return folder, lock
-            os.close(lock)
+def _free_name(place: Path) -> Path:
+    """A path in a folder for a temporary folder, of a name that nothing has there."""
+    while (folder := place / (_PREFIX + "".join(_random.choices(_LETTERS, k=8)))).exists():
+        pass
+    return folder
+
+
+def _make(folder: Path) -> int | None:
+    """Make a temporary folder and hold its lock; None if another run removed it before it was locked.
+
+    Such a run takes a folder without a lock for one of a run that was killed.
+    """
+    folder.mkdir(mode=0o700)
+    with suppress(FileNotFoundError):
+        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+        if _lock(lock) is not False and _is_at(lock, folder / _LOCK):
+            (folder / MADE).mkdir()
+            return lock
+        os.close(lock)
+    return None
 
 
 def _lock(file: int) -> bool | None:

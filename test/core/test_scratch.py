@@ -161,15 +161,27 @@ def test_a_file_system_without_locks_is_left_alone(tmp_path, monkeypatch):
 
 
 def test_a_folder_that_is_cleared_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
-    make, made = scratch.tempfile.mkdtemp, []
+    open_file, made = os.open, []
 
-    def cleared(**options):
-        made.append(Path(make(**options)))
+    def cleared(path, *options):
+        made.append(path.parent)
         if len(made) == 1:
-            made[0].rmdir()
-        return str(made[-1])
+            path.parent.rmdir()
+        return open_file(path, *options)
 
-    monkeypatch.setattr(scratch.tempfile, "mkdtemp", cleared)
+    monkeypatch.setattr(scratch.os, "open", cleared)
     with scratch_folder(tmp_path) as folder:
         assert folder == made[1]
+        monkeypatch.undo()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_while_it_is_made_leaves_nothing(tmp_path, monkeypatch):
+    def interrupt(*_):
+        assert len(list(tmp_path.iterdir())) == 1
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scratch, "_lock", interrupt)
+    with pytest.raises(KeyboardInterrupt), scratch_folder(tmp_path):
+        pass
     assert list(tmp_path.iterdir()) == []
