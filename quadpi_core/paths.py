@@ -66,7 +66,8 @@ def whole_output(path: Path) -> Iterator[Path]:
                     temporary.replace(path)
             finally:
                 if replaced.exists() and not path.exists():
-                    replaced.rename(path)
+                    with _unless_taken():
+                        replaced.rename(path)
 
 
 def _replace_folder(made: Path, path: Path, replaced: Path) -> None:
@@ -81,15 +82,23 @@ def _replace_folder(made: Path, path: Path, replaced: Path) -> None:
                 return
             with suppress(FileNotFoundError):  # another writer was faster
                 path.rename(replaced)
-        try:
+        with _unless_taken():
             made.rename(path)
-        except OSError as error:
-            if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
-                raise
+            # Nothing puts back what is replaced now, though another writer may have moved this one away.
             shutil.rmtree(replaced, ignore_errors=True)
-        else:
             return
+        shutil.rmtree(replaced, ignore_errors=True)
     raise OutputError(f"{path}: others keep replacing it")
+
+
+@contextmanager
+def _unless_taken() -> Iterator[None]:
+    """Leave a folder where it is if another writer has put one at its place meanwhile."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
+            raise
 
 
 # More writers than this never meet at one folder.
