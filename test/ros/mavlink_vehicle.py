@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("port", type=int)
     parser.add_argument("--tcp", action="store_true", help="listen, instead of sending datagrams")
     parser.add_argument("--rate", type=float, default=500.0)
-    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--epoch-ns", type=int, required=True, help="when its clock was zero")
     parser.add_argument("--deaf", action="store_true", help="answer no TIMESYNC")
     parser.add_argument("--passphrase", help="sign with it")
@@ -51,9 +51,11 @@ class Vehicle:
             server.settimeout(20.0)
             print("listening", flush=True)
             self.socket = server.accept()[0]
+            self.transmit = self.socket.send
         else:
+            # Not connected: a connected socket loses a packet for each that nobody received before.
             self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self.socket.connect(("127.0.0.1", options.port))
+            self.transmit = lambda data: self.socket.sendto(data, ("127.0.0.1", options.port))
         self.socket.setblocking(False)
 
     def clock_ns(self) -> int:
@@ -63,19 +65,16 @@ class Vehicle:
         kind = next(k for k in self.dialect.mavlink_map.values() if k.msgname == name)
         packet = bytes(kind(*values).pack(self.mav))
         self.mav.seq = (self.mav.seq + 1) % 256
-        try:
-            self.socket.send(packet)
-            if self.options.noise:
-                self.socket.send(bytes(range(0, 256, 7)) + b"\xfd\xff\x00")
-                self.socket.send(packet[:-4])
-        except ConnectionRefusedError:
-            pass
+        self.transmit(packet)
+        if self.options.noise:
+            self.transmit(bytes(range(0, 256, 7)) + b"\xfd\xff\x00")
+            self.transmit(packet[:-4])
 
     def listen(self) -> None:
         while True:
             try:
                 data = self.socket.recv(65_536)
-            except (BlockingIOError, ConnectionRefusedError):
+            except BlockingIOError:
                 return
             arrived_ns = self.clock_ns()
             for frame in self.framer.feed(data):

@@ -45,7 +45,7 @@ ROOT = Path(__file__).parents[2]
 # Rear right, front right, rear left, front left of neurobem are motors 4, 1, 2, 3 of PX4.
 SPEEDS = np.array([4000, 1000, 2000, 3000]) * 2 * np.pi / 60
 TOPICS = {"imu": Imu, "rotor_speeds": RotorSpeeds, "mocap/odometry": Odometry, "mocap/pose": PoseStamped}
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 # On a busy machine the test itself may be late, and best effort then loses what the bridge has not.
 LONG_QUEUE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -66,6 +66,14 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
     raise AssertionError("no free port")
 
 
+def await_link(bridge: MavlinkBridge) -> None:
+    """Wait until the bridge has its port, which a thread of its own opens: what is sent before is lost."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not bridge.connections:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 class Listener:
     """Everything that a bridge publishes, while the test spins."""
 
@@ -79,11 +87,13 @@ class Listener:
             self.node.create_subscription(kind, topic, self.payloads[topic].append, LONG_QUEUE, raw=True)
             for topic, kind in TOPICS.items()
         ]
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
+        subscriptions += [self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)]
         self.executor = EventsExecutor()
         self.executor.add_node(bridge)
         self.executor.add_node(self.node)
         self.until(lambda: all(one.get_publisher_count() for one in subscriptions))
+        if not bridge.get_parameter("connection").value.startswith("tcp"):
+            await_link(bridge)
 
     def _diagnose(self, array: Any) -> None:
         status, *others = array.status
@@ -186,7 +196,7 @@ def test_without_timesync_the_diagnostics_say_what_the_stamps_are() -> None:
     port = free_port()
     with (
         listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--seconds", "20", "--deaf") as (_, epoch_ns),
+        flying(port, "--deaf") as (_, epoch_ns),
     ):
         heard.until(lambda: any("imu_from" in status for status in heard.statuses[-1:]))
         heard.until(lambda: "answers no TIMESYNC" in heard.message())
@@ -212,12 +222,12 @@ def test_noise_and_cut_packets_cost_nothing_but_are_counted() -> None:
 def test_a_vehicle_that_starts_again_is_followed() -> None:
     port = free_port()
     with listening(connection=f"udp:127.0.0.1:{port}") as heard:
-        with flying(port, "--seconds", "20", "--rate", "100"):
+        with flying(port, "--rate", "100"):
             heard.until(lambda: heard.count() > 50)
         heard.until(lambda: "nothing heard of system 1" in heard.message())
         before = heard.count()
         # Its clock begins anew with it.
-        with flying(port, "--seconds", "20", "--rate", "100", ago_s=1.0):
+        with flying(port, "--rate", "100", ago_s=1.0):
             heard.until(lambda: heard.count() > before + 50)
         stamps = [sensor_messages.unpack_imu(payload).time_ns[0] for payload in heard.payloads["imu"]]
     assert np.all(np.diff(stamps) > 0)
@@ -230,7 +240,7 @@ def test_a_broken_tcp_connection_is_made_again() -> None:
         heard.until(lambda: any("refused" in status["message"] for status in heard.statuses))
         for attempt in range(1, 3):
             before = heard.count()
-            with flying(port, "--tcp", "--seconds", "20", "--rate", "100"):
+            with flying(port, "--tcp", "--rate", "100"):
                 heard.until(lambda before=before: heard.count() > before + 50)  # type: ignore[misc]
             heard.until(lambda: heard.statuses[-1]["level"] == "2")
             assert int(heard.statuses[-1]["connections"]) == attempt
@@ -242,12 +252,13 @@ class Sender:
     def __init__(self, port: int, system: int) -> None:
         self.dialect = load_dialect()
         self._mav = self.dialect.MAVLink(None, system, 1)
+        # Not connected: a connected socket raises at the next call if nobody received a packet.
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.connect(("127.0.0.1", port))
+        self._address = ("127.0.0.1", port)
 
     def send(self, name: str, *values: Any) -> None:
         kind = getattr(self.dialect, f"MAVLink_{name.lower()}_message")
-        self.socket.send(bytes(kind(*values).pack(self._mav)))
+        self.socket.sendto(bytes(kind(*values).pack(self._mav)), self._address)
 
 
 def test_nobody_takes_the_place_of_the_vehicle() -> None:
@@ -255,22 +266,31 @@ def test_nobody_takes_the_place_of_the_vehicle() -> None:
     port = free_port()
     with (
         listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--seconds", "30", "--rate", "100") as (_, epoch_ns),
+        flying(port, "--rate", "100") as (_, epoch_ns),
     ):
         heard.until(lambda: heard.count() > 100)
         forgers = [Sender(port, system) for system in (1, 7)]
         for forger in forgers:
-            forger.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
             for _ in range(50):
                 forger.send("HIGHRES_IMU", 10**9, *[9.0] * 13, 63, 0)
                 forger.send("ATT_POS_MOCAP", 10**9, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
                 forger.send("TIMESYNC", 0, 5)
-        heard.until(lambda: "sends heartbeats of an autopilot too" in heard.message())
+        sent = 150
+
+        def noticed() -> bool:
+            nonlocal sent
+            sent += 1
+            for forger in forgers:
+                forger.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
+            return "sends heartbeats of an autopilot too" in heard.message()
+
+        heard.until(noticed)
         assert "system 1 at another address, system 7" in heard.message()
         before = heard.count()
         heard.until(lambda: heard.count() > before + 100)
+        ignored = ("not used: system 7", "not used: system 1 at another address")
+        heard.until(lambda: [heard.statuses[-1].get(name) for name in ignored] == [str(sent)] * 2)
         status = heard.statuses[-1]
-        assert status["not used: system 7"] == status["not used: system 1 at another address"] == "151"
         assert status["system"] == "1"
         assert heard.count("mocap/pose") == 0
         assert (np.diff(heard.samples()) == 1).all()
@@ -308,7 +328,7 @@ def test_an_error_in_the_program_costs_a_packet_and_not_the_link(monkeypatch: py
         def fail(*_: Any) -> bytes:
             raise ValueError("of the test")
 
-        with monkeypatch.context() as patch, flying(port, "--seconds", "20", "--rate", "100"):
+        with monkeypatch.context() as patch, flying(port, "--rate", "100"):
             patch.setattr(bridge, "_packed", fail)
             heard.until(lambda: bridge.exceptions.counts["link"] > 50)
             patch.undo()
@@ -332,13 +352,13 @@ def test_signatures(tmp_path: Path) -> None:
     (tmp_path / "key.txt").write_text("open sesame\n")
     port = free_port()
     with listening(connection=f"udp:127.0.0.1:{port}", key_file=str(tmp_path / "key.txt")) as heard:
-        with flying(port, "--seconds", "20", "--rate", "100", "--passphrase", "wrong"):
+        with flying(port, "--rate", "100", "--passphrase", "wrong"):
             heard.until(lambda: bool(heard.statuses) and int(heard.statuses[-1]["refused_signatures"]) > 50)
-        with flying(port, "--seconds", "20", "--rate", "100"):
+        with flying(port, "--rate", "100"):
             before = int(heard.statuses[-1]["refused_signatures"])
             heard.until(lambda: int(heard.statuses[-1]["refused_signatures"]) > before + 50)
         assert heard.count() == 0
-        with flying(port, "--seconds", "20", "--rate", "100", "--passphrase", "open sesame"):
+        with flying(port, "--rate", "100", "--passphrase", "open sesame"):
             heard.until(lambda: heard.count() > 50)
 
 
@@ -346,7 +366,7 @@ def test_signed_packets_are_read_without_a_key() -> None:
     port = free_port()
     with (
         listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--seconds", "20", "--rate", "100", "--passphrase", "anything"),
+        flying(port, "--rate", "100", "--passphrase", "anything"),
     ):
         heard.until(lambda: heard.count() > 50)
 
@@ -358,7 +378,6 @@ def test_serial_port() -> None:
     dialect = load_dialect()
     mav = dialect.MAVLink(None, 1, 1)
     with listening(connection=f"serial:{os.ttyname(there)}:921600", passive=True) as heard:
-        heard.until(lambda: bool(heard.statuses))
         os.write(here, bytes(dialect.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3).pack(mav)))
         for number in range(20):
             imu = dialect.MAVLink_highres_imu_message(1000 * number, *[0.0] * 13, 0x3F, 0)
@@ -461,6 +480,7 @@ def test_two_vehicles_in_their_namespaces(tmp_path: Path) -> None:
             )
         senders.append(Sender(port, system))
         executor.add_node(bridges[-1])
+        await_link(bridges[-1])
     deadline = time.monotonic() + PATIENCE_S
     number = 0
     while not all(frames.values()):
