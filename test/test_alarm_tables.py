@@ -30,7 +30,7 @@ def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def rows_of(page: str) -> list[list[str]]:
     """Cells of the rows of tables, headings and rules left out."""
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
-    return [row for row, after in zip(rows, [*rows[1:], [""]], strict=True) if "---" not in row[0] + after[0]]
+    return [row for row, after in zip(rows, [*rows[1:], [""]], strict=True) if ":--" not in row[0] + after[0]]
 
 
 def test_the_page_has_a_place_for_each_table(tool: ModuleType) -> None:

@@ -4,14 +4,19 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
+
+from quadpi_core.evaluation.evaluation_result import AxisMetrics
+from quadpi_core.report.table import markdown_table
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = """# Tables
@@ -33,13 +38,9 @@ old
 
 @pytest.fixture
 def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("paper_tables", ROOT / "tools" / "paper_tables.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "paper_tables", module)
-    spec.loader.exec_module(module)
-    return module
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    monkeypatch.delitem(sys.modules, "paper_tables", raising=False)
+    return importlib.import_module("paper_tables")
 
 
 @pytest.fixture
@@ -62,8 +63,6 @@ def renew(tool: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 def test_the_page_has_a_place_for_each_table(tool: ModuleType) -> None:
     named = re.findall(r"^<!-- table: (\S+) -->$", tool.PAGE.read_text(), flags=re.MULTILINE)
     assert sorted(named) == sorted(tool.TABLES)
-    for name in named:
-        assert "made up" in tool.replaced(tool.PAGE.read_text(), name, "made up")
 
 
 def test_what_stands_between_the_marks_is_replaced_and_nothing_else(
@@ -99,13 +98,55 @@ def test_a_command_that_fails_leaves_the_page_as_it_was(
     assert (tmp_path / "page.md").read_text() == PAGE
 
 
-def test_a_page_without_a_place_is_refused(tool: ModuleType) -> None:
-    with pytest.raises(tool.TablesError, match="has 0 places"):
-        tool.replaced(PAGE, "left-out", "")
-    with pytest.raises(tool.TablesError, match="has 2 places"):
-        tool.replaced(PAGE + PAGE, "tunnel", "")
-
-
 def test_flights_of_a_group_are_known(tool: ModuleType) -> None:
     grouped = [speed for speeds in tool.GROUPS.values() for speed in speeds]
     assert sorted(grouped) == sorted(tool.FLIGHTS)
+
+
+def metrics(picp: float, mpiw: float, rmse: float) -> AxisMetrics:
+    """Of an axis, with no more than the tables show."""
+    known = {"picp": picp, "mpiw": mpiw, "rmse": rmse}
+    return AxisMetrics(**{field.name: known.get(field.name) for field in fields(AxisMetrics)})  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def left_out(tool: ModuleType) -> list[Any]:
+    """A model of both axes and one of Fz on two flights, with intervals of two kinds."""
+    both = {"Fx": metrics(0.9, 2.0, 0.5), "Fz": metrics(0.99, 8.0, 1.0)}
+    wider = {"Fx": metrics(0.96, 4.0, 0.5), "Fz": metrics(0.99, 8.0, 1.0)}
+    return [
+        tool.LeftOut(flight, model, kind, 0.95, axes)
+        for flight, whole in (("3 m/s", both), ("8 m/s", wider))
+        for model, axes in (("poly", whole), ("net", {"Fz": metrics(0.5, 1.0, 1.0)}))
+        for kind in ("fixed", "adaptive")
+    ]
+
+
+def cells(drawn: str) -> list[list[str]]:
+    """The rows of a table in Markdown, without heading and rule."""
+    return [[cell.strip() for cell in line[1:-1].split("|")] for line in drawn.splitlines()[2:]]
+
+
+def test_width_is_that_of_an_ideal_interval_for_normal_errors(left_out: list[Any]) -> None:
+    # 2 · 1.95996 · rmse is the width that covers 95 %.
+    assert left_out[0].width_ratio("Fx") == pytest.approx(2.0 / (2.0 * 1.95996 * 0.5), rel=1e-5)
+
+
+def test_flights_left_out_are_shown_by_model_and_kind_of_interval(
+    tool: ModuleType, left_out: list[Any]
+) -> None:
+    rows = cells(markdown_table(tool.left_out_table(left_out)))
+    assert rows[0] == ["3 m/s", "poly", "fixed", "90.0 · 1.02", "99.0 · 2.04"]
+    assert rows[1] == ["", "", "adaptive", "90.0 · 1.02", "99.0 · 2.04"]
+    assert rows[2] == ["", "net", "fixed", "", "50.0 · 0.26"]
+    assert [row[0] for row in rows if row[0]] == ["3 m/s", "8 m/s"]
+
+
+def test_summary_has_the_least_coverage_and_the_largest_width(tool: ModuleType, left_out: list[Any]) -> None:
+    rows = cells(markdown_table(tool.left_out_summary(left_out)))
+    assert rows[0] == ["poly", "fixed", "90.0 / 93.0 · 2.04", "99.0 / 99.0 · 2.04"]
+    assert [row[:3] for row in rows[1:]] == [
+        ["", "adaptive", rows[0][2]],
+        ["net", "fixed", ""],
+        ["", "adaptive", ""],
+    ]

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Renew the tables of docs/alarm.md: how well each signal predicts misses, and the rate of false alarms.
 
-The page is its own template, as in `paper_tables`. Simulated flights are flown here; real ones come from a
-folder, without which their rows are left out. The same code and data give the same numbers.
+Simulated flights are flown here; real ones come from a folder, without which their rows are left out. The
+same code and data give the same numbers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from paper_tables import FLIGHTS, ROOT, replaced, stamp
+from page_tables import ROOT, renew, stamp
+from paper_tables import FLIGHTS
 from scipy.stats import chi2
 from sklearn.covariance import LedoitWolf
 
@@ -39,7 +40,9 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.parallel import Workers
-from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.paths import data_directory
+from quadpi_core.report.style import percent
+from quadpi_core.report.table import Column, Row, Table, markdown_table
 from quadpi_core.results import CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
@@ -232,29 +235,23 @@ def signals(job: Job) -> str:
     parts = []
     for method in methods:
         names = _SIGNALS[method]
-        rows, found = [], []
+        rows: list[Row] = []
+        found = []
         for case, before in zip(cases, [None, *cases], strict=False):
             print(f"{method}: {case.name}", flush=True)
             if before is None or case.identified is not before.identified:
                 model = model_of(case.identified, case.vehicle, method)
             share, areas = signal_areas(case, model)
             found.append([areas[name] for name in names])
-            rows.append([case.name, f"{share:.1%}".replace("%", " %"), *map(_area, found[-1])])
-        known = np.array([[np.nan if area is None else area for area in row] for row in found])
-        rows.append(["mean", "", *map(_area, np.nanmean(known, axis=0))])
-        heading = ["identified on → judged on", "samples missed", *names.values()]
-        parts.append(f"**{method}**\n\n{table(heading, rows)}")
+            rows.append([case.name, share, *found[-1]])
+        rows.append(["mean", "", *np.nanmean(np.array(found, dtype=np.float64), axis=0).tolist()])
+        columns = [
+            Column("identified on → judged on", is_text=True),
+            Column("samples missed", percent),
+            *(Column(heading, "{:.2f}".format) for heading in names.values()),
+        ]
+        parts.append(f"**{method}**\n\n{markdown_table(Table(columns, rows))}")
     return "\n\n".join(parts)
-
-
-def _area(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
-
-
-def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """In Markdown."""
-    lines = [heading, ["---"] * len(heading), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 @dataclass(frozen=True)
@@ -337,8 +334,7 @@ def rates(job: Job) -> str:
             start = [kind, str(number)]
             rows += [[*start, str(seed), *count.row()] for seed, count in enumerate(counts, start=FIRST_SEED)]
             rows.append([*start, "all", *Counts.total(counts).row()])
-    heading = (
-        "flights",
+    headings = (
         "identified on",
         "model",
         "unseen hours",
@@ -348,7 +344,7 @@ def rates(job: Job) -> str:
         "alarms per hour (95 %)",
         "warned",
     )
-    return table(heading, rows)
+    return markdown_table(Table([Column("flights", is_text=True), *map(Column, headings)], rows))
 
 
 TABLES: dict[str, Callable[[Job], str]] = {"rates": rates, "signals": signals}
@@ -379,10 +375,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         workers=Workers(options.workers),
     )
     for name in [name for name in TABLES if not options.only or name in options.only]:
-        content = f"{TABLES[name](job)}\n\n*{stamp()}*"
-        page = replaced(options.page.read_text(encoding="utf-8"), name, content)
-        with whole_output(options.page) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+        renew(options.page, {name: f"{TABLES[name](job)}\n\n*{stamp()}*"})
 
 
 if __name__ == "__main__":

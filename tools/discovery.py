@@ -3,8 +3,7 @@
 """The blind benchmark of `quadpi discrepancy`: fly vehicles with hidden effects, search, score.
 
 Each case is flown, searched and stored: an interrupted run continues where it stopped, as long as code and
-configuration stay the same. A whole run renews docs/discovery.md, which is its own template,
-as the page of `paper_tables`.
+configuration stay the same. A whole run renews docs/discovery.md.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from blind.cases import (  # noqa: E402
 )
 from blind.scoring import Answer, confusion, failures, figures  # noqa: E402
 from blind.searching import searched  # noqa: E402
-from paper_tables import replaced, stamp  # noqa: E402
+from page_tables import renew, stamp  # noqa: E402
 
 from quadpi_core.parallel import Workers  # noqa: E402
 from quadpi_core.paths import whole_output  # noqa: E402
@@ -199,11 +198,7 @@ def main() -> None:
         temporary.write_text(json.dumps(as_json(results, answers), indent=1), encoding="utf-8")
     if not whole:
         return
-    page = options.page.read_text(encoding="utf-8")
-    for name, content in tables.items():
-        page = replaced(page, name, f"{content}\n\n*{stamp()}*" if name == "figures" else content)
-    with whole_output(options.page) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    renew(options.page, tables | {"figures": f"{tables['figures']}\n\n*{stamp()}*"})
 
 
 if __name__ == "__main__":

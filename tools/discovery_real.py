@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "discovery-real.md"
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "examples")]
 
-from paper_tables import stamp  # noqa: E402
+from page_tables import stamp  # noqa: E402
 
 from quadpi_core.discrepancy import (  # noqa: E402
     AugmentedSimulation,

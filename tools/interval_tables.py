@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Renew the table of docs/intervals.md: coverage on smoothed states and on those of the live path.
 
-The page is its own template, as that of `paper_tables`; flights and models are those of `alarm_tables`.
+Flights and models are those of `alarm_tables`.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from alarm_tables import (
     Job,
     model_of,
     real_cases,
-    table,
 )
-from paper_tables import ROOT, replaced, stamp
+from page_tables import ROOT, renew, stamp
 from scipy.stats import t as student_t
 
 from quadpi_core.flight import AXES
@@ -33,7 +32,8 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.parallel import Workers
-from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.paths import data_directory
+from quadpi_core.report.table import Column, Table, markdown_table
 
 PAGE = ROOT / "docs" / "intervals.md"
 
@@ -80,7 +80,8 @@ def live(job: Job) -> str:
             by_axis = np.array([one[k] for one in shares]).T
             rows.append([name, states, *map(cell, by_axis)])
             print(" | ".join(rows[-1]), flush=True)
-    return table(["flights", "states", *AXES], rows)
+    headings = (Column(heading, is_text=True) for heading in ("flights", "states"))
+    return markdown_table(Table([*headings, *map(Column, AXES)], rows))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -102,11 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ensembles=False,
         workers=Workers(options.workers),
     )
-    page = replaced(
-        options.page.read_text(encoding="utf-8"), "live", f"{live(job)}\n\n*{stamp()}, polynomials*"
-    )
-    with whole_output(options.page) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    renew(options.page, {"live": f"{live(job)}\n\n*{stamp()}, polynomials*"})
 
 
 if __name__ == "__main__":

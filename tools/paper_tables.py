@@ -2,45 +2,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """Renew the tables of docs/paper-tables.md by running the commands that the page names.
 
-The page is its own template: the text between `<!-- table: NAME -->` and `<!-- end -->` is replaced, all
-other text is written by hand and kept. The same code and data give the same bytes.
+The same code and data give the same bytes.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from statistics import NormalDist, fmean
+from typing import NamedTuple, TypeVar
 
+from page_tables import ROOT, TablesError, renew, stamp
 from pydantic import TypeAdapter
 
-from quadpi_core.evaluation.evaluation_result import Comparison
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison
 from quadpi_core.flight import AXES
 from quadpi_core.models import AerodynamicModel
 from quadpi_core.paper.published import METHODS
 from quadpi_core.paper.validation_result import Validation
-from quadpi_core.paths import data_directory, whole_output
+from quadpi_core.paths import data_directory
 from quadpi_core.report.comparison_page import comparison_table
-from quadpi_core.report.left_out_tables import left_out_summary, left_out_table
 from quadpi_core.report.model_tables import structure_table
-from quadpi_core.report.table import markdown_table
+from quadpi_core.report.table import Column, Table, markdown_table
 from quadpi_core.report.validation_page import validation_table
-from quadpi_core.version import __version__
 
 Result = TypeVar("Result")
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper-tables.md"
 SETTINGS = ("paper", "default")
-# The folders that the numbers depend on; a table names the last commit that changed them.
-SOURCES = ("quadpi_core", "config")
 # The real flights by top speed in m/s, and the paper's groups of them.
 FLIGHTS = {
     "3.5": "bemnn20210223104803seg2",
@@ -49,10 +44,6 @@ FLIGHTS = {
     "14.3": "bemnn20210218172600seg1",
 }
 GROUPS = {"identification": ("3.5", "11.3"), "interpolation": ("6.5",), "extrapolation": ("14.3",)}
-
-
-class TablesError(Exception):
-    """The page cannot be renewed; the message is one line."""
 
 
 @dataclass(frozen=True)
@@ -180,21 +171,93 @@ def left_out(job: Job) -> str:
         ("identify", *_others(bags, speed), *_kind(method, "default"), "-o", folder)
         for (speed, method), folder in folders.items()
     )
-    results: dict[str, dict[str, Comparison]] = {}
+    results = []
     for speed, bag in bags.items():
-        results[f"{speed} m/s"] = of_flight = {}
+        by_kind = []
         for kind, options in (("fixed", ()), ("adaptive", ("--adaptive",))):
             found = place / speed / f"{kind}.json"
             job.quadpi("evaluate", *(folders[speed, m] for m in METHODS), bag, *options, "--json", found)
-            of_flight[kind] = _read(Comparison, found)
-    *slower, fastest = results
-    inside = markdown_table(left_out_summary({flight: results[flight] for flight in slower}))
+            by_kind.append(left_out_results(f"{speed} m/s", kind, _read(Comparison, found)))
+        results += [result for of_model in zip(*by_kind, strict=True) for result in of_model]
+    fastest = results[-1].flight
+    inside = left_out_summary([result for result in results if result.flight != fastest])
     return (
         f"{markdown_table(left_out_table(results))}\n\n"
         f"Without {fastest}, which no other flight comes near: least / mean coverage of the others · largest "
         "width."
-        f"\n\n{inside}"
+        f"\n\n{markdown_table(inside)}"
     )
+
+
+class LeftOut(NamedTuple):
+    """A flight judged by a model of the others.
+
+    Attributes:
+        flight, model: names.
+        intervals: "fixed" or "adaptive".
+        confidence: nominal coverage of the intervals.
+        axes: metrics by axis.
+    """
+
+    flight: str
+    model: str
+    intervals: str
+    confidence: float
+    axes: Mapping[str, AxisMetrics]
+
+    def width_ratio(self, axis: str) -> float:
+        """Mean width over that of a perfect constant interval on normal errors of the same RMSE."""
+        metrics = self.axes[axis]
+        return metrics.mpiw / (2.0 * NormalDist().inv_cdf(0.5 + 0.5 * self.confidence) * metrics.rmse)
+
+
+def left_out_results(flight: str, intervals: str, found: Comparison) -> list[LeftOut]:
+    """The results of all models on one flight."""
+    return [
+        LeftOut(flight, name, intervals, found.confidence, model.groups["all"].axes)
+        for name, model in found.models.items()
+    ]
+
+
+def left_out_table(results: Sequence[LeftOut]) -> Table:
+    """Coverage in percent on each flight, and mean width over that of an ideal constant interval."""
+    axes = _axes_of(results)
+    rows = [
+        [
+            *(result.flight, result.model, result.intervals),
+            *(
+                f"{100.0 * result.axes[axis].picp:.1f} · {result.width_ratio(axis):.2f}"
+                if axis in result.axes
+                else None
+                for axis in axes
+            ),
+        ]
+        for result in results
+    ]
+    headings = (Column(name, is_text=True, once=True) for name in ("flight", "model"))
+    return Table([*headings, Column("intervals", is_text=True), *map(Column, axes)], rows)
+
+
+def left_out_summary(results: Sequence[LeftOut]) -> Table:
+    """Least and mean coverage over flights, and the largest width over that of an ideal constant interval."""
+    axes = _axes_of(results)
+    rows = []
+    for model, intervals in dict.fromkeys((result.model, result.intervals) for result in results):
+        own = [result for result in results if (result.model, result.intervals) == (model, intervals)]
+        cells = []
+        for axis in axes:
+            held = [result for result in own if axis in result.axes]
+            coverage = [100.0 * result.axes[axis].picp for result in held]
+            widest = max((result.width_ratio(axis) for result in held), default=0.0)
+            cells.append(f"{min(coverage):.1f} / {fmean(coverage):.1f} · {widest:.2f}" if held else None)
+        rows.append([model, intervals, *cells])
+    headings = Column("model", is_text=True, once=True), Column("intervals", is_text=True)
+    return Table([*headings, *map(Column, axes)], rows)
+
+
+def _axes_of(results: Sequence[LeftOut]) -> list[str]:
+    """Axes that some model holds."""
+    return [axis for axis in AXES if any(axis in result.axes for result in results)]
 
 
 def _read(kind: type[Result], file: Path) -> Result:
@@ -222,32 +285,6 @@ TABLES: dict[str, Callable[[Job], str]] = {
 ON_REAL_FLIGHTS = ("neurobem", "left-out")
 
 
-def replaced(page: str, name: str, content: str) -> str:
-    """The page with other content of one table.
-
-    Raises:
-        TablesError: if the page has not exactly one place for it.
-    """
-    pattern = rf"(<!-- table: {re.escape(name)} -->\n).*?(<!-- end -->)"
-    text, count = re.subn(pattern, lambda m: f"{m[1]}\n{content}\n\n{m[2]}", page, flags=re.DOTALL)
-    if count != 1:
-        raise TablesError(f"the page has {count} places `<!-- table: {name} -->`, expected one")
-    return text
-
-
-def stamp() -> str:
-    """Version, and the commit that last changed what numbers depend on."""
-    commit = _git("log", "-1", "--format=%h", "--", *SOURCES)
-    changed = " with changes since" if _git("status", "--porcelain", "--", *SOURCES) else ""
-    return f"quadpi {__version__}" + (f", commit {commit}{changed}" if commit else "")
-
-
-def _git(*arguments: str) -> str:
-    """What git prints; nothing outside a checkout."""
-    ran = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
-    return ran.stdout.strip()
-
-
 def main() -> None:
     """Renew the page table by table, so that an interruption loses one at most."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -263,10 +300,7 @@ def main() -> None:
             if name in ON_REAL_FLIGHTS and not (job.data / "neurobem").is_dir():
                 print(f"table {name} stays as it is: no flights in {job.data / 'neurobem'} (--data FOLDER)")
                 continue
-            content = f"{TABLES[name](job)}\n\n*{stamp()}*"
-            page = replaced(options.page.read_text(encoding="utf-8"), name, content)
-            with whole_output(options.page) as temporary:
-                temporary.write_text(page, encoding="utf-8")
+            renew(options.page, {name: f"{TABLES[name](job)}\n\n*{stamp()}*"})
     except TablesError as error:
         sys.exit(f"error: {error}")
 
