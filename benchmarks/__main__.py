@@ -16,14 +16,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-from rich import box
 from rich.console import Console, Group
-from rich.markup import escape
-from rich.table import Table
+from rich.text import Text
 
 import benchmarks
 from benchmarks import Result, UnavailableError
 from quadpi_core.paths import write_json
+from quadpi_core.report.table import Cell, Column, Mark, Row, Table, markdown_table, terminal_table
 
 OUTPUT = Path("out") / "bench.json"
 PAGE = Path("docs") / "performance.md"
@@ -32,9 +31,7 @@ _PAGE_TEXT = """# How fast it is
 Made by `make bench`: every figure is measured in the same run as what it is compared with, as machines
 differ and are rarely quiet. This run: {machine}. {failures}
 
-| figure | value | goal | holds |
-| --- | --- | --- | --- |
-{rows}
+{table}
 
 What each was measured against, and on what:
 
@@ -65,7 +62,7 @@ def main() -> int:
             except Exception as error:  # one broken benchmark must not take the others' figures along
                 failed = True
                 remarks[stem(module)] = f"failed: {type(error).__name__}: {error}"
-    console.print(as_table(results, remarks))
+    console.print(summary(results, remarks))
     # One benchmark alone renews its own figures and leaves the others'.
     earlier = json.loads(OUTPUT.read_text()) if only is not None and OUTPUT.is_file() else {}
     write_json(OUTPUT, earlier | as_json(results))
@@ -104,40 +101,40 @@ def as_json(results: list[Result]) -> dict[str, dict[str, object]]:
     }
 
 
-def as_table(results: list[Result], remarks: dict[str, str]) -> Group:
-    """One row per figure, then what each was measured against, and why one gave no figure."""
-    table = Table("figure", "value", "goal", "holds", box=box.SIMPLE_HEAD)
-    for result in results:
-        table.add_row(
-            result.name,
-            f"{result.value:.3g} {result.unit}",
-            _goal(result),
-            {True: "[green]yes", False: "[red]no", None: ""}[result.holds],
-        )
-    notes = {result.name: result.baseline for result in results} | remarks
-    return Group(table, *(f"[bold]{name}[/bold]: {escape(note)}" for name, note in notes.items()))
+def summary(results: list[Result], remarks: dict[str, str]) -> Group:
+    """The figures for the terminal, what each was measured against, and why a benchmark gave none."""
+    notes = _notes(results, remarks).items()
+    return Group(
+        terminal_table(_table(results)), *(Text.assemble((name, "bold"), f": {note}") for name, note in notes)
+    )
 
 
 def as_page(results: list[Result], remarks: dict[str, str]) -> str:
     """The same as Markdown, with the machine that it was measured on."""
     failed = [result.name for result in results if result.holds is False]
-    rows = (
-        f"| `{result.name}` | {result.value:.3g} {result.unit} | {_goal(result)} | "
-        f"{ {True: 'yes', False: '**no**', None: ''}[result.holds] } |"
-        for result in results
-    )
-    notes = {result.name: result.baseline for result in results} | remarks
     return _PAGE_TEXT.format(
         machine=_machine(),
-        failures=f"Out of reach in it: {', '.join(failed)}." if failed else "Every goal is reached.",
-        rows="\n".join(rows),
-        notes="\n".join(f"- `{name}`: {note}" for name, note in notes.items()),
+        failures=f"Not reached: {', '.join(failed)}." if failed else "Every goal is reached.",
+        table=markdown_table(_table(results)),
+        notes="\n".join(f"- `{name}`: {note}" for name, note in _notes(results, remarks).items()),
     )
 
 
-def _goal(result: Result) -> str:
-    bound = "at most" if result.at_most else "at least"
-    return "" if result.goal is None else f"{bound} {result.goal:g}"
+def _table(results: list[Result]) -> Table:
+    """A row per figure."""
+    columns = [Column("figure", is_text=True, is_code=True)]
+    columns += [Column(heading, is_text=True) for heading in ("value", "goal", "holds")]
+    holds = {True: Cell("yes", Mark.GOOD), False: Cell("no", Mark.FAULT), None: Cell("")}
+    rows: list[Row] = []
+    for result in results:
+        bound = "at most" if result.at_most else "at least"
+        goal = "" if result.goal is None else f"{bound} {result.goal:g}"
+        rows.append([result.name, f"{result.value:.3g} {result.unit}", goal, holds[result.holds]])
+    return Table(columns, rows)
+
+
+def _notes(results: list[Result], remarks: dict[str, str]) -> dict[str, str]:
+    return {result.name: result.baseline for result in results} | remarks
 
 
 def _machine() -> str:

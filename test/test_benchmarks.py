@@ -5,11 +5,42 @@
 from __future__ import annotations
 
 import importlib.metadata
+from io import StringIO
 
 import pytest
+from rich.console import Console
 
-from benchmarks import UnavailableError, simulate_bags, simulation_realtime, simulation_vs_rotorpy, soak
+from benchmarks import (
+    Result,
+    UnavailableError,
+    simulate_bags,
+    simulation_realtime,
+    simulation_vs_rotorpy,
+    soak,
+)
+from benchmarks.__main__ import as_page, summary
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+
+
+def test_figures_are_shown_beside_their_goals_on_terminal_and_page() -> None:
+    results = [
+        Result("slow_us", 12.345, "µs", "a quiet [machine]", goal=10.0, at_most=True),
+        Result("fast", 3.0, "times", "the other", goal=2.0),
+        Result("plain", 1.0, "files", "nothing"),
+    ]
+    console = Console(width=80, file=StringIO())
+    console.print(summary(results, {"absent": "skipped: no rotorpy"}))
+    shown = console.file.getvalue()
+    assert [line.split() for line in shown.splitlines()[3:6]] == [
+        ["slow_us", "12.3", "µs", "at", "most", "10", "no"],
+        ["fast", "3", "times", "at", "least", "2", "yes"],
+        ["plain", "1", "files"],
+    ]
+    assert "slow_us: a quiet [machine]" in shown
+    page = as_page(results, {"absent": "skipped: no rotorpy"})
+    assert "Not reached: slow_us." in page
+    assert "| `slow_us` | 12.3 µs | at most 10 | **no** |\n| `fast` | 3 times | at least 2 | yes |" in page
+    assert "- `absent`: skipped: no rotorpy" in page
 
 
 def test_flight_against_real_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.report.plots import Subplot, label_axes_over_time, series, styled
+from quadpi_core.report.plots import Subplot, grid, label_axes_over_time, series, styled
 from quadpi_core.report.style import GROUPS, MEASURED, translucent, unit
 
 BEFORE, AFTER = GROUPS[1], GROUPS[0]
@@ -31,9 +31,7 @@ def profile_figure(profiles: Sequence[Profile]) -> go.Figure:
     """Root mean square of the residual over the variable that tells most of it, axis by axis."""
     rows = -(-len(profiles) // _COLUMNS)
     figure = make_subplots(rows=rows, cols=_COLUMNS, vertical_spacing=0.34 / rows, horizontal_spacing=0.08)
-    for place, profile in enumerate(profiles):
-        cell = {"row": place // _COLUMNS + 1, "col": place % _COLUMNS + 1}
-        first = place == 0
+    for profile, subplot in zip(profiles, grid(figure, len(profiles), _COLUMNS), strict=True):
         lines = (
             ("allowed by noise and tolerances", profile.allowed, {"color": MEASURED, "dash": "dot"}),
             ("with what was found", profile.after, {"color": AFTER}),
@@ -45,12 +43,13 @@ def profile_figure(profiles: Sequence[Profile]) -> go.Figure:
                 line={"width": 2, "shape": "hv", **line},
                 name=name,
                 legendgroup=name,
-                showlegend=first,
+                showlegend=subplot.in_legend,
                 hovertemplate="%{y:.3g}",
-                **cell,
+                **subplot.cell,
             )
-        figure.update_xaxes(title_text=_label(profile.variable), **cell)
-        figure.update_yaxes(title_text=f"{profile.axis} [{unit(profile.axis)}]", rangemode="tozero", **cell)
+        figure.update_xaxes(title_text=_label(profile.variable), **subplot.cell)
+        title = f"{profile.axis} [{unit(profile.axis)}]"
+        figure.update_yaxes(title_text=title, rangemode="tozero", **subplot.cell)
     return styled(figure, height=90 + 240 * rows)
 
 

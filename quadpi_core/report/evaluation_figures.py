@@ -15,7 +15,7 @@ from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.report.plots import Subplot, extreme_samples, label_axes_over_time, series, styled
+from quadpi_core.report.plots import Subplot, extreme_samples, grid, label_axes_over_time, series, styled
 from quadpi_core.report.style import (
     INK,
     INPUT_LABELS,
@@ -112,72 +112,58 @@ def envelope_figure(groups: Groups, envelope: Envelope, training_flights: Sequen
     Shares are drawn on a logarithmic scale: the tails are what leaves the envelope. The range of the
     airspeed, which is no input of its own, is shown where training flights are at hand.
     """
+    columns = 4
     figure = make_subplots(
-        rows=2,
-        cols=4,
+        rows=len(ENVELOPE_INPUTS) // columns,
+        cols=columns,
         vertical_spacing=0.2,
         horizontal_spacing=0.03,
         shared_yaxes="all",
         subplot_titles=[INPUT_LABELS[name] for name in ENVELOPE_INPUTS],
     )
     training = [f for flights in groups.values() for f in flights if f.name in training_flights]
-    for i, name in enumerate(ENVELOPE_INPUTS):
-        cell = {"row": i // 4 + 1, "col": i % 4 + 1}
+    subplots = grid(figure, len(ENVELOPE_INPUTS), columns)
+    for name, subplot in zip(ENVELOPE_INPUTS, subplots, strict=True):
         values = {
             group: np.concatenate([_input(f, name) for f in flights]) for group, flights in groups.items()
         }
-        _add_histograms(figure, values, cell, showlegend=i == 0)
+        _add_histograms(subplot, values)
         limits = _training_limits(name, envelope, training)
         if limits is not None:
             # After the histograms: plotly leaves shapes out of a subplot that is still empty.
-            figure.add_vrect(*limits, fillcolor=TRAINING, line=_LIMIT_LINE, layer="below", **cell)
-            _note_outside(figure, values, limits, cell)
+            figure.add_vrect(*limits, fillcolor=TRAINING, line=_LIMIT_LINE, layer="below", **subplot.cell)
+            _note_outside(subplot, values, limits)
     shares = {"tickvals": [0.1, 1, 10, 100], "ticktext": ["0.1 %", "1 %", "10 %", "100 %"]}
     figure.update_yaxes(type="log", range=[np.log10(_SHARE_FLOOR), 2], **shares)
     return styled(figure, height=540)
 
 
-def _add_histograms(
-    figure: go.Figure, values: Mapping[str, Array], cell: dict[str, int], showlegend: bool
-) -> None:
+def _add_histograms(subplot: Subplot, values: Mapping[str, Array]) -> None:
     edges = _edges(list(values.values()))
     for group, colour in group_colours(values).items():
         counts, _ = np.histogram(values[group], edges)
         share = 100.0 * np.append(counts, counts[-1]) / len(values[group])
-        figure.add_scatter(
+        subplot.figure.add_scatter(
             **series(edges, np.maximum(share, _SHARE_FLOOR)),
             line={"color": colour, "width": 1.5, "shape": "hv"},
             fill="tozeroy",
             fillcolor=translucent(colour, 0.2),
             name=group,
             legendgroup=group,
-            showlegend=showlegend,
+            showlegend=subplot.in_legend,
             hovertemplate="%{y:.2f} %",
-            **cell,
+            **subplot.cell,
         )
 
 
-def _note_outside(
-    figure: go.Figure, values: Mapping[str, Array], limits: tuple[float, float], cell: dict[str, int]
-) -> None:
+def _note_outside(subplot: Subplot, values: Mapping[str, Array], limits: tuple[float, float]) -> None:
     notes = []
     for group, colour in group_colours(values).items():
         outside = float(np.mean((values[group] < limits[0]) | (values[group] > limits[1])))
         if outside >= _WORTH_NOTING:
             notes.append(f"<span style='color:{colour}'>{100 * outside:.0f} % outside</span>")
     if notes:
-        figure.add_annotation(
-            text="<br>".join(notes),
-            x=1,
-            y=1,
-            xref="x domain",
-            yref="y domain",
-            xanchor="right",
-            yanchor="top",
-            align="right",
-            showarrow=False,
-            **cell,
-        )
+        subplot.note("<br>".join(notes), inside=True)
 
 
 def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> go.Figure:
@@ -195,19 +181,22 @@ def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> g
     fastest = max(float(f.speed.max()) for flights in groups.values() for f in flights)
     edges = np.linspace(0.0, fastest, _SPEED_BINS + 1)
     tail = 0.5 - 0.5 * confidence
-    for i, axis in enumerate(axes):
-        cell = {"row": i // columns + 1, "col": i % columns + 1}
+    for i, (axis, subplot) in enumerate(zip(axes, grid(figure, len(axes), columns), strict=True)):
         for (group, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
             speed, low, high, below, above = _residual_bands(flights, axis, edges, tail)
-            subplot = Subplot(figure, cell["row"], cell["col"], in_legend=i == 0)
             subplot.band(speed, low, high, name=group, colour=colour)
-            legend = {"legendgroup": group, "hoverinfo": "skip", **cell}
-            dashed = {"line": {"color": colour, "width": 1.5, "dash": "dash"}, "showlegend": False}
-            figure.add_scatter(**series(speed, below), **dashed, **legend)
-            figure.add_scatter(**series(speed, above), **dashed, **legend)
-        figure.update_yaxes(zeroline=True, zerolinecolor=MEASURED, zerolinewidth=1, **cell)
+            for bound in (below, above):
+                figure.add_scatter(
+                    **series(speed, bound),
+                    line={"color": colour, "width": 1.5, "dash": "dash"},
+                    showlegend=False,
+                    legendgroup=group,
+                    hoverinfo="skip",
+                    **subplot.cell,
+                )
+        figure.update_yaxes(zeroline=True, zerolinecolor=MEASURED, zerolinewidth=1, **subplot.cell)
         if i + columns >= len(axes):
-            figure.update_xaxes(title_text=INPUT_LABELS["speed"], showticklabels=True, **cell)
+            figure.update_xaxes(title_text=INPUT_LABELS["speed"], showticklabels=True, **subplot.cell)
     return styled(figure, height=90 + 230 * rows)
 
 

@@ -34,7 +34,6 @@ from quadpi_core.report.page import Page
 from quadpi_core.report.plots import bins_within
 from quadpi_core.report.style import (
     count,
-    determination,
     group_colours,
     nominal,
     number,
@@ -70,7 +69,7 @@ def metrics_table(
         Column("MPIW", number),
         Column("NMPIW", percent),
         Column("RMSE", number),
-        Column("R²", determination),
+        Column("R²", "{:.3f}".format),
         Column("Winkler", number),
         Column("n", count),
         Column("n_eff", number),

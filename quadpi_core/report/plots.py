@@ -60,6 +60,11 @@ class Subplot:
     column: int = 1
     in_legend: bool = True
 
+    @property
+    def cell(self) -> dict[str, int]:
+        """Row and column, as plotly names them."""
+        return {"row": self.row, "col": self.column}
+
     def line(self, x: Array, y: Array, *, name: str, colour: str, width: float = 1.2) -> None:
         """Draw a line (N,)."""
         self.figure.add_scatter(
@@ -68,8 +73,7 @@ class Subplot:
             name=name,
             legendgroup=name,
             showlegend=self.in_legend,
-            row=self.row,
-            col=self.column,
+            **self.cell,
         )
 
     def thinned_line(
@@ -83,13 +87,7 @@ class Subplot:
         self, x: Array, low: Array, high: Array, *, name: str, colour: str, opacity: float = 0.25
     ) -> None:
         """Fill the area between two lines (N,)."""
-        place = {
-            "legendgroup": name,
-            "hoverinfo": "skip",
-            "line_width": 0,
-            "row": self.row,
-            "col": self.column,
-        }
+        place = {"legendgroup": name, "hoverinfo": "skip", "line_width": 0, **self.cell}
         # Both bounds must be Scatter: with Scattergl, "tonexty" fills to zero.
         self.figure.add_scatter(**series(x, low), name=f"{name}, lower", showlegend=False, **place)
         self.figure.add_scatter(
@@ -101,8 +99,8 @@ class Subplot:
             **place,
         )
 
-    def note(self, text: str) -> None:
-        """Write above the upper right corner."""
+    def note(self, text: str, *, inside: bool = False) -> None:
+        """Write above the upper right corner, or below it inside the subplot."""
         self.figure.add_annotation(
             text=text,
             x=1,
@@ -110,12 +108,20 @@ class Subplot:
             xref="x domain",
             yref="y domain",
             xanchor="right",
-            yanchor="bottom",
+            yanchor="top" if inside else "bottom",
+            align="right",
             showarrow=False,
             font={"color": MEASURED},
-            row=self.row,
-            col=self.column,
+            **self.cell,
         )
+
+
+def grid(figure: go.Figure, count: int, columns: int) -> list[Subplot]:
+    """Subplots of a figure with some columns, row by row; only the first adds to the legend."""
+    return [
+        Subplot(figure, place // columns + 1, place % columns + 1, in_legend=place == 0)
+        for place in range(count)
+    ]
 
 
 def label_axes_over_time(figure: go.Figure, axes: Sequence[str]) -> None:

@@ -113,15 +113,8 @@ def percent_range(interval: Sequence[float]) -> str:
     return f"{100.0 * low:.1f}–{100.0 * high:.1f} %"
 
 
-def number(value: float | None) -> str:
-    """Three significant digits; a dash for what is undefined."""
-    if value is None:
-        return "–"
+def number(value: float) -> str:
+    """A number with three significant digits."""
     if value != 0.0 and not 1e-3 <= abs(value) < 1e5:
         return f"{value:.2e}"
     return f"{value:#.3g}".rstrip(".") if abs(value) < 999.5 else f"{value:.0f}"
-
-
-def determination(r2: float | None) -> str:
-    """R² with three decimals; a dash where it is undefined."""
-    return "–" if r2 is None else f"{r2:.3f}"

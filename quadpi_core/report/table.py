@@ -295,4 +295,5 @@ def _markdown_cell(column: Column, cell: Cell) -> str:
         return ""
     text = _with_unit(column, cell)
     text = f"`{text}`" if column.is_code else text
-    return f"*{text}*" if cell.mark is Mark.SOFT else text
+    emphasis = {Mark.SOFT: "*", Mark.FAULT: "**"}.get(cell.mark, "") if cell.mark else ""
+    return f"{emphasis}{text}{emphasis}"
