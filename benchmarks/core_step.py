@@ -22,7 +22,7 @@ from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.vehicle import Vehicle

@@ -11,15 +11,10 @@ import numpy as np
 
 from quadpi_core.frames import Array
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.fitted_ensemble import (
-    AnyFitted,
-    FittedBootstrap,
-    FittedQualityDriven,
-    Networks,
-    Scaling,
-)
+from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven, Scaling
 from quadpi_core.models.interval_rules import AnyRule, NormalRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.training.networks import Networks
 
 NOISE_UNITS = 25
 

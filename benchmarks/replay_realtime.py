@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks import Result
 from benchmarks.swings import FLIGHT_S, METHODS, VEHICLE, swings, three_models
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.vehicle import Vehicle
 

@@ -18,9 +18,9 @@ from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bag_writer import mcap_writer
 from quadpi_core.logs.bags import recording_topics, write_bag
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.methods import FittedAxis
+from quadpi_core.models.model_kind import FittedAxis
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 

@@ -17,7 +17,7 @@ from quadpi_core.identification.identify import CUTOFF_HZ, IdentifyOptions, iden
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models import load_pools
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page

@@ -34,7 +34,7 @@ from quadpi_core.flight import (
 )
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.frame_ids import Framed
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import WATCH_S, Latency, Silence
 from quadpi_core.monitor.pairing import CAPACITY, Pairing

@@ -16,7 +16,7 @@ from quadpi_core.errors import ModelError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.flight import RotorSpeedStream, Stamps
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitors

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle

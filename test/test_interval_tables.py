@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.identification.prepared_flights import prepare_flights
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 

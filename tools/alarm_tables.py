@@ -34,7 +34,7 @@ from quadpi_core.identification.identify import (
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.monitor.alarm import alarm_time

@@ -27,7 +27,7 @@ from quadpi_core.frames import roll_pitch_yaw_from_quaternion
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import read_bag, read_outputs, unpacked_topic
 from quadpi_core.messages import sensor_messages
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory, whole_output
 from quadpi_core.vehicle import Vehicle

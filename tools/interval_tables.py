@@ -30,7 +30,7 @@ from scipy.stats import t as student_t
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Table, markdown_table

@@ -23,7 +23,7 @@ from pydantic import TypeAdapter
 
 from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison
 from quadpi_core.flight import AXES
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paper.published import METHODS
 from quadpi_core.paper.validation_result import Validation
 from quadpi_core.paths import data_directory

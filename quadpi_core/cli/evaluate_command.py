@@ -26,7 +26,7 @@ from quadpi_core.errors import QuadpiError
 if TYPE_CHECKING:
     from quadpi_core.evaluation.evaluation_result import Evaluation
     from quadpi_core.identification.prepared_flights import PreparedFlight
-    from quadpi_core.models import AerodynamicModel
+    from quadpi_core.models.aerodynamic import AerodynamicModel
 
 
 def evaluate(

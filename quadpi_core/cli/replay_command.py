@@ -38,7 +38,7 @@ def replay(
     """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
     from dataclasses import asdict
 
-    from quadpi_core.models import AerodynamicModel
+    from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
     from quadpi_core.monitor.replay import replay_all, replay_outputs

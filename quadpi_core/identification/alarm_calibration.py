@@ -23,7 +23,7 @@ from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule, inside_interval
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 
 

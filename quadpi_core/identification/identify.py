@@ -26,14 +26,14 @@ from quadpi_core.identification.prepared_flights import DEFAULT_CUTOFF_HZ, Prepa
 from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.ensemble_estimator import Ensemble, fit_axes, require_training
+from quadpi_core.models.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
-from quadpi_core.models.methods import FittedAxis, interval_factors
+from quadpi_core.models.model_kind import FittedAxis, interval_factors
 from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.selection import StopRule
 from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
-from quadpi_core.training.ensemble_estimator import Ensemble, fit_axes, require_training
-from quadpi_core.training.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:

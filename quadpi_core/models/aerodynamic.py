@@ -20,10 +20,9 @@ from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_ensemble import FittedBootstrap, FittedQualityDriven
+from quadpi_core.models.fitted_polynomial import CompiledPolynomials, FittedPolynomial
 from quadpi_core.models.interval_rules import HeldOutRule
-from quadpi_core.models.methods import CompiledAxes, Evaluation, FittedAxis, Method, interval_factors
-from quadpi_core.models.polynomial import FittedPolynomial
-from quadpi_core.models.polynomial_kernel import CompiledPolynomials
+from quadpi_core.models.model_kind import CompiledAxes, Evaluation, FittedAxis, Method, interval_factors
 from quadpi_core.vehicle import Vehicle
 
 METHODS: dict[str, Method] = {

@@ -22,16 +22,11 @@ from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.fitted_ensemble import (
-    AnyFitted,
-    FittedBootstrap,
-    FittedQualityDriven,
-    Networks,
-    Scaling,
-)
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven, Scaling
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.regressors import BASE_ROWS, Records, RegressorProgram, check_inputs, rows_kernel
 from quadpi_core.models.simd import LANES, element, filled, fused, load, rectified, store
+from quadpi_core.training.networks import Networks
 
 # Samples whose inputs stay in the cache; a multiple of LANES.
 _BLOCK = 256
@@ -133,7 +128,7 @@ class CompiledEnsembles:
         output[:, :, _WEIGHTS : _WEIGHTS + units] = networks.output_weights.swapaxes(0, 1)
 
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
-        """Evaluate input vectors (N, 19) with :func:`.methods.interval_factors`; the leverage is 0."""
+        """Evaluate input vectors (N, 19) with :func:`.model_kind.interval_factors`; the leverage is 0."""
         check_inputs(inputs)
         out = np.zeros((5, len(inputs), len(AXES)))
         evaluate_kernel(

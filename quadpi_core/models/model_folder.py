@@ -29,7 +29,7 @@ from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.methods import FittedAxis
+from quadpi_core.models.model_kind import FittedAxis
 from quadpi_core.paths import require_folder, whole_output
 from quadpi_core.scratch import is_being_replaced
 from quadpi_core.version import __version__

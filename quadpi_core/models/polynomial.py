@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
-from typing import Any, ClassVar, Literal, TypeAlias
+from dataclasses import asdict, replace
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -15,13 +14,13 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.fitted_polynomial import FittedPolynomial
 from quadpi_core.models.interval_rules import (
     AnyRule,
     HeldOutRule,
     ResidualRule,
     calibrate,
     inside_range,
-    rule_from_json,
 )
 from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber, sum_grams
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
@@ -34,81 +33,6 @@ NoiseRule: TypeAlias = Literal["held-out", "residual"]
 _PEAK_STEP = 8
 # Contiguous parts that stand in for flights where the samples are not grouped.
 _PARTS_WITHOUT_GROUPS = 5
-
-
-@dataclass(frozen=True)
-class FittedPolynomial:
-    """ŷ = Z(x) β with the regressors in order of selection, and what its intervals need.
-
-    Attributes:
-        regressors: s terms, the bias first, the fixed ones before the selected.
-        coefficients: (s,), SI units.
-        whitening: (s, s) lower triangular W with leverage h = |W z|².
-        shape: of the spread over the inputs.
-        rule: gives the interval's factor on the spread.
-        rms_spread: root mean square of the spread over the training samples, the unit of relative width.
-    """
-
-    method: ClassVar[str] = "polynomial"
-    regressors: tuple[Regressor, ...]
-    coefficients: Array
-    whitening: Array
-    shape: SpreadShape
-    rule: AnyRule
-    rms_spread: float
-
-    @cached_property
-    def program(self) -> RegressorProgram:
-        """Evaluates the regressors."""
-        return RegressorProgram.compile(self.regressors)
-
-    def leverage(self, inputs: Array) -> Array:
-        """Leverage h (N,) of input vectors (N, 19)."""
-        return leverage_of(self.program.evaluate(inputs), self.whitening)
-
-    def spread(self, inputs: Array) -> Array:
-        """Spread (N,) at input vectors (N, 19)."""
-        return self.shape.of(self.leverage(inputs), squared_speed(inputs))
-
-    def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps as arrays, by name."""
-        return {"coefficients": self.coefficients, "whitening": np.ascontiguousarray(self.whitening)}
-
-    def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps beside the arrays."""
-        return {
-            "regressors": self.terms,
-            "inflation": self.shape.inflation,
-            "growth": self.shape.growth,
-            "rule": self.rule.to_json(),
-            "rms_spread": self.rms_spread,
-        }
-
-    @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
-        """Read what `to_json` and `arrays` gave.
-
-        Raises:
-            ModelError: for numbers that no fit gives.
-        """
-        regressors = tuple(Regressor.parse(text) for text in data["regressors"])
-        coefficients, whitening, size = arrays["coefficients"], arrays["whitening"], len(regressors)
-        if coefficients.shape != (size,) or whitening.shape != (size, size):
-            raise ModelError(f"shapes do not fit the {size} regressors")
-        shape, rms_spread = (
-            SpreadShape(float(data["inflation"]), float(data["growth"])),
-            float(data["rms_spread"]),
-        )
-        if not (
-            0.0 <= shape.inflation < np.inf and 0.0 <= shape.growth < np.inf and 1.0 <= rms_spread < np.inf
-        ):
-            raise ModelError(f"{shape} or rms_spread {rms_spread} is impossible")
-        return cls(regressors, coefficients, whitening, shape, rule_from_json(data["rule"]), rms_spread)
-
-    @property
-    def terms(self) -> list[str]:
-        """What the prediction is made of, in words."""
-        return [str(regressor) for regressor in self.regressors]
 
 
 class StepwisePolynomial:

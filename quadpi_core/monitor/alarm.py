@@ -36,7 +36,7 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor import alarm_kernel as kernel
 from quadpi_core.monitor.preparation import Prepared
 from quadpi_core.records import Records

@@ -14,7 +14,7 @@ from quadpi_core.flight import AXES, NO_STAMP
 from quadpi_core.frames import Array
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import distance_outside
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
 from quadpi_core.monitor.preparation import Verdict
 from quadpi_core.records import Records, record_dtype

@@ -16,7 +16,7 @@ from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.adaptive import AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_log import EventLog

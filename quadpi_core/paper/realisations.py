@@ -22,7 +22,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import inside_interval
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.paper.validation_case import Samples, ValidationCase
 from quadpi_core.parallel import DEFAULT_WORKERS, Progress, Workers
 from quadpi_core.paths import whole_output

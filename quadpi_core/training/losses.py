@@ -21,6 +21,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from quadpi_core.training.batches import Floats
+
 # Published forms of the quality-driven loss, see :class:`QualityDriven`.
 QualityDrivenForm: TypeAlias = Literal["sqrt-n", "paper", "pearce"]
 
@@ -92,6 +94,11 @@ class GaussianNoise:
     outputs: ClassVar[int] = 1
 
     floor: Tensor
+
+    @classmethod
+    def above(cls, floors: Floats, device: str) -> GaussianNoise:
+        """With floors (A, M) on a device."""
+        return cls(torch.from_numpy(floors.copy()).to(device))
 
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Start from constant noise, of the size of the errors."""

@@ -24,9 +24,9 @@ import torch
 from torch import Tensor
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.fitted_ensemble import Networks
 from quadpi_core.training.batches import Batch, Batches, Floats, Samples
 from quadpi_core.training.losses import Loss
+from quadpi_core.training.networks import Networks
 from quadpi_core.training.passes import Backward, Forward, Parts, evaluate
 
 # Samples that the networks are judged on after an epoch, at most.

@@ -19,8 +19,8 @@ from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models import AerodynamicModel, load_pools
-from quadpi_core.models.aerodynamic import METHODS
+from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.failures import Fault

@@ -17,7 +17,7 @@ from quadpi_core.estimator.output import with_gyro_faults
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.health import TopicHealth, TopicReport

@@ -17,7 +17,7 @@ from quadpi_core.errors import ModelError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.mapping import Mapping
 from quadpi_core.messages.adapters import AdapterSettings
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.paths import config_directory
 from quadpi_core.vehicle import Vehicle

@@ -20,8 +20,8 @@ from quadpi_core.identification.identify import IdentifyOptions, identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models import load_pools
 from quadpi_core.models.aerodynamic import METHODS
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.vehicle import Vehicle
 
 ENSEMBLES = [method for method in METHODS if method != "polynomial"]

@@ -10,7 +10,7 @@ import pytest
 
 from quadpi_core import paths
 from quadpi_core.errors import ModelError
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.scratch import MADE, REPLACED, scratch_folder
 
 from .conftest import GOLDEN_MODEL

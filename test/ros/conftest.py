@@ -17,8 +17,9 @@ import pytest
 from quadpi_core.flight import AXES, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models import AerodynamicModel, FittedPolynomial
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.fitted_polynomial import FittedPolynomial
 from quadpi_core.models.interval_rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.spread import SpreadShape

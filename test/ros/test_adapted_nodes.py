@@ -27,7 +27,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import ADAPTERS
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Collector

@@ -25,7 +25,7 @@ pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from diagnostic_msgs.msg import DiagnosticArray
 from quadpi.msg import WrenchPrediction
 
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Listener

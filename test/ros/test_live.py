@@ -19,7 +19,7 @@ from quadpi_core.flight import AXES, OdometryStream, Recording, TwistStream, Win
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
 from quadpi_core.messages import sensor_messages
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import MonitorSettings
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import config_directory

@@ -16,7 +16,7 @@ import pytest
 
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages import sensor_messages
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import ARRAYS_FILE
 from quadpi_core.paths import bags_directory
 from quadpi_core.results import BAD_DATA

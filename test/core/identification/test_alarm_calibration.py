@@ -12,7 +12,7 @@ from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alar
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import EXTRAPOLATION, LEVEL_ALARM, MISCOVERAGE

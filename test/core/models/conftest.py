@@ -10,8 +10,7 @@ import pytest
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.frames import Array
-from quadpi_core.models import AerodynamicModel, TrainingFlight
-from quadpi_core.models.aerodynamic import METHODS
+from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel, TrainingFlight
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_ensemble import AnyFitted
 from quadpi_core.vehicle import Vehicle

@@ -13,10 +13,11 @@ from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
-from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, Networks
+from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap
 from quadpi_core.models.interval_rules import NormalRule, TrainedRule
-from quadpi_core.models.methods import Evaluation, interval_factors
+from quadpi_core.models.model_kind import Evaluation, interval_factors
 from quadpi_core.models.regressors import Regressor
+from quadpi_core.training.networks import Networks
 
 REGRESSORS = tuple(map(Regressor.parse, ("u", "|v|", "mu_z^2", "omega_avg*q", "U_r - U_q", "cos_theta")))
 

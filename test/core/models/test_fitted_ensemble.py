@@ -17,17 +17,12 @@ from safetensors.numpy import load_file, save_file
 from benchmarks.random_ensembles import random_ensemble
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models import AerodynamicModel, Evaluation
-from quadpi_core.models.aerodynamic import METHODS
-from quadpi_core.models.fitted_ensemble import (
-    AnyFitted,
-    FittedBootstrap,
-    FittedQualityDriven,
-    Networks,
-    Scaling,
-)
+from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel
+from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven, Scaling
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.regressors import Regressor
+from quadpi_core.training.networks import Networks
 
 REGRESSORS = (Regressor.parse("u"), Regressor.parse("|v|*w"))
 KINDS = {"bootstrap": FittedBootstrap, "quality-driven": FittedQualityDriven}

@@ -14,7 +14,7 @@ import numpy as np
 import quadpi_core
 from quadpi_core.frames import Array
 from quadpi_core.logs.bags import read_outputs
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 
 FLIGHT = """
 import sys
@@ -28,7 +28,7 @@ sys.meta_path.insert(0, NotInstalled())
 
 import numpy as np
 from quadpi_core.cli import main
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.vehicle import Vehicle
@@ -87,6 +87,11 @@ def test_flies_where_torch_is_not(
 
 
 def test_models_import_without_torch() -> None:
-    modules = run("import sys, quadpi_core.models, quadpi_core.monitor; print(*sys.modules)").split()
+    modules = run(
+        "import importlib, pkgutil, sys, quadpi_core.models as models, quadpi_core.monitor\n"
+        "for found in pkgutil.walk_packages(models.__path__, 'quadpi_core.models.'):\n"
+        "    importlib.import_module(found.name)\n"
+        "print(*sys.modules)"
+    ).split()
     assert "quadpi_core.models.ensemble_kernel" in modules
     assert "torch" not in modules

@@ -13,7 +13,8 @@ from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models import CandidatePool, StepwisePolynomial
+from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.models.regressors import RegressorProgram
 
 POOL = CandidatePool.parse(["u"], ["P^3(u, v, w)"])

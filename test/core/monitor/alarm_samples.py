@@ -11,7 +11,7 @@ import numpy as np
 
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import Alarms

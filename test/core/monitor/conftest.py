@@ -14,12 +14,12 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models import AerodynamicModel, FittedPolynomial
-from quadpi_core.models.aerodynamic import METHODS
+from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.fitted_polynomial import FittedPolynomial
 from quadpi_core.models.interval_rules import ResidualRule
-from quadpi_core.models.methods import FittedAxis
+from quadpi_core.models.model_kind import FittedAxis
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.spread import SpreadShape
 from quadpi_core.monitor.pairing import PairedSamples

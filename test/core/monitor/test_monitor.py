@@ -10,7 +10,7 @@ import pytest
 from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.flight import MAX_GAP_NS
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor, Monitors
 from quadpi_core.monitor.pairing import PairedSamples

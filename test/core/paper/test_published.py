@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 from quadpi_core.evaluation.compare import compare
 from quadpi_core.evaluation.evaluation_result import Comparison, PublishedMetrics
 from quadpi_core.flight import AXES
-from quadpi_core.models import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paper import model_cache, published
 from quadpi_core.paper.published import (
     GROUPS,

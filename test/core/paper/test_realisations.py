@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 
 from quadpi_core.inputs import flight_inputs
-from quadpi_core.models.methods import Evaluation
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.paper import realisations as realisation_chunks
 from quadpi_core.paper.realisations import noise_seed, noisy_flight, realise, run_realisations, spread
 from quadpi_core.paper.validation_case import ValidationCase

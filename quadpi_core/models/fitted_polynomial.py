@@ -1,26 +1,31 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""All axes of a polynomial model evaluated together, one sample after the other, in compiled code."""
+"""Fitted polynomials, and the compiled evaluation of all axes of them, one sample after the other."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.methods import Evaluation
-from quadpi_core.models.polynomial import FittedPolynomial
+from quadpi_core.models.interval_rules import AnyRule, rule_from_json
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.regressors import (
     BASE_ROWS,
     Records,
+    Regressor,
     RegressorProgram,
     check_inputs,
     rows_kernel,
 )
+from quadpi_core.models.spread import SpreadShape, leverage_of, squared_speed
 
 # One axis: number of terms, 0 where it is not held; κ and γ of its spread; root mean square of that.
 _AXIS = np.dtype(
@@ -29,6 +34,81 @@ _AXIS = np.dtype(
 )
 # One term: row of the program, and coefficient.
 _TERM = np.dtype([("row", np.int64), ("coefficient", np.float64)], align=True)
+
+
+@dataclass(frozen=True)
+class FittedPolynomial:
+    """ŷ = Z(x) β with the regressors in order of selection, and what its intervals need.
+
+    Attributes:
+        regressors: s terms, the bias first, the fixed ones before the selected.
+        coefficients: (s,), SI units.
+        whitening: (s, s) lower triangular W with leverage h = |W z|².
+        shape: of the spread over the inputs.
+        rule: gives the interval's factor on the spread.
+        rms_spread: root mean square of the spread over the training samples, the unit of relative width.
+    """
+
+    method: ClassVar[str] = "polynomial"
+    regressors: tuple[Regressor, ...]
+    coefficients: Array
+    whitening: Array
+    shape: SpreadShape
+    rule: AnyRule
+    rms_spread: float
+
+    @cached_property
+    def program(self) -> RegressorProgram:
+        """Evaluates the regressors."""
+        return RegressorProgram.compile(self.regressors)
+
+    def leverage(self, inputs: Array) -> Array:
+        """Leverage h (N,) of input vectors (N, 19)."""
+        return leverage_of(self.program.evaluate(inputs), self.whitening)
+
+    def spread(self, inputs: Array) -> Array:
+        """Spread (N,) at input vectors (N, 19)."""
+        return self.shape.of(self.leverage(inputs), squared_speed(inputs))
+
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+        return {"coefficients": self.coefficients, "whitening": np.ascontiguousarray(self.whitening)}
+
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+        return {
+            "regressors": self.terms,
+            "inflation": self.shape.inflation,
+            "growth": self.shape.growth,
+            "rule": self.rule.to_json(),
+            "rms_spread": self.rms_spread,
+        }
+
+    @classmethod
+    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives.
+        """
+        regressors = tuple(Regressor.parse(text) for text in data["regressors"])
+        coefficients, whitening, size = arrays["coefficients"], arrays["whitening"], len(regressors)
+        if coefficients.shape != (size,) or whitening.shape != (size, size):
+            raise ModelError(f"shapes do not fit the {size} regressors")
+        shape, rms_spread = (
+            SpreadShape(float(data["inflation"]), float(data["growth"])),
+            float(data["rms_spread"]),
+        )
+        if not (
+            0.0 <= shape.inflation < np.inf and 0.0 <= shape.growth < np.inf and 1.0 <= rms_spread < np.inf
+        ):
+            raise ModelError(f"{shape} or rms_spread {rms_spread} is impossible")
+        return cls(regressors, coefficients, whitening, shape, rule_from_json(data["rule"]), rms_spread)
+
+    @property
+    def terms(self) -> list[str]:
+        """What the prediction is made of, in words."""
+        return [str(regressor) for regressor in self.regressors]
 
 
 @dataclass(frozen=True)
@@ -67,7 +147,7 @@ class CompiledPolynomials:
         return cls(program, axes, terms, whitening)
 
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
-        """Evaluate input vectors (N, 19) with half widths from :func:`.methods.interval_factors`."""
+        """Evaluate input vectors (N, 19) with half widths from :func:`.model_kind.interval_factors`."""
         check_inputs(inputs)
         out = np.zeros((5, len(inputs), len(AXES)))
         evaluate_kernel(inputs, self.program.operations, self.axes, self.terms, self.whitening, factors, out)

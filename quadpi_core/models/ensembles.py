@@ -12,10 +12,10 @@ import numpy.typing as npt
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
+from quadpi_core.models.ensemble_estimator import Ensemble, Trained, mean_over
 from quadpi_core.models.fitted_ensemble import FittedBootstrap, FittedQualityDriven
 from quadpi_core.models.interval_rules import AnyRule, NormalRule, TrainedRule
-from quadpi_core.training.ensemble_estimator import Ensemble, Trained, mean_over
-from quadpi_core.training.training_table import Plan, Table
+from quadpi_core.models.training_table import Plan, Table
 
 if TYPE_CHECKING:
     from quadpi_core.training.losses import QualityDrivenForm
@@ -110,8 +110,6 @@ class BootstrapEnsemble(Ensemble):
         report: Report | None,
     ) -> tuple[Training, npt.NDArray[np.float32]]:
         """The variance networks, one per ensemble, and the noise (E, A, N) that they give."""
-        import torch
-
         from quadpi_core.training.batches import Samples
         from quadpi_core.training.losses import GaussianNoise
         from quadpi_core.training.train import train
@@ -133,7 +131,7 @@ class BootstrapEnsemble(Ensemble):
             seed=self.seed + 1,
             keep="best on average" if self.early_stopping else "last",
         )
-        loss = GaussianNoise(torch.from_numpy(floors.T.copy()).to(schedule.device))
+        loss = GaussianNoise.above(floors.T, schedule.device)
         noise = train(samples, loss, schedule, "noise", report)
         level = np.logaddexp(0.0, noise.predictions(slice(None))[:, :, 0]) + floors.T[:, :, None]
         return noise, level.swapaxes(0, 1)

@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, AnyFitted, Networks
+from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, AnyFitted
 from quadpi_core.models.interval_rules import AnyRule, FlightErrors, HeldOutRule, calibrate, flights_peak
 from quadpi_core.models.regressors import Regressor
-from quadpi_core.training.training_table import Indices, Plan, Split, Table
+from quadpi_core.models.training_table import Indices, Plan, Split, Table
+from quadpi_core.training.networks import Networks
 
 if TYPE_CHECKING:
     from quadpi_core.training.batches import Samples

@@ -11,10 +11,10 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
+from quadpi_core.models.ensemble_estimator import Ensemble, fit_axes
+from quadpi_core.models.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
 from quadpi_core.models.interval_rules import HeldOutRule, NormalRule, TrainedRule
-from quadpi_core.training.ensemble_estimator import Ensemble, fit_axes
-from quadpi_core.training.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
-from quadpi_core.training.training_table import Plan
+from quadpi_core.models.training_table import Plan
 
 pytest.importorskip("torch")
 
