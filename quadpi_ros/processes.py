@@ -37,12 +37,15 @@ class Child:
         module: run as `python -m`.
         arguments: of its command line.
         folder: for a file with its stderr.
+
+    Attributes:
+        errors: that file.
     """
 
     def __init__(self, module: str, arguments: Sequence[str], folder: Path) -> None:
         self._name = module.rpartition(".")[2]
-        self._errors = folder / f"{module}.err"
-        with self._errors.open("wb") as errors:
+        self.errors = folder / f"{module}.err"
+        with self.errors.open("wb") as errors:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", module, *arguments], stdout=subprocess.DEVNULL, stderr=errors
             )
@@ -66,7 +69,7 @@ class Child:
         """
         status = self._process.poll()
         if status:
-            lines = self._errors.read_text(errors="replace").splitlines() or [f"exit status {status}"]
+            lines = self.errors.read_text(errors="replace").splitlines() or [f"exit status {status}"]
             raise ChildError(f"{self._name}: {lines[-1].removeprefix('quadpi: ')}")
         return status is not None
 

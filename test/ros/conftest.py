@@ -165,8 +165,5 @@ def running(live: Child, hover: Recording) -> Iterator[Rig]:
     """The vehicle around the nodes `live` of a module, as long as that runs."""
     from .rig import Rig
 
-    assert not live.finished()
-    rig = Rig(hover)
-    rig.listen()
-    yield rig
-    rig.close()
+    with Rig(hover, live) as rig:
+        yield rig

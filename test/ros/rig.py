@@ -18,7 +18,8 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry
 from quadpi.msg import ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -30,7 +31,8 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.messages import sensor_messages
-from quadpi_ros.dds_profile import SENSOR_QOS, await_listeners
+from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
+from quadpi_ros.processes import Child, ChildError
 
 IMU_HZ = 500.0
 STEP_NS = round(1e9 / IMU_HZ)
@@ -44,14 +46,60 @@ TOPICS = {
     "extrapolation_alarm": ExtrapolationAlarm,
 }
 SENSORS = (("imu", Imu), ("rotor_speeds", RotorSpeeds), ("mocap/pose", PoseStamped))
+# The first start on a machine compiles the kernels.
+START_S = 300.0
+# A test that fails may take this long; one that passes does not wait.
+PATIENCE_S = 60.0
+# Whether the nodes have died is seen this often while they are awaited.
+GLANCE_S = 5.0
+# A flight that is late by up to this much catches up.
+LATE_S = 0.02
 Change = Callable[[int, dict[str, Any]], dict[str, Any]]
 
 
-class Rig:
-    """A vehicle that hovers as long as it is asked to, and listens to what the nodes say of it."""
+def assert_alive(nodes: Child) -> None:
+    """Fail with everything that the nodes wrote to stderr if their process has ended."""
+    try:
+        ended = nodes.finished()
+    except ChildError:
+        ended = True
+    assert not ended, nodes.errors.read_text(errors="replace")
 
-    def __init__(self, hover: Recording) -> None:
+
+def known_client(node: Node, kind: type, name: str, until: Callable[[Callable[[], bool]], None]) -> Client:
+    """A client of the service NODE/SERVICE that its server knows too.
+
+    A server may find a client later than the client finds the server; its answers until then are lost. A
+    participant announces its endpoints in the order of their creation, so a server that has answered a client
+    created later knows both.
+    """
+    client = node.create_client(kind, name)
+    later = node.create_client(GetParameters, f"{name.rpartition('/')[0]}/get_parameters")
+    until(lambda: client.service_is_ready() and later.service_is_ready())
+    asked: list[Future] = []
+    asked_s = 0.0
+
+    def answered() -> bool:
+        nonlocal asked_s
+        if time.monotonic() > asked_s + 1.0:
+            asked_s = time.monotonic()
+            asked.append(later.call_async(GetParameters.Request()))
+        return any(answer.done() for answer in asked)
+
+    until(answered)
+    node.destroy_client(later)
+    return client
+
+
+class Rig:
+    """A vehicle that hovers as long as it is asked to, and listens to what the nodes say of it.
+
+    A context manager; what waits for the nodes fails at once when their process ends, with its stderr.
+    """
+
+    def __init__(self, hover: Recording, nodes: Child) -> None:
         self._hover = hover
+        self.nodes = nodes
         self.now_ns = int(hover.imu.time_ns[0])
         self.heard: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
         self.told: list[DiagnosticStatus] = []
@@ -67,7 +115,7 @@ class Rig:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, DEEP)
         self._clients: dict[str, Any] = {}
         self._executor = EventsExecutor(context=self._context)
-        self._thread: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._spin)
         self._closing = False
 
     def _start_sensors(self) -> None:
@@ -76,26 +124,33 @@ class Rig:
         self._sensors.init()
         node = Node("sensors", context=self._sensors)
         self._publishers = {topic: node.create_publisher(kind, topic, SENSOR_QOS) for topic, kind in SENSORS}
-        await_listeners(node, list(self._publishers.values()), ("estimator", "monitor"), 300.0)
+        deadline = time.monotonic() + START_S
+        while True:
+            assert_alive(self.nodes)
+            try:
+                await_listeners(node, [*self._publishers.values()], ("estimator", "monitor"), GLANCE_S)
+                break
+            except DiscoveryError:
+                if time.monotonic() > deadline:
+                    raise
 
     def restart_sensors(self) -> None:
         self._sensors.try_shutdown()
         self._start_sensors()
 
-    def listen(self) -> None:
+    def __enter__(self) -> Rig:
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin)
         self._thread.start()
+        return self
 
     def _spin(self) -> None:
         never = Future()
         while not self._closing:
             self._executor.spin_until_future_complete(never, timeout_sec=0.1)
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         self._closing = True
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
         self._executor.remove_node(self.node)
         self.node.destroy_node()
         self._executor.shutdown()
@@ -107,11 +162,11 @@ class Rig:
     ) -> tuple[int, int]:
         """Publish for so long; gives the stamps of the first and the last IMU sample."""
         first_ns, step_ns = self.now_ns, round(1e9 / imu_hz)
-        started_s = time.monotonic()
+        due_s = time.monotonic()
         for count in range(round(seconds * imu_hz)):
-            wait_s = started_s + 1e-9 * count * step_ns - time.monotonic()
-            if wait_s > 0.0:
-                time.sleep(wait_s)
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            # After a longer delay it goes on at its rate: a burst may be more samples than the nodes keep.
+            due_s = max(due_s, time.monotonic() - LATE_S) + 1e-9 * step_ns
             if self.sim_time and count % 5 == 0:
                 self.tick()
             self._publish(count, change)
@@ -155,10 +210,11 @@ class Rig:
 
     def fly_until_heard(self, *topics: str) -> None:
         """Fly until every topic comes whole: each finds its subscriber on its own, at its own time."""
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + PATIENCE_S
         last_ns = 0
         while not all(len(self.stamps(topic, last_ns - 50_000_000, last_ns)) for topic in topics):
-            assert time.monotonic() < deadline
+            assert_alive(self.nodes)
+            assert time.monotonic() < deadline, f"{topics}: {self.told[-20:]}"
             _, last_ns = self.fly(0.1)
         for topic in topics:
             self.await_stamp(topic, last_ns)
@@ -167,10 +223,11 @@ class Rig:
         """Wait until the message of a stamp has come."""
         self.until(lambda: len(self.stamps(topic, time_ns, time_ns)) > 0)
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+    def until(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
         deadline = time.monotonic() + timeout_s
         while not condition():
-            assert time.monotonic() < deadline
+            assert_alive(self.nodes)
+            assert time.monotonic() < deadline, self.told[-20:]
             time.sleep(0.02)
 
     def forget(self) -> None:
@@ -194,17 +251,16 @@ class Rig:
         self.until(lambda: bool(found()))
         return found()[-1]
 
-    def call(self, kind: type, name: str, request: Any, timeout_s: float = 60.0) -> Any:
-        return self.call_later(kind, name, request)(timeout_s)
+    def call(self, kind: type, name: str, request: Any) -> Any:
+        return self.call_later(kind, name, request)()
 
-    def call_later(self, kind: type, name: str, request: Any) -> Callable[[float], Any]:
+    def call_later(self, kind: type, name: str, request: Any) -> Callable[[], Any]:
         if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, name)
-        assert self._clients[name].wait_for_service(20.0)
+            self._clients[name] = known_client(self.node, kind, name, self.until)
         answer = self._clients[name].call_async(request)
 
-        def result(timeout_s: float) -> Any:
-            self.until(answer.done, timeout_s)
+        def result() -> Any:
+            self.until(answer.done)
             return answer.result()
 
         return result

@@ -29,7 +29,7 @@ from quadpi_ros.runtime import start
 from quadpi_ros.sensor_node import SensorNode
 
 from ..core.messages.test_frame_ids import BACKWARD, PLACE, transforms
-from .rig import Rig, arguments, values_of
+from .rig import Rig, arguments, assert_alive, values_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -58,25 +58,20 @@ LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]])
 
 def test_other_frames_are_refused_with_their_reason(folder: Path, hover: Recording, tmp_path: Path) -> None:
     strict = (*arguments(str(folder / "model")), "-p", "frames:=strict")
-    with Child("quadpi_ros.live_process", strict, tmp_path) as nodes:
-        rig = Rig(hover)
-        try:
-            rig.listen()
-            for k in range(10):
-                stamp = np.array([rig.now_ns + 2_000_000 * k])
-                imu = ImuStream(stamp, np.zeros((1, 3)), np.array([[0.0, 0.0, -9.81]]))
-                rig.send("imu", sensor_messages.pack_imu(imu, "imu_link"))
-                pose = PoseStream(stamp, np.zeros((1, 3)), LEVEL)
-                rig.send("mocap/pose", sensor_messages.pack_pose(pose, "world_ned"))
-            for topic, reason in (
-                ("imu", "the frame `imu_link` is not the body's, `base_link`, and no static transform"),
-                ("mocap/pose", "the frame `world_ned` says north-east-down: east-north-up is expected"),
-            ):
-                status = rig.await_status(f"estimator: {topic}", DiagnosticStatus.WARN, "samples refused")
-                assert any(reason in key for key in values_of(status))
-        finally:
-            rig.close()
-        assert not nodes.finished()
+    with Child("quadpi_ros.live_process", strict, tmp_path) as nodes, Rig(hover, nodes) as rig:
+        for k in range(10):
+            stamp = np.array([rig.now_ns + 2_000_000 * k])
+            imu = ImuStream(stamp, np.zeros((1, 3)), np.array([[0.0, 0.0, -9.81]]))
+            rig.send("imu", sensor_messages.pack_imu(imu, "imu_link"))
+            pose = PoseStream(stamp, np.zeros((1, 3)), LEVEL)
+            rig.send("mocap/pose", sensor_messages.pack_pose(pose, "world_ned"))
+        for topic, reason in (
+            ("imu", "the frame `imu_link` is not the body's, `base_link`, and no static transform"),
+            ("mocap/pose", "the frame `world_ned` says north-east-down: east-north-up is expected"),
+        ):
+            status = rig.await_status(f"estimator: {topic}", DiagnosticStatus.WARN, "samples refused")
+            assert any(reason in key for key in values_of(status))
+        assert_alive(nodes)
 
 
 @pytest.mark.usefixtures("ros")

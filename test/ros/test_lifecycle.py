@@ -28,7 +28,7 @@ from rclpy.serialization import deserialize_message
 from quadpi_core.flight import PoseStream
 from quadpi_ros.processes import Child
 
-from .rig import STARTED_S, STEP_NS, TOPICS, Rig, arguments, assert_whole, values_of
+from .rig import STARTED_S, STEP_NS, TOPICS, Rig, arguments, assert_alive, assert_whole, values_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -42,13 +42,13 @@ def live(ros_domain: int, folder: Path, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture
-def rig(running: Rig, live: Child) -> Iterator[Rig]:
+def rig(running: Rig) -> Iterator[Rig]:
     """The vehicle in the air and predicted, whatever came before; nothing is queued any more."""
     running.forget()
     running.fly_until_heard("odometry", "prediction", "prediction/other")
     running.forget()
     yield running
-    assert not live.finished()
+    assert_alive(running.nodes)
 
 
 def predictions(rig: Rig, topic: str = "prediction") -> list[WrenchPrediction]:
@@ -69,7 +69,7 @@ def test_a_model_is_replaced_without_missing_a_sample(rig: Rig, folder: Path) ->
         for name in ("other", "no_such_model")
     ]
     span = rig.fly(3.0)
-    replaced, refused = (answer(60.0) for answer in answers)
+    replaced, refused = (answer() for answer in answers)
     assert replaced.success
     assert replaced.model.startswith("other")
     assert not refused.success
@@ -307,9 +307,7 @@ def test_the_process_can_be_restarted_in_flight(
 ) -> None:
     live.__exit__(None, None, None)
     running.forget()
-    with Child("quadpi_ros.live_process", arguments(str(folder / "model")), tmp_path) as nodes:
-        while not running.heard["prediction"]:
-            assert not nodes.finished()
-            running.fly(0.5)
+    with Child("quadpi_ros.live_process", arguments(str(folder / "model")), tmp_path) as running.nodes:
+        running.fly_until_heard("prediction")
         span = running.fly(0.5)
         assert_whole(running, "prediction", *span)

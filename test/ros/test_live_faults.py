@@ -34,7 +34,7 @@ from quadpi_ros.live_session import run_session
 from quadpi_ros.processes import Child
 from test.faults.onboard import Onboard, sent_by, spoilt
 
-from .rig import STARTED_S, STEP_NS, Rig, arguments, assert_whole
+from .rig import STARTED_S, STEP_NS, Rig, arguments, assert_alive, assert_whole
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -59,14 +59,14 @@ def live(ros_domain: int, flying: Path, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture
-def rig(running: Rig, live: Child) -> Iterator[Rig]:
+def rig(running: Rig) -> Iterator[Rig]:
     """The vehicle in the air, ten seconds after whatever came before; the nodes outlive every test."""
     running.now_ns += 10_000_000_000
     running.fly(STARTED_S)
     running.fly_until_heard("odometry", "prediction")
     running.forget()
     yield running
-    assert not live.finished()
+    assert_alive(running.nodes)
 
 
 def reasons(rig: Rig) -> set[str]:
@@ -144,13 +144,13 @@ def test_a_model_file_that_changes_in_flight(rig: Rig, flying: Path) -> None:
     arrays.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     answer = rig.call_later(LoadModel, "monitor/load_model", LoadModel.Request(path=str(flying)))
     first_ns, _ = rig.fly(0.5)
-    altered = answer(20.0)
+    altered = answer()
     assert not altered.success
     assert f"{flying}: {ARRAYS_FILE}: its hash is not the one in" in altered.message
     shutil.rmtree(flying)
     answer = rig.call_later(LoadModel, "monitor/load_model", LoadModel.Request(path=str(flying)))
     _, last_ns = rig.fly(0.5)
-    missing = answer(20.0)
+    missing = answer()
     assert not missing.success
     assert str(flying) in missing.message
     assert missing.model == altered.model

@@ -31,6 +31,7 @@ from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
+from rclpy.task import Future
 from type_description_interfaces.srv import GetTypeDescription
 
 from quadpi_ros.callbacks import GuardedNode
@@ -38,6 +39,8 @@ from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.mavlink_bridge import MavlinkBridge
 from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.processes import Child
+
+from .rig import PATIENCE_S, assert_alive, known_client
 
 NODES = ("estimator", "monitor", "mavlink_bridge")
 CLASSES = (EstimatorNode, MonitorNode, MavlinkBridge)
@@ -81,23 +84,20 @@ def call(children: list[Child]) -> Iterator[Call]:
 
     clients: dict[str, Any] = {}
 
-    def call(kind: type, name: str, request: Any, *, again: bool = True) -> Any:
+    def until(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            for child in children:
+                assert_alive(child)
+            assert time.monotonic() < deadline
+            executor.spin_until_future_complete(Future(), timeout_sec=0.02)
+
+    def call(kind: type, name: str, request: Any) -> Any:
         if name not in clients:
-            clients[name] = node.create_client(kind, name)
-        client = clients[name]
-        deadline = time.monotonic() + 60.0
-        while not client.service_is_ready():
-            assert not any(child.finished() for child in children)
-            assert time.monotonic() < deadline, f"{name} is not there"
-            time.sleep(0.02)
-        # A server may know a new client's reader later than its writer; its first answer is then lost.
-        for wait_s in (5.0, 60.0) if again else (60.0,):
-            answer = client.call_async(request)
-            executor.spin_until_future_complete(answer, timeout_sec=wait_s)
-            assert not any(child.finished() for child in children)
-            if answer.done():
-                return answer.result()
-        pytest.fail(f"{name} does not answer")
+            clients[name] = known_client(node, kind, name, until)
+        answer = clients[name].call_async(request)
+        until(answer.done)
+        return answer.result()
 
     yield call
     executor.remove_node(node)
@@ -178,7 +178,7 @@ def test_lifecycle_services(call: Call, node: str) -> None:
 
     def change(transition: Transition, *, succeeds: bool, to: int) -> None:
         request = ChangeState.Request(transition=transition)
-        answer = call(ChangeState, f"{node}/change_state", request, again=not succeeds)
+        answer = call(ChangeState, f"{node}/change_state", request)
         assert answer.success == succeeds
         assert call(GetState, f"{node}/get_state", GetState.Request()).current_state.id == to
 

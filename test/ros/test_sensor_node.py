@@ -20,6 +20,8 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros.processes import Child
 from test.core.mistakes import MISTAKES
 
+from .rig import assert_alive
+
 ROOT = Path(__file__).parents[2]
 VEHICLE = "bebop2"
 RATE = 4.0
@@ -49,11 +51,12 @@ def test_mistakes_are_said(mistake: str, status: str, said: str, tmp_path: Path)
     played = (str(tmp_path / "flight.mcap"), "--rate", str(RATE), "--topics", *topics, "--wait", "300")
     with (
         Child("quadpi_ros.live_process", ("--ros-args", *arguments), tmp_path) as live,
-        Child("quadpi_ros.player", (*played, "--nodes", "estimator", "monitor"), tmp_path),
+        Child("quadpi_ros.player", (*played, "--nodes", "estimator", "monitor"), tmp_path) as player,
     ):
         began_s = time.monotonic()
         while not (status in latest and latest[status].level == DiagnosticStatus.WARN):
-            assert not live.finished()
+            assert_alive(live)
+            player.finished()  # raises if it has failed
             assert time.monotonic() < began_s + DEADLINE_S, latest.get(status)
             rclpy.spin_once(node, timeout_sec=0.5)
     assert said in latest[status].message

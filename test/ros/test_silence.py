@@ -21,7 +21,7 @@ from quadpi_core.messages.result_messages import unpack_alarms
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM, ReportedAlarms
 from quadpi_ros.processes import Child
 
-from .rig import STARTED_S, Rig, arguments
+from .rig import STARTED_S, Rig, arguments, assert_alive
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -38,47 +38,45 @@ def assert_stale(rig: Rig, *parts: str) -> None:
 
 
 def test_silence_is_said(folder: Path, hover: Recording, tmp_path: Path) -> None:
-    with Child("quadpi_ros.live_process", arguments(str(folder / "model")), tmp_path) as nodes:
-        rig = Rig(hover)
-        try:
-            rig.listen()
-            rig.until(lambda: len(rig.heard["extrapolation_alarm"]) > 3)
-            assert heard(rig).reasons[-1] == ("no imu yet", "no rotor speeds yet")
-            assert_stale(rig, "nothing arrives on imu", "no imu yet", "no imu yet")
-            rig.forget()
+    with (
+        Child("quadpi_ros.live_process", arguments(str(folder / "model")), tmp_path) as nodes,
+        Rig(hover, nodes) as rig,
+    ):
+        rig.until(lambda: len(rig.heard["extrapolation_alarm"]) > 3)
+        assert heard(rig).reasons[-1] == ("no imu yet", "no rotor speeds yet")
+        assert_stale(rig, "nothing arrives on imu", "no imu yet", "no imu yet")
+        rig.forget()
 
-            _, last_ns = rig.fly(STARTED_S + 1.5)
-            rig.await_stamp("prediction", last_ns)
-            told = [status.message for status in list(rig.told) if status.level == DiagnosticStatus.ERROR]
-            assert not any("clock" in message for message in told)
-            rig.forget()
+        _, last_ns = rig.fly(STARTED_S + 1.5)
+        rig.await_stamp("prediction", last_ns)
+        told = [status.message for status in list(rig.told) if status.level == DiagnosticStatus.ERROR]
+        assert not any("clock" in message for message in told)
+        rig.forget()
 
-            rig.until(lambda: len(rig.heard["extrapolation_alarm"]) > 5)
-            alarms = heard(rig)
-            silent = alarms.where(~alarms.of_samples)
-            assert (silent.level == LEVEL_ALARM).all()
-            assert (silent.causes & BAD_DATA).all()
-            assert silent.reasons[0][0].startswith("no imu for 0.")
-            assert (np.diff(silent.time_ns) > 50_000_000).all()
-            assert 0 < silent.time_ns[0] - last_ns < 2_000_000_000
-            assert_stale(rig, "nothing arrives on imu", "no imu for", "no imu for")
+        rig.until(lambda: len(rig.heard["extrapolation_alarm"]) > 5)
+        alarms = heard(rig)
+        silent = alarms.where(~alarms.of_samples)
+        assert (silent.level == LEVEL_ALARM).all()
+        assert (silent.causes & BAD_DATA).all()
+        assert silent.reasons[0][0].startswith("no imu for 0.")
+        assert (np.diff(silent.time_ns) > 50_000_000).all()
+        assert 0 < silent.time_ns[0] - last_ns < 2_000_000_000
+        assert_stale(rig, "nothing arrives on imu", "no imu for", "no imu for")
 
-            rig.now_ns += 10_000_000_000
-            first_ns, last_ns = rig.fly(STARTED_S + 1.0)
-            rig.await_stamp("prediction", last_ns)
-            alarms = heard(rig)
-            again = alarms.where((alarms.time_ns > first_ns + 10**9) & (alarms.time_ns <= last_ns))
-            assert again.of_samples.all()
+        rig.now_ns += 10_000_000_000
+        first_ns, last_ns = rig.fly(STARTED_S + 1.0)
+        rig.await_stamp("prediction", last_ns)
+        alarms = heard(rig)
+        again = alarms.where((alarms.time_ns > first_ns + 10**9) & (alarms.time_ns <= last_ns))
+        assert again.of_samples.all()
 
-            def of_another_clock(_: int, sample: dict[str, Any]) -> dict[str, Any]:
-                pose = sample["mocap/pose"]
-                return sample | {"mocap/pose": replace(pose, time_ns=pose.time_ns + 100 * 10**9)}
+        def of_another_clock(_: int, sample: dict[str, Any]) -> dict[str, Any]:
+            pose = sample["mocap/pose"]
+            return sample | {"mocap/pose": replace(pose, time_ns=pose.time_ns + 100 * 10**9)}
 
-            assert "clock" not in "".join(path.read_text() for path in tmp_path.iterdir())
-            rig.now_ns += 10_000_000_000
-            rig.fly(2.5, of_another_clock)
-            apart = "imu and mocap/pose are stamped 100 s apart: by different clocks?"
-            rig.await_status("estimator: state", DiagnosticStatus.ERROR, apart)
-        finally:
-            rig.close()
-        assert not nodes.finished()
+        assert "clock" not in "".join(path.read_text() for path in tmp_path.iterdir())
+        rig.now_ns += 10_000_000_000
+        rig.fly(2.5, of_another_clock)
+        apart = "imu and mocap/pose are stamped 100 s apart: by different clocks?"
+        rig.await_status("estimator: state", DiagnosticStatus.ERROR, apart)
+        assert_alive(nodes)
