@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The errors that quadpi reports to its user in one line."""
+"""The errors that quadpi reports to its user in one line, and what makes them of other errors."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 # A terminal's worth: a damaged file may hold a name of megabytes.
 _LONGEST = 1600
@@ -91,3 +93,19 @@ def named_in(where: str) -> Iterator[None]:
 def one_line(error: BaseException) -> str:
     """The message of another library's error in one line, as part of ours."""
     return " ".join(str(error).split())
+
+
+def require_library(module: str, extra: str) -> Any:
+    """Import the module of a library that only some log formats or nodes need.
+
+    Raises:
+        LogError: naming the extra that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        library = module.partition(".")[0]
+        raise LogError(
+            f"this needs {library}, which the extra `{extra}` brings: pip install quadpi-monitor[{extra}] "
+            f"({one_line(error)})"
+        ) from error

@@ -9,9 +9,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from quadpi_core.errors import LogError, QuadpiError, one_line
-from quadpi_core.logs.mavlink_tlog import TlogCounts, read_records
-from quadpi_core.optional_imports import require
+from quadpi_core.errors import LogError, QuadpiError, one_line, require_library
+from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records
 
 FORMS = "udp:HOST:PORT (listens), udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a .tlog file"
 
@@ -135,7 +134,7 @@ class SerialLink:
     """A serial port."""
 
     def __init__(self, device: str, baud: int) -> None:
-        serial = require("serial", "mavlink")
+        serial = require_library("serial", "mavlink")
         self._port = serial.Serial(device, baud, timeout=0.0, write_timeout=1.0, exclusive=True)
 
     def read(self, timeout_s: float) -> Chunk | None:

@@ -13,7 +13,7 @@ from quadpi_core.evaluation.evaluate import judge
 from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison, PublishedTable
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
-from quadpi_core.logs import FORMATS
+from quadpi_core.logs import is_log_folder
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
@@ -22,7 +22,7 @@ from quadpi_core.version import __version__
 
 def is_model_folder(path: Path) -> bool:
     """Whether a path that may be that of a model or of a flight is of a model: a folder that is no bag."""
-    return (path / MODEL_FILE).is_file() or (path.is_dir() and not FORMATS["bag"].recognise(path))
+    return (path / MODEL_FILE).is_file() or (path.is_dir() and not is_log_folder(path))
 
 
 def load_models(folders: Sequence[Path]) -> dict[str, AerodynamicModel]:

@@ -8,7 +8,6 @@ import bisect
 import logging
 from collections.abc import Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -27,22 +26,11 @@ _AnyStream = TypeVar("_AnyStream", bound=Stream)
 
 _log = logging.getLogger(__name__)
 _GAP_NS = 1_000_000_000
-# What a log of each format begins with.
-CFUSDLOG_MAGIC = 0xBC
-DATAFLASH_MAGIC = b"\xa3\x95"
-ULOG_MAGIC = b"ULog\x01\x12\x35"
-BLACKBOX_MAGIC = b"H Product:Blackbox"
 
 
 def note(source: str, text: str) -> None:
     """Tell the user of something that the import of a log did or assumed."""
     _log.warning("%s: %s", source, text)
-
-
-def begins_with(path: Path, magic: bytes) -> bool:
-    """Whether a file begins with these bytes."""
-    with path.open("rb") as file:
-        return file.read(len(magic)) == magic
 
 
 def usable(source: str, stream: _AnyStream) -> _AnyStream | None:

@@ -22,9 +22,9 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.autopilot import DATAFLASH_MAGIC
 
-HEAD = DATAFLASH_MAGIC
+# The first bytes of every record.
+HEAD = b"\xa3\x95"
 _HEADER_BYTES = 3
 _FMT = 128
 _FMT_LETTERS, _FMT_COLUMNS = "BBnNZ", "Type,Length,Name,Format,Columns"

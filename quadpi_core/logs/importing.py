@@ -15,10 +15,9 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
 from quadpi_core.logs.alignment import Alignment, align_pose
-from quadpi_core.logs.bags import open_recording, recording_topics, recording_writer, write_bag
+from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag
 from quadpi_core.logs.duplicates import RunningHash, recording_hash, refuse_duplicates
-from quadpi_core.logs.readers import FORMATS, blocks_of, identify_format, read_recording, reading
-from quadpi_core.messages.adapters import AdapterSettings
+from quadpi_core.logs.readers import blocks_of, identify_format, open_in_blocks, read_recording
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import streams_by_field
@@ -110,7 +109,7 @@ class _Conversion:
 def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
     """The bag of a log in the temporary folder, and the hash of the flight."""
     # To align clocks takes all turns of the flight at once.
-    if identify_format(log) is FORMATS["bag"] and not task.align:
+    if identify_format(log).container is not None and not task.align:
         return _convert_in_blocks(task, log)
     recording = checked(read_recording(log, task.vehicle, task.mapping), task.vehicle)
     sha256 = recording_hash(recording)
@@ -126,10 +125,8 @@ def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
 
 def _convert_in_blocks(task: _Conversion, log: Path) -> tuple[Imported, str]:
     """Like :func:`_convert`, of a bag, which is read twice and never held whole."""
-    adapters = None if task.mapping is None else AdapterSettings.load(task.mapping)
     with ExitStack() as opened:
-        with reading(log):
-            bag = opened.enter_context(open_recording(log, task.vehicle, adapters))
+        bag = opened.enter_context(open_in_blocks(log, task.vehicle, task.mapping))
         streams = survey(blocks_of(bag), task.vehicle)
         stamps = {name: stream.usable_ns for name, stream in streams.items()}
         wheres = {name: f"{bag.source}: topic {stream.topic}" for name, stream in streams.items()}

@@ -24,7 +24,6 @@ from quadpi_core.flight import (
     check_stamps,
 )
 from quadpi_core.frames import Array
-from quadpi_core.logs.bags import bag_topics
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.consistency import findings as inconsistencies
@@ -184,17 +183,18 @@ def _inconsistencies(
     yield from map(str, inconsistencies(excerpt, vehicle))
 
 
-def inspect_topics(bag: Path) -> Inspection:
-    """Describe the timing of every topic of a bag without `imu`, such as one that `quadpi replay` wrote.
+def inspect_topics(path: Path, stamps: Mapping[str, Stamps]) -> Inspection:
+    """Describe the timing of the topics of a log without `imu`, such as a bag that `quadpi replay` wrote.
 
-    Raises:
-        LogError: for a bag that cannot be read.
+    Args:
+        path: of the log.
+        stamps: (N,) by topic.
     """
     return Inspection(
-        name=bag.stem,
+        name=path.stem,
         vehicle="",
-        source=str(bag),
-        topics=tuple(_timing(topic.name, topic.stamps_ns) for topic in bag_topics(bag)),
+        source=str(path),
+        topics=tuple(_timing(topic, stamps_ns) for topic, stamps_ns in stamps.items()),
         envelope=(),
         findings=("no topic imu: rules out identification, prediction and replay",),
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from typing import Any, NamedTuple
 
-from quadpi_core.optional_imports import require
+from quadpi_core.errors import require_library
 
 # "all" and "common" lack either ArduPilot's ESC telemetry or import far more.
 _DIALECT = "pymavlink.dialects.v20.ardupilotmega"
@@ -77,7 +77,7 @@ def load_dialect() -> Any:
     Raises:
         LogError: if pymavlink is not installed.
     """
-    dialect = require(_DIALECT, "mavlink")
+    dialect = require_library(_DIALECT, "mavlink")
     for definition in (_ESC_INFO, _ESC_STATUS):
         # A later pymavlink may bring its own.
         dialect.mavlink_map.setdefault(definition.message_id, _message_class(dialect, definition))

@@ -1,49 +1,88 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The known log formats: which of them a file is, and the reader of each.
+"""Reading a log of any known format: finding the formats, and which of them a file is.
 
-Readers are imported when one is needed: each brings libraries that the others do not need.
+A format is a file in the folder `formats` with a :class:`LogFormat` named `FORMAT`, or one that an installed
+package announces as an entry point of the group `quadpi.log_formats`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
+from pkgutil import iter_modules
+from typing import Any
 
 from quadpi_core.errors import LogError, QuadpiError, one_line
 from quadpi_core.flight import Recording
-from quadpi_core.logs.autopilot import (
-    BLACKBOX_MAGIC,
-    CFUSDLOG_MAGIC,
-    DATAFLASH_MAGIC,
-    ULOG_MAGIC,
-    begins_with,
-)
+from quadpi_core.logs import formats
+from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
 from quadpi_core.screening.wild_samples import screened
 from quadpi_core.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from quadpi_core.logs.bags import BagRecording
-    from quadpi_core.rotor_order import RotorOrder
+ENTRY_POINTS = "quadpi.log_formats"
 
 
-@dataclass(frozen=True)
-class LogFormat:
-    """A log format: how to tell it from others, and its reader.
+@cache
+def log_formats() -> tuple[LogFormat[Any], ...]:
+    """The known formats: those that come with quadpi by file name, then those of installed packages.
 
-    Attributes:
-        description: what a user would call it, for messages.
-        recognise: whether a path that exists is of this format, by its suffix or first byte.
-        read: gives the recording; the last argument is the mapping file, where it takes one.
+    Raises:
+        LogError: naming the entry point of a package that cannot be loaded.
     """
+    modules = sorted(module.name for module in iter_modules(formats.__path__))
+    own = [import_module(f"{formats.__name__}.{name}").FORMAT for name in modules]
+    return *own, *_installed()
 
-    description: str
-    recognise: Callable[[Path], bool]
-    read: Callable[[Path, Vehicle | None, Path | None], Recording]
-    takes_mapping: bool = False
+
+def _installed() -> Iterator[LogFormat[Any]]:
+    for entry in sorted(entry_points(group=ENTRY_POINTS)):
+        try:
+            loaded = entry.load()
+        except Exception as error:  # of any kind, as it is another package's code
+            raise LogError(f"log format `{entry.name}` ({entry.value}): {one_line(error)}") from error
+        if not isinstance(loaded, LogFormat):
+            raise LogError(f"log format `{entry.name}` ({entry.value}): is no LogFormat")
+        yield loaded
+
+
+def identify_format(path: Path) -> LogFormat[Any]:
+    """The format of a log: by its first bytes, else by its suffix.
+
+    Raises:
+        LogError: if the path does not exist, is empty, or is of no known format.
+    """
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder")
+    if path.is_file() and path.stat().st_size == 0:
+        raise LogError(f"{path}: the file is empty")
+    found = _identified(path)
+    if found is None:
+        known = ", ".join(log_format.description for log_format in log_formats())
+        raise LogError(f"{path}: not a known log format; known: {known}")
+    return found
+
+
+def is_log_folder(path: Path) -> bool:
+    """Whether a folder is a log, such as a bag."""
+    return path.is_dir() and _identified(path) is not None
+
+
+def _identified(path: Path) -> LogFormat[Any] | None:
+    if path.is_dir():
+        matching = [one for one in log_formats() if one.is_folder(path)]
+    elif path.is_file():
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+        matching = [one for one in log_formats() if one.begins(head)]
+        matching = matching or [one for one in log_formats() if path.suffix.lower() in one.suffixes]
+    else:  # a device or pipe
+        matching = []
+    return matching[0] if matching else None
 
 
 def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None) -> Recording:
@@ -54,9 +93,9 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
     Args:
         path: a file, or a rosbag2 folder.
         vehicle: gives the pole pairs and the largest rotor speed; a log of electrical speeds needs it.
-        mapping: for CSV and Parquet, a file that says what the columns are, or the name of one in
-            config/mappings; for bags, one that says how messages of other packages are read, in
-            config/adapters.
+        mapping: a file, or its name, with what the log does not say of itself: the columns of a CSV or
+            Parquet table (config/mappings), how messages of other packages are read (config/adapters), or
+            the rotor order of an autopilot.
 
     Raises:
         LogError: naming the file, and topic and sample where there is one.
@@ -73,14 +112,39 @@ def decode_recording(
     """Like :func:`read_recording`, but unchecked, and whole: what `quadpi info` diagnoses."""
     path = Path(path)
     log_format = identify_format(path)
-    if mapping is not None and not log_format.takes_mapping:
-        raise LogError(f"{path}: a {log_format.description} takes no mapping file")
-    with reading(path):
-        return log_format.read(path, vehicle, None if mapping is None else Path(mapping))
+    with _reading(path):
+        return log_format.read(path, vehicle, _settings(path, log_format, mapping))
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def open_in_blocks(
+    path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None
+) -> Iterator[OpenLog]:
+    """Open a log whose format has a container, to read it with :func:`blocks_of`.
+
+    Raises:
+        LogError: naming the file, and topic and sample where there is one.
+    """
+    path = Path(path)
+    log_format = identify_format(path)
+    assert log_format.container is not None
+    with ExitStack() as opened:
+        with _reading(path):
+            settings = _settings(path, log_format, mapping)
+            log = opened.enter_context(log_format.container.open(path, vehicle, settings))
+        yield log
+
+
+def _settings(path: Path, log_format: LogFormat[Any], mapping: Path | str | None) -> Any:
+    if mapping is None:
+        return None
+    if log_format.load_mapping is None:
+        raise LogError(f"{path}: a {log_format.description} takes no mapping file")
+    return log_format.load_mapping(mapping)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
     """Name the file that could not be read.
 
     Raises:
@@ -98,141 +162,11 @@ def reading(path: Path) -> Iterator[None]:
         raise LogError(f"{path}: cannot be read: {type(error).__name__}: {one_line(error)}") from error
 
 
-def blocks_of(bag: BagRecording) -> Iterator[Recording]:
-    """The recording in a bag in blocks.
+def blocks_of(log: OpenLog) -> Iterator[Recording]:
+    """The recording in an open log in blocks.
 
     Raises:
-        LogError: naming the bag, for every error.
+        LogError: naming the log, for every error.
     """
-    with reading(Path(bag.source)):
-        yield from bag.blocks()
-
-
-def identify_format(path: Path) -> LogFormat:
-    """The format of a log or bag.
-
-    Raises:
-        LogError: if the path does not exist, is empty, or is of no known format.
-    """
-    if not path.exists():
-        raise LogError(f"{path}: no such file or folder")
-    if path.is_file() and path.stat().st_size == 0:
-        raise LogError(f"{path}: the file is empty")
-    for log_format in FORMATS.values():
-        if log_format.recognise(path):
-            return log_format
-    known = ", ".join(log_format.description for log_format in FORMATS.values())
-    raise LogError(f"{path}: not a known log format; known: {known}")
-
-
-def _is_bag(path: Path) -> bool:
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file() or any(map(_is_bag_file, path.iterdir()))
-    return _is_bag_file(path)
-
-
-def _is_bag_file(path: Path) -> bool:
-    return path.is_file() and path.suffix.lower() in {".mcap", ".db3", ".bag"}
-
-
-def _files(*suffixes: str, magic: bytes = b"") -> Callable[[Path], bool]:
-    """Whether a path is a file with one of the suffixes, or one that begins with the magic bytes.
-
-    One that has the suffix alone is left to its reader, which says what is wrong with it.
-    """
-
-    def recognise(path: Path) -> bool:
-        has_suffix = path.suffix.lower() in suffixes
-        return path.is_file() and (has_suffix or (magic != b"" and begins_with(path, magic)))
-
-    return recognise
-
-
-def _read_bag(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.bags import read_bag
-    from quadpi_core.messages.adapters import AdapterSettings
-
-    return read_bag(path, vehicle, None if mapping is None else AdapterSettings.load(mapping))
-
-
-def _read_neurobem(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -> Recording:
-    from quadpi_core.logs.neurobem import read_neurobem
-
-    return read_neurobem(path, vehicle)
-
-
-def _read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: Path | None) -> Recording:
-    from quadpi_core.logs.cfusdlog import read_cfusdlog
-
-    return read_cfusdlog(path, vehicle)
-
-
-def _read_table(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.mapping import Mapping
-    from quadpi_core.logs.table_files import read_table
-
-    if mapping is None:
-        raise LogError(f"{path}: a table needs a mapping file that says what its columns are (--mapping)")
-    return read_table(path, vehicle, Mapping.load(mapping))
-
-
-def _is_tlog(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    from quadpi_core.logs.mavlink_tlog import is_tlog
-
-    return path.suffix.lower() == ".tlog" or is_tlog(path)
-
-
-def _read_tlog(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.mavlink_tlog import read_tlog
-
-    return read_tlog(path, vehicle, _rotor_order(mapping))
-
-
-def _read_ardupilot(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.ardupilot import read_ardupilot
-
-    return read_ardupilot(path, vehicle, _rotor_order(mapping))
-
-
-def _read_px4(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.px4 import read_px4
-
-    return read_px4(path, vehicle, _rotor_order(mapping))
-
-
-def _read_betaflight(path: Path, vehicle: Vehicle | None, mapping: Path | None) -> Recording:
-    from quadpi_core.logs.betaflight import read_betaflight
-
-    return read_betaflight(path, vehicle, _rotor_order(mapping))
-
-
-def _rotor_order(mapping: Path | None) -> RotorOrder | None:
-    from quadpi_core.rotor_order import RotorOrder
-
-    return None if mapping is None else RotorOrder.load(mapping)
-
-
-FORMATS = {
-    "bag": LogFormat("bag (.mcap, .db3, .bag, rosbag2 folder)", _is_bag, _read_bag, takes_mapping=True),
-    "neurobem": LogFormat("NeuroBEM flight (.mat)", _files(".mat"), _read_neurobem),
-    "table": LogFormat(
-        "table with a mapping file (.csv, .parquet)",
-        _files(".csv", ".parquet"),
-        _read_table,
-        takes_mapping=True,
-    ),
-    "cfusdlog": LogFormat("Crazyflie uSD log", _files(magic=bytes([CFUSDLOG_MAGIC])), _read_cfusdlog),
-    "ardupilot": LogFormat(
-        "ArduPilot log (.bin)", _files(".bin", magic=DATAFLASH_MAGIC), _read_ardupilot, takes_mapping=True
-    ),
-    "px4": LogFormat("PX4 log (.ulg)", _files(".ulg", magic=ULOG_MAGIC), _read_px4, takes_mapping=True),
-    "betaflight": LogFormat(
-        "Betaflight Blackbox log (.bbl, .bfl, .txt)",
-        _files(".bbl", ".bfl", magic=BLACKBOX_MAGIC),
-        _read_betaflight,
-        takes_mapping=True,
-    ),
-    "tlog": LogFormat("MAVLink telemetry log (.tlog)", _is_tlog, _read_tlog, takes_mapping=True),
-}
+    with _reading(Path(log.source)):
+        yield from log.blocks()

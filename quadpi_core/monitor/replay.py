@@ -25,9 +25,9 @@ from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array
-from quadpi_core.logs import FORMATS, decode_recording, identify_format
+from quadpi_core.logs import decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.bag_writer import mcap_writer
-from quadpi_core.logs.bags import TOPIC_TYPES, open_recording, output_topic
+from quadpi_core.logs.bags import TOPIC_TYPES, output_topic
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.monitor import pairing
@@ -189,16 +189,16 @@ class RecordedFlight:
 
 @contextmanager
 def open_flight(path: Path | str, vehicle: Vehicle) -> Iterator[RecordedFlight]:
-    """The flight in a bag, which is then never held whole, or in any log that needs no mapping.
+    """The flight in any log that needs no mapping; one in a bag is never held whole.
 
     Raises:
         LogError: naming what cannot be read or is missing.
     """
-    if identify_format(Path(path)) is not FORMATS["bag"]:
+    if identify_format(Path(path)).container is None:
         yield recorded_flight(decode_recording(path, vehicle))
         return
-    with open_recording(path, vehicle) as bag:
-        yield _flight(bag.name, bag.source, bag.streams, by_arrival(bag.blocks()))
+    with open_in_blocks(path, vehicle) as log:
+        yield _flight(log.name, log.source, log.streams, by_arrival(log.blocks()))
 
 
 def recorded_flight(recording: Recording) -> RecordedFlight:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -18,8 +17,7 @@ from rich.text import Text
 from quadpi_core.errors import VehicleError
 from quadpi_core.flight import STREAM_KINDS
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import FORMATS, blocks_of, decode_recording, identify_format, reading
-from quadpi_core.logs.bags import bag_vehicle, has_topic, open_recording
+from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.inspect import (
     Inspection,
     inspect_blocks,
@@ -27,7 +25,6 @@ from quadpi_core.logs.inspect import (
     inspect_topics,
     with_names_of_bag,
 )
-from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.report.model_tables import term_tables
@@ -50,27 +47,25 @@ def describe(
     if (path / MODEL_FILE).is_file():
         model = AerodynamicModel.load(path)
         return model_summary(model), _model_json(model)
-    is_bag = identify_format(path) is FORMATS["bag"]
-    if is_bag and mapping is None and not has_topic(path, "imu"):
-        inspection = inspect_topics(path)
+    container = identify_format(path).container
+    if container and mapping is None and (stamps := container.topic_stamps(path)) is not None:
+        inspection = inspect_topics(path, stamps)
         tables = [_topic_table(inspection), _finding_table(inspection)]
         return list(map(terminal_table, tables)), _inspection_json(inspection)
-    known = Vehicle.load(vehicle) if vehicle else _named_vehicle(bag_vehicle(path) if is_bag else "")
-    if is_bag:
-        inspection = _inspect_bag(path, known, mapping)
+    known = Vehicle.load(vehicle) if vehicle else None
+    if container:
+        known = known or _named_vehicle(container.vehicle_name(path))
+        inspection = _inspect_in_blocks(path, known, mapping)
     else:
         inspection = inspect_recording(decode_recording(path, known, mapping), known)
     return list(map(terminal_table, inspection_tables(inspection))), _inspection_json(inspection)
 
 
-def _inspect_bag(path: Path, vehicle: Vehicle | None, mapping: str | None) -> Inspection:
-    """What a bag holds, by the names of its topics relative to its root; it is never held whole."""
-    with ExitStack() as opened:
-        with reading(path):
-            adapters = None if mapping is None else AdapterSettings.load(mapping)
-            bag = opened.enter_context(open_recording(path, vehicle, adapters))
-        inspection = inspect_blocks(partial(blocks_of, bag), vehicle)
-        names = {STREAM_KINDS[field].topic: name.lstrip("/") for field, name in bag.sources.items()}
+def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: str | None) -> Inspection:
+    """What a log holds, by the names of its topics relative to its root; it is never held whole."""
+    with open_in_blocks(path, vehicle, mapping) as log:
+        inspection = inspect_blocks(partial(blocks_of, log), vehicle)
+        names = {STREAM_KINDS[field].topic: name.lstrip("/") for field, name in log.sources.items()}
     return with_names_of_bag(inspection, names)
 
 

@@ -104,7 +104,7 @@ class TestDamagedFiles:
 
     def test_unknown_format(self, refused, tmp_path):
         (tmp_path / "notes.txt").write_text("windy")
-        message = r"notes\.txt: not a known log format; known: bag"
+        message = r"notes\.txt: not a known log format; known: ArduPilot"
         refused(message, "import", tmp_path / "notes.txt", "--vehicle", "neurobem", "-o", tmp_path / "bags")
         refused(message, "info", tmp_path / "notes.txt", "--json", tmp_path / "data.json")
 

@@ -416,7 +416,7 @@ def test_a_telemetry_log_begins_when_it_is_read_first(
 
 def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Path, tmp_path: Path) -> None:
     """In a process of its own: it ends with the log."""
-    from quadpi_core.logs.mavlink_tlog import TlogCounts, read_records
+    from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records
 
     data = (shared_data / "logs" / "ardupilot_vtol.tlog").read_bytes()
     records = list(read_records(data, TlogCounts()))

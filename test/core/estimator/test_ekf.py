@@ -16,8 +16,8 @@ from quadpi_core.estimator.filter_run import EkfTrace, imu_records
 from quadpi_core.estimator.filter_state import ESTIMATE, NOISE, TRANSITION, EstimatorStatus, Outcome
 from quadpi_core.estimator.propagate import propagate_between
 from quadpi_core.flight import ImuStream
-from quadpi_core.logs.cfusdlog import read_cfusdlog
-from quadpi_core.logs.neurobem import read_neurobem
+from quadpi_core.logs.formats.cfusdlog import read_cfusdlog
+from quadpi_core.logs.formats.neurobem import read_neurobem
 from quadpi_core.vehicle import Vehicle
 
 RATE = 500.0

@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.errors import SignalError
 from quadpi_core.logs.alignment import align_pose, time_offset
-from quadpi_core.logs.neurobem import read_neurobem
+from quadpi_core.logs.formats.neurobem import read_neurobem
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
 

@@ -293,7 +293,7 @@ def test_real_spikes_are_found(shared_data: Path, run: int, spikes: int, first: 
         (
             "flight.xyz",
             b"some bytes",
-            "not a known log format; known: bag .*, NeuroBEM .*, Crazyflie",
+            "not a known log format; known: ArduPilot .*, Crazyflie .*, bag ",
         ),
     ],
 )

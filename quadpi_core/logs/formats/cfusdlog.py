@@ -24,11 +24,12 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
-from quadpi_core.logs.autopilot import CFUSDLOG_MAGIC
+from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.units import STANDARD_GRAVITY, unit_attitude
 from quadpi_core.vehicle import Vehicle
 
+_MAGIC = 0xBC
 _CRC_BYTES = 4
 _STAMP_TYPE = {1: "<u4", 2: "<u8"}
 _NANOSECONDS_PER_TICK = {1: 1_000_000, 2: 1_000}
@@ -62,7 +63,7 @@ class Event:
         return np.stack([self.variables[name] for name in names], axis=1)
 
 
-def read_cfusdlog(path: Path, vehicle: Vehicle | None) -> Recording:
+def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) -> Recording:
     """Read one uSD log; the rotor order m1 to m4 is that of config/vehicles/crazyflie_rpm.yaml.
 
     The log needs `gyro` (deg/s) and `acc` (g); it may have `rpm`, `stateEstimate` (with its gyro in the same
@@ -130,10 +131,8 @@ def decode_events(source: str, data: bytes) -> dict[str, Event]:
     Raises:
         LogError: naming the byte where the log is cut off or damaged, or for a checksum that does not match.
     """
-    if len(data) < 5 or data[0] != CFUSDLOG_MAGIC:
-        raise LogError(
-            f"{source}: not a Crazyflie uSD log (it must begin with the byte 0x{CFUSDLOG_MAGIC:X})"
-        )
+    if len(data) < 5 or data[0] != _MAGIC:
+        raise LogError(f"{source}: not a Crazyflie uSD log (it must begin with the byte 0x{_MAGIC:X})")
     version, event_count = struct.unpack_from("<HH", data, 1)
     if version not in _STAMP_TYPE:
         raise LogError(f"{source}: uSD log version {version} is not known; known: {list(_STAMP_TYPE)}")
@@ -211,3 +210,10 @@ def _decode_records(data: bytes, offsets: list[int], layout: np.dtype[Any], tick
         name: records[name].astype(np.float64) for name in layout.names or () if name not in (_ID, _STAMP)
     }
     return Event(records[_STAMP].astype(np.int64) * tick_ns, values)
+
+
+FORMAT = LogFormat(
+    description="Crazyflie uSD log",
+    read=read_cfusdlog,
+    begins=lambda head: head[0] == _MAGIC,
+)

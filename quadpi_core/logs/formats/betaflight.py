@@ -19,12 +19,14 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd
-from quadpi_core.logs.autopilot import BLACKBOX_MAGIC, begins_with, note, require_imu, usable
+from quadpi_core.logs.autopilot import note, require_imu, usable
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
+from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.units import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
+_MAGIC = b"H Product:Blackbox"
 _GYRO = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]")
 _ACCELERATION = ("accSmooth[0]", "accSmooth[1]", "accSmooth[2]")
 _ERPM = ("eRPM[0]", "eRPM[1]", "eRPM[2]", "eRPM[3]")
@@ -62,11 +64,10 @@ def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | Non
 
 def _longest(source: str, path: Path) -> BlackboxLog:
     """The flight with the most frames."""
-    if not begins_with(path, BLACKBOX_MAGIC):
-        raise LogError(
-            f"{source}: byte 0: not a Blackbox log (it must begin with `{BLACKBOX_MAGIC.decode()}`)"
-        )
-    flights = _flights(path.read_bytes())
+    data = path.read_bytes()
+    if not data.startswith(_MAGIC):
+        raise LogError(f"{source}: byte 0: not a Blackbox log (it must begin with `{_MAGIC.decode()}`)")
+    flights = _flights(data)
     largest = sorted(range(len(flights)), key=lambda place: -len(flights[place]))[:_FLIGHTS_MAX]
     longest: tuple[int, BlackboxLog] | None = None
     for place in sorted(largest):
@@ -171,3 +172,12 @@ def _rotor_speeds(
         )
     erpm = np.stack([columns[_ERPM[number]] for number in order.controllers], axis=1) * _ERPM_PER_COUNT
     return usable(source, RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle)))
+
+
+FORMAT = LogFormat(
+    description="Betaflight Blackbox log (.bbl, .bfl, .txt)",
+    read=read_betaflight,
+    begins=lambda head: head.startswith(_MAGIC),
+    suffixes=(".bbl", ".bfl"),
+    load_mapping=RotorOrder.load,
+)

@@ -17,6 +17,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording,
 from quadpi_core.frames import Array
 from quadpi_core.logs.autopilot import note, require_imu, usable
 from quadpi_core.logs.clocks import Line, line_below
+from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mavlink_frames import MARKERS, Frame, FrameCounts, Framer, MessageDecoder, frame_length
 from quadpi_core.logs.mavlink_samples import (
     SOURCES,
@@ -56,13 +57,6 @@ class _Arrived(NamedTuple):
     sender: tuple[int, int, bool]
 
 
-def is_tlog(path: Path) -> bool:
-    """Whether a file begins with a plausible stamp and a packet."""
-    with path.open("rb") as file:
-        head = file.read(_STAMP_BYTES + 1)
-    return _is_record(head, 0)
-
-
 def read_records(data: bytes, counts: TlogCounts) -> Iterator[TlogRecord]:
     """The packets of a telemetry log; what is damaged is passed over and counted, and so is a cut end."""
     framer = Framer(counts=counts)
@@ -83,6 +77,7 @@ def read_records(data: bytes, counts: TlogCounts) -> Iterator[TlogRecord]:
 
 
 def _is_record(data: bytes, position: int) -> bool:
+    """Whether a plausible stamp and the first byte of a packet are there."""
     if len(data) <= position + _STAMP_BYTES or data[position + _STAMP_BYTES] not in MARKERS:
         return False
     return (
@@ -213,3 +208,12 @@ def _stream(
                 else int(clocks[sender].to_local(np.array([clock_us * 1000]))[0])
             )
     return usable(source, stream_of(topic, np.array(stamps, dtype=np.int64), np.array(rows)))
+
+
+FORMAT = LogFormat(
+    description="MAVLink telemetry log (.tlog)",
+    read=read_tlog,
+    begins=lambda head: _is_record(head, 0),
+    suffixes=(".tlog",),
+    load_mapping=RotorOrder.load,
+)

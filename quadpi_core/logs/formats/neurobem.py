@@ -15,6 +15,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
+from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.matlab import read_matlab
 from quadpi_core.units import stamps_ns, unit_attitude
 from quadpi_core.vehicle import Vehicle
@@ -30,7 +31,7 @@ _ROTOR_SPEEDS = slice(20, 24)
 _BATTERY_DECIVOLT = 28
 
 
-def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
+def read_neurobem(path: Path, vehicle: Vehicle | None, _mapping: None = None) -> Recording:
     """Read one NeuroBEM flight; every stream lies on the file's one clock.
 
     The rotor order of the file is rear right, front right, rear left, front left: that of
@@ -78,3 +79,10 @@ def _load_matrix(path: Path) -> Array:
             f"the file holds {held}"
         )
     return np.ascontiguousarray(matrices[0], dtype=np.float64)
+
+
+FORMAT = LogFormat(
+    description="NeuroBEM flight (.mat)",
+    read=read_neurobem,
+    suffixes=(".mat",),
+)

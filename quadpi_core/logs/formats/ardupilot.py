@@ -16,7 +16,8 @@ import numpy as np
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.autopilot import note, odometry_of, require_imu, rising, rotors_together, usable
-from quadpi_core.logs.dataflash import Messages, decode_dataflash
+from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
+from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.units import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -179,3 +180,12 @@ def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -
     if not all(motor in outputs for motor in range(ROTORS)):
         outputs = {motor: motor for motor in range(ROTORS)}
     return RotorOrder(tuple(outputs[motor] for motor in motors), RPM)
+
+
+FORMAT = LogFormat(
+    description="ArduPilot log (.bin)",
+    read=read_ardupilot,
+    begins=lambda head: head.startswith(HEAD),
+    suffixes=(".bin",),
+    load_mapping=RotorOrder.load,
+)

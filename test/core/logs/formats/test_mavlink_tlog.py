@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records, read_tlog
 from quadpi_core.logs.mavlink_frames import frame_length
-from quadpi_core.logs.mavlink_tlog import TlogCounts, read_records, read_tlog
 
 START_US = 1_700_000_000_000_000
 
@@ -49,7 +49,7 @@ def test_a_damaged_log_costs_in_proportion_to_its_length(monkeypatch: pytest.Mon
         looked.append(position)
         return frame_length(buffer, position)
 
-    for module in ("mavlink_tlog", "mavlink_frames"):
+    for module in ("formats.mavlink_tlog", "mavlink_frames"):
         monkeypatch.setattr(f"quadpi_core.logs.{module}.frame_length", counted)
     counts = TlogCounts()
     assert not list(read_records(log, counts))

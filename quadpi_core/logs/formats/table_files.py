@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
 
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import (
@@ -37,6 +35,7 @@ from quadpi_core.frames import (
     quaternion_world_enu_to_ned,
     world_enu_to_ned,
 )
+from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, UNITS, Mapping
 from quadpi_core.logs.parquet_pages import unpacked_bytes
 from quadpi_core.logs.unpacking import require_unpackable
@@ -44,12 +43,16 @@ from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.units import STANDARD_GRAVITY, stamps_ns, unit_attitude
 from quadpi_core.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_PARQUET_MAGIC = b"PAR1"
 _GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 _log = logging.getLogger(__name__)
 
 
-def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping) -> Recording:
+def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping | None) -> Recording:
     """Read a table; topics whose signals the mapping does not have are None.
 
     imu needs `angular_velocity` and `acceleration`; rotor_speeds `rotor_speeds`; odometry `position`,
@@ -57,9 +60,11 @@ def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping) -> Recordi
     `wind`; simulation/wrench `simulated_force` and `simulated_moment`.
 
     Raises:
-        LogError: naming file, topic and sample, for columns that are missing or not numeric, and values
-            missing beyond what the mapping allows.
+        LogError: naming file, topic and sample, without a mapping, for columns that are missing or not
+            numeric, and values missing beyond what the mapping allows.
     """
+    if mapping is None:
+        raise LogError(f"{path}: a table needs a mapping file that says what its columns are (--mapping)")
     return _TableReader(path, vehicle, mapping).recording()
 
 
@@ -183,12 +188,14 @@ class _TableReader:
         return np.stack([self._column(column) for column in self.mapping.signals[name].columns], axis=1)
 
     def _column(self, name: str) -> Array:
+        from pyarrow import types
+
         if name not in self.table.column_names:
             raise LogError(f"{self.path}: no column {name}; it has {', '.join(self.table.column_names)}")
         if self.table.column_names.count(name) > 1:
             raise LogError(f"{self.path}: column {name} is present twice")
         column = self.table[name]
-        numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_null)
+        numeric = (types.is_floating, types.is_integer, types.is_null)
         if not any(test(column.type) for test in numeric):
             raise LogError(f"{self.path}: column {name} holds {column.type}, not numbers")
         values: Array = column.to_numpy(zero_copy_only=False).astype(np.float64)
@@ -218,16 +225,22 @@ class _TableReader:
 
 def _read_parquet(path: Path) -> pa.Table:
     """A Parquet table, unless it unpacks to too much: one value can stand for any number of rows."""
+    from pyarrow import parquet
+
     content = np.memmap(path, dtype=np.uint8, mode="r")
     try:
         require_unpackable(len(content), unpacked_bytes(content.data))
     except LogError as error:
         raise LogError(f"{path}: not a readable parquet table: {error}") from error
-    return pyarrow.parquet.read_table(path)
+    return parquet.read_table(path)
 
 
 def _load_table(path: Path) -> pa.Table:
-    read = _read_parquet if path.suffix.lower() == ".parquet" else pyarrow.csv.read_csv
+    # Slow to import, and no other format needs it.
+    import pyarrow as pa
+    from pyarrow import csv
+
+    read = csv.read_csv if path.suffix.lower() == ".csv" else _read_parquet
     try:
         table = read(path)
         # Names that are not UTF-8 show only here.
@@ -239,3 +252,12 @@ def _load_table(path: Path) -> pa.Table:
     if table.num_rows == 0:
         raise LogError(f"{path}: the table has no rows")
     return table
+
+
+FORMAT = LogFormat(
+    description="table with a mapping file (.csv, .parquet)",
+    read=read_table,
+    begins=lambda head: head.startswith(_PARQUET_MAGIC),
+    suffixes=(".csv", ".parquet"),
+    load_mapping=Mapping.load,
+)

@@ -17,11 +17,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from quadpi_core.errors import LogError, one_line
+from quadpi_core.errors import LogError, one_line, require_library
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.autopilot import ULOG_MAGIC, begins_with, note, odometry_of, require_imu, rising, usable
-from quadpi_core.optional_imports import require
+from quadpi_core.logs.autopilot import note, odometry_of, require_imu, rising, usable
+from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.units import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -29,6 +29,7 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".
 Columns: TypeAlias = dict[str, Any]
 
+_MAGIC = b"ULog\x01\x12\x35"
 _TOPICS = (
     "sensor_combined",
     "vehicle_attitude",
@@ -88,9 +89,10 @@ def _load(source: str, path: Path) -> Any:
     Raises:
         LogError: if that is nothing.
     """
-    ulog = require("pyulog", "logs").ULog
-    if not begins_with(path, ULOG_MAGIC):
-        raise LogError(f"{source}: byte 0: not a ULog file")
+    ulog = require_library("pyulog", "logs").ULog
+    with path.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise LogError(f"{source}: byte 0: not a ULog file")
     with contextlib.redirect_stdout(io.StringIO()) as said:
         try:
             _require_flat(ulog(_BoundedFile(path), [], parse_header_only=True).message_formats)
@@ -283,3 +285,12 @@ def _order(
     if not all(motor in reports for motor in motors.controllers):
         return motors
     return RotorOrder(tuple(reports[motor] for motor in motors.controllers), RPM)
+
+
+FORMAT = LogFormat(
+    description="PX4 log (.ulg)",
+    read=read_px4,
+    begins=lambda head: head.startswith(_MAGIC),
+    suffixes=(".ulg",),
+    load_mapping=RotorOrder.load,
+)
