@@ -24,8 +24,9 @@ from quadpi_core.paths import bags_directory, config_directory
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-# By test_data_set_guide.py and test_adapted_bags.py, which make their files; the last by `make tables`.
-RUN_ELSEWHERE = {"add-a-data-set.md", "adapters.md", "paper-tables.md"}
+# By test_data_set_guide.py, test_log_format_guide.py and test_adapted_bags.py, which make their files; and by
+# `make tables`.
+RUN_ELSEWHERE = {"add-a-data-set.md", "add-a-log-format.md", "adapters.md", "paper-tables.md"}
 ON_REAL_FLIGHTS = {"commands.md", "import-logs.md"}
 QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
 
