@@ -87,7 +87,7 @@ class AerodynamicModel:
 
     @property
     def method(self) -> str:
-        """Name of the method, one of `methods.METHODS`."""
+        """Name of the method, one of :data:`METHODS`."""
         return next(iter(self.fitted.values())).method
 
     def load_vehicle(self, given: str | Path | None = None) -> Vehicle:

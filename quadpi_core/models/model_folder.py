@@ -110,7 +110,7 @@ def load_model(folder: Path) -> AerodynamicModel:
 
 @dataclass(frozen=True, kw_only=True)
 class _Step:
-    """A step of the selection of regressors, see :meth:`quadpi_core.models.polynomial.selection_log`."""
+    """A step of the selection of regressors, as `StepwisePolynomial.selection_log` gives it."""
 
     term: Text
     fixed: Flag

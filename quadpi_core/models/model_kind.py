@@ -34,7 +34,7 @@ class Evaluation(NamedTuple):
 class FittedAxis(Protocol):
     """One fitted axis: numbers that a compiled kernel can evaluate, and that can be stored.
 
-    Its interval is centre ± rule.factor(confidence) · spread (see `rules`).
+    Its interval is centre ± rule.factor(confidence) · spread (see `interval_rules`).
     """
 
     method: ClassVar[str]
