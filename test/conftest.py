@@ -4,9 +4,14 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import re
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +31,22 @@ from quadpi_core.vehicle import Vehicle
 settings.register_profile("same", derandomize=True, database=None)
 settings.load_profile("same")
 
+ROOT = Path(__file__).parents[1]
+POOL = """
+Fx: {fixed: [u], candidates: ["P^2(u, |v|, w)"]}
+Fz: {fixed: [w], candidates: ["P^2(omega_avg)"]}
+Mx: {fixed: [U_p], candidates: ["P^1(p)"]}
+"""
+WITHOUT_TORCH = """
+import sys
+
+class NotInstalled:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "torch":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, NotInstalled())
+"""
 TORQUE_PER_THRUST_M = 0.015
 IMU_HZ, IMU_SAMPLES_PER_POSE = 400.0, 4
 GYRO_NOISE, ACCELEROMETER_NOISE, ROTOR_NOISE, POSITION_NOISE = 0.01, 0.1, 2.0, 0.002
@@ -60,6 +81,43 @@ def quadpi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) 
         return Outcome(ended.value.code or 0, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture
+def refused(quadpi: Callable[..., Outcome], tmp_path: Path) -> Callable[..., None]:
+    """refused(message, command, …): one line on standard error, and the test's folder as it was."""
+
+    def contents() -> dict[Path, bytes | None]:
+        return {path: path.read_bytes() if path.is_file() else None for path in tmp_path.rglob("*")}
+
+    def run(message: str, *arguments: object) -> None:
+        before = contents()
+        result = quadpi(*arguments)
+        assert (result.status, result.output) == (2, ""), result
+        assert re.fullmatch(rf"quadpi: [^\n]*{message}[^\n]*\n", result.errors), result.errors
+        assert contents() == before
+
+    return run
+
+
+@pytest.fixture
+def tool(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The program of tools/ that a test file is named after: paper_tables for test_paper_tables.py."""
+    name = request.path.stem.removeprefix("test_")
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    return importlib.import_module(name)
+
+
+def run_without_torch(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run code in a Python of its own in which PyTorch is not installed."""
+    return subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH + code, *map(str, arguments)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def fly(
@@ -139,6 +197,14 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for seed, path in enumerate(paths):
         write_bag(path, fly(seed))
     return paths
+
+
+@pytest.fixture(scope="session")
+def pool(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small file of candidates."""
+    path = tmp_path_factory.mktemp("pool") / "pool.yaml"
+    path.write_text(POOL)
+    return path
 
 
 @pytest.fixture(scope="session")

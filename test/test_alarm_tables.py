@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -19,12 +18,6 @@ from quadpi_core.vehicle import Vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = "By hand.\n\n<!-- table: rates -->\n<!-- end -->\n\n<!-- table: signals -->\n\nold\n\n<!-- end -->\n"
-
-
-@pytest.fixture
-def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "tools")
-    return importlib.import_module("alarm_tables")
 
 
 def rows_of(page: str) -> list[list[str]]:

@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import pytest
 
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -19,12 +17,6 @@ from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-@pytest.fixture
-def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "tools")
-    return importlib.import_module("interval_tables")
 
 
 def test_the_page_has_a_place_for_the_table(tool: ModuleType) -> None:

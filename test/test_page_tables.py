@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from types import ModuleType
 
@@ -12,12 +11,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = "By hand.\n\n<!-- table: one -->\n<!-- end -->\n\nAlso.\n\n<!-- table: two -->\nold\n<!-- end -->\n"
-
-
-@pytest.fixture
-def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "tools")
-    return importlib.import_module("page_tables")
 
 
 def test_only_what_is_between_the_marks_is_replaced(tool: ModuleType, tmp_path: Path) -> None:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import sys
 from collections.abc import Callable
@@ -34,13 +33,6 @@ old
 
 <!-- end -->
 """
-
-
-@pytest.fixture
-def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "tools")
-    monkeypatch.delitem(sys.modules, "paper_tables", raising=False)
-    return importlib.import_module("paper_tables")
 
 
 @pytest.fixture

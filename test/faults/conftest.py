@@ -30,17 +30,6 @@ from test.faults.onboard import Onboard, sent_by, spoilt
 GOLDEN_MODEL = Path(__file__).parents[1] / "golden" / "model"
 FLIGHT_S = 8.0
 CUTOFF_HZ = 30.0
-POOL = """
-Fx: {fixed: [u], candidates: ["P^2(u, |v|, w)"]}
-Mx: {fixed: [U_p], candidates: ["P^1(p)"]}
-"""
-
-
-@pytest.fixture(scope="session")
-def pool(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pool") / "pool.yaml"
-    path.write_text(POOL)
-    return path
 
 
 @pytest.fixture(scope="session")
@@ -83,20 +72,6 @@ def each_model(request, model, bags, tmp_path_factory):
     folder = tmp_path_factory.mktemp("models") / request.param
     replace(good, fitted=random_ensembles(request.param, X, inputs)).save(folder)
     return folder
-
-
-@pytest.fixture
-def refused(quadpi, tmp_path):
-    """refused(message, command, …): the command fails as it should and leaves the folder as it was."""
-
-    def run(message, *arguments):
-        before = contents(tmp_path)
-        result = quadpi(*arguments)
-        assert result.status == 2, result
-        assert re.fullmatch(rf"quadpi: [^\n]*{message}[^\n]*\n", result.errors), result.errors
-        assert contents(tmp_path) == before
-
-    return run
 
 
 def contents(folder):

@@ -173,7 +173,7 @@ class TestOptions:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            (("--axes", "Fx,Fq"), "no candidates for axis 'Fq'; there are pools for Fx, Mx"),
+            (("--axes", "Fx,Fq"), "no candidates for axis 'Fq'; there are pools for Fx, Fz, Mx"),
             (("--axes", ""), "no candidates for axis ''"),
             (("--candidates", "nothing"), "nothing.yaml: no such candidate file; known candidates: "),
             (("--confidence", "95"), "confidence 95.0 is not between 0 and 1"),

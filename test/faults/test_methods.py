@@ -4,16 +4,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import quadpi_core
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import OdometryStream
 from quadpi_core.identification.identify import IdentifyOptions, identify
@@ -23,20 +18,9 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.aerodynamic import METHODS
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.vehicle import Vehicle
+from test.conftest import run_without_torch
 
 ENSEMBLES = [method for method in METHODS if method != "polynomial"]
-WITHOUT_TORCH = """
-import sys
-
-class NotInstalled:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == "torch":
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-sys.meta_path.insert(0, NotInstalled())
-from quadpi_core.cli import main
-main()
-"""
 
 
 @pytest.fixture(params=METHODS)
@@ -125,13 +109,8 @@ def test_graphics_card_that_is_not_there(refused, unread, tmp_path, method):
 @pytest.mark.parametrize("method", ENSEMBLES)
 def test_training_without_pytorch_names_the_extra(unread, tmp_path, method):
     options = ("--vehicle", "neurobem", "--method", method, "-o", tmp_path / "model")
-    ran = subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH, "identify", unread, *options],
-        env=os.environ | {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1])},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = "from quadpi_core.cli import main\nmain()"
+    ran = run_without_torch(command, "identify", unread, *options)
     message = "quadpi: training needs PyTorch, installed by quadpi-monitor[train]: No module named 'torch'\n"
     assert (ran.returncode, ran.stdout, ran.stderr) == (2, "", message)
     assert list(tmp_path.iterdir()) == []

@@ -4,26 +4,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import pytest
 
 FOLDER = Path(__file__).resolve().parent
-
-
-@pytest.fixture(scope="module")
-def tool():
-    path = FOLDER.parents[1] / "tools" / "golden_trace.py"
-    spec = importlib.util.spec_from_file_location("golden_trace", path)
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "golden_trace", module)
-        spec.loader.exec_module(module)
-        yield module
 
 
 def test_replay_gives_the_golden_trace(tool: ModuleType):

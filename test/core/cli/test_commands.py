@@ -56,17 +56,6 @@ REPLAY = {
     "warning_first_s",
     "events",
 }
-POOL = """
-Fx: {fixed: [u], candidates: ["P^2(u, |v|, w)"]}
-Fz: {fixed: [w], candidates: ["P^2(omega_avg)"]}
-"""
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pool") / "pool.yaml"
-    path.write_text(POOL)
-    return path
 
 
 @pytest.fixture
@@ -278,7 +267,7 @@ class TestJsonKeys:
         assert set(evaluation["groups"]["all"]) == {"flights", "axes", "alarm"}
         assert set(evaluation["flights"]) == {"flight0", "flight1"}
         for part in (evaluation["groups"]["all"], *evaluation["flights"].values()):
-            assert set(part["axes"]) == {"Fx", "Fz"}
+            assert set(part["axes"]) == {"Fx", "Fz", "Mx"}
             assert all(set(axis) == METRICS for axis in part["axes"].values())
         assert set(evaluation["flights"]["flight0"]) == {"duration_s", "axes", "alarm"}
 

@@ -4,28 +4,16 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 
-import quadpi_core
 from quadpi_core.frames import Array
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from test.conftest import run_without_torch
 
 FLIGHT = """
-import sys
-
-class NotInstalled:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == "torch":
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-sys.meta_path.insert(0, NotInstalled())
-
 import numpy as np
 from quadpi_core.cli import main
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -62,14 +50,7 @@ except SystemExit as ended:
 
 
 def run(code: str, *arguments: object) -> str:
-    environment = os.environ | {"PYTHONPATH": str(Path(quadpi_core.__file__).parents[1])}
-    done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_without_torch(code, *arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
