@@ -17,14 +17,14 @@ from typing import Any
 Split = Callable[[bytes], list[bytes]]
 
 # What a length or count may claim: around the limits of each width.
-EXTREME_INTEGERS = (
+_EXTREME_INTEGERS = (
     *(0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**40),
     *(2**63 - 1, 2**63, 2**64 - 1),
 )
 _REAL = (0.0, -0.0, 1e-320, 1e30, -1e30, 1e300, float("inf"), float("-inf"), float("nan"), 1e7, 0.1)
 _INTEGER_FORMS = ("B", "<H", "<I", "<Q", ">H", ">I", ">Q")
 # JSON values that are seldom right in the place of another.
-WRONG_VALUES: tuple[Any, ...] = (
+_WRONG_VALUES: tuple[Any, ...] = (
     *(None, True, False, "", "x", 0, -1, 1, 2**63, 10**400, -1e-300, 1e308, 0.5),
     *([], [1.0], [[1.0]], {}, {"a": 1}, [None]),
 )
@@ -122,7 +122,7 @@ def change_bytes(rng: random.Random, data: bytes, other: bytes = b"") -> bytes:
         changed[place : place + length] = rng.randbytes(length)
     elif kind == 2:
         form = rng.choice(_INTEGER_FORMS)
-        number = (rng.choice(EXTREME_INTEGERS) + rng.choice((0, 0, 1, -1))) % 256 ** struct.calcsize(form)
+        number = (rng.choice(_EXTREME_INTEGERS) + rng.choice((0, 0, 1, -1))) % 256 ** struct.calcsize(form)
         changed[place : place + struct.calcsize(form)] = struct.pack(form, number)
     elif kind == 3:
         form, number = rng.choice((("<f", rng.choice(_REAL[:4] + _REAL[6:])), ("<d", rng.choice(_REAL))))
@@ -169,23 +169,24 @@ def _change_records(
 def mutate_json(rng: random.Random, content: Any) -> bytes:
     """JSON with a value replaced, missing or repeated, and sometimes with changes to its text."""
     for _ in range(rng.choice((1, 1, 2))):
-        content = _altered(rng, content)
+        content = alter(rng, content)
     text = json.dumps(content).encode()
     return mutate_text(rng, text, [text]) if rng.random() < 0.2 else text
 
 
-def _altered(rng: random.Random, content: Any) -> Any:
+def alter(rng: random.Random, content: Any) -> Any:
+    """JSON content with one value replaced, missing, repeated or scaled."""
     if isinstance(content, dict) and content and rng.random() < 0.9:
         key = rng.choice(sorted(content))
         if rng.random() < 0.05:
             return {name: value for name, value in content.items() if name != key}
-        return {**content, key: _altered(rng, content[key])}
+        return {**content, key: alter(rng, content[key])}
     if isinstance(content, list) and content and rng.random() < 0.8:
         place = rng.randrange(len(content))
         if rng.random() < 0.1:
             return content[:place] + content[place:][: rng.randrange(3)] * rng.choice((0, 2))
-        return [*content[:place], _altered(rng, content[place]), *content[place + 1 :]]
+        return [*content[:place], alter(rng, content[place]), *content[place + 1 :]]
     is_number = isinstance(content, float) or (type(content) is int and abs(content) < 2**64)
     if is_number and rng.random() < 0.4:
         return content * rng.choice((-1, 0, 2, 1000, 1e200))
-    return rng.choice(WRONG_VALUES)
+    return rng.choice(_WRONG_VALUES)
