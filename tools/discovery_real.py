@@ -124,13 +124,14 @@ _READING = """## What these figures say
 @contextmanager
 def looking_up_to(band_hz: float) -> Iterator[None]:
     """Searches that look at frequencies up to a band alone."""
-    before = whitening.BAND_HZ, whitening._EDGES_HZ, whitening.BANDS
-    edges = (*(edge for edge in before[1] if edge < band_hz), band_hz)
-    whitening.BAND_HZ, whitening._EDGES_HZ, whitening.BANDS = band_hz, edges, len(edges) - 1  # type: ignore
+    before = whitening.BAND_HZ, whitening.EDGES_HZ, whitening.BANDS
+    edges = (*(edge for edge in before[1].value if edge < band_hz), band_hz)
+    whitening.BAND_HZ, whitening.EDGES_HZ = replace(before[0], value=band_hz), replace(before[1], value=edges)
+    whitening.BANDS = len(edges) - 1
     try:
         yield
     finally:
-        whitening.BAND_HZ, whitening._EDGES_HZ, whitening.BANDS = before
+        whitening.BAND_HZ, whitening.EDGES_HZ, whitening.BANDS = before
 
 
 def read_flights(case: Case) -> list[Flight]:

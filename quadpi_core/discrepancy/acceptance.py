@@ -1,25 +1,21 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""When the search accepts an effect: named tests with their thresholds, each with a verdict and its reason.
+"""What decides whether the search accepts an effect: thresholds, and verdicts with their reasons.
 
-:data:`ACCEPTANCE_TESTS` lists the tests in their order; a candidate is accepted if it passes all of them, and
-judged no further once it fails one. The functions before that list take plain numbers, so that each threshold
-can be examined without a search.
+The functions take plain numbers, so that each threshold can be examined without a search; `trial` lists the
+tests that a candidate has to pass.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.closure import Closing
-from quadpi_core.discrepancy.effect_regression import Regression, refined
-from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.frames import Array
+from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
 
 @dataclass(frozen=True)
@@ -43,33 +39,6 @@ class Verdict:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Threshold:
-    """A number that decides.
-
-    Attributes:
-        name: as people call it.
-        value: in its unit.
-        unit: of the value.
-        reason: for this value and no other.
-        data: that it was set on.
-    """
-
-    name: str
-    value: float
-    unit: str
-    reason: str
-    data: str
-
-    def verdict(self, test: str, value: float, passed: bool, sentence: str) -> Verdict:
-        """The verdict of a test that compares a value with this threshold."""
-        return Verdict(test, passed, value, self.value, self.unit, sentence)
-
-
-# Flights of the simulated Bebop 2 with hidden effects, of seeds that no published figure is of.
-_DEVELOPMENT = "development cases of the blind benchmark (tools/discovery.py --development)"
-_CONVENTION = "none: a convention"
-
 FALSE_ALARMS = Threshold(
     "false alarms",
     0.01,
@@ -82,7 +51,7 @@ LEAST_EVIDENCE = Threshold(
     5.0,
     "nat",
     "odds of about a hundred and fifty, even where calibration by draws asks for less",
-    _CONVENTION,
+    CONVENTION,
 )
 FURTHER_SHARE = Threshold(
     "share of a further effect",
@@ -90,7 +59,7 @@ FURTHER_SHARE = Threshold(
     "of the evidence of what the effects before it add",
     "a law that is off lets other effects mend the difference: in proportion to the effect, not to what it "
     "gained, which is little where tolerances cover it",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 FURTHER_LEAST = Threshold(
     "least gain of a further effect",
@@ -98,35 +67,35 @@ FURTHER_LEAST = Threshold(
     "nat",
     "below the 40 to 170 nat that a true change of mass, inertia or thrust gains beside a law that is off: "
     "tolerances cover the rest",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 FURTHER_NUMBER = Threshold(
     "gain that suffices a further exact effect",
     100.0,
     "nat",
     "above what an exact effect gains by mending a wrong number of another exact one",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 FURTHER_LAW = Threshold(
     "gain that suffices a further law",
     200.0,
     "nat",
     "above what an aerodynamic law gains by mending a wrong number of an exact effect",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 BESIDE_LAW = Threshold(
     "gain that suffices beside a law",
     350.0,
     "nat",
     "above what any effect gains by mending an aerodynamic law that is off: more than beside a wrong number",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 SMALLEST = Threshold(
     "smallest size",
     0.13,
     "prior standard deviations, 1.5 typical sizes each",
     "a fifth of the typical size: less is no finding, however certain it is",
-    _CONVENTION,
+    CONVENTION,
 )
 LOUDNESS = Threshold(
     "loudness",
@@ -134,28 +103,28 @@ LOUDNESS = Threshold(
     "of the noise, root mean square in the loudest axis",
     "less closes no gap; in a hover all motion is noise of the estimator, and so are the forces that a "
     "simulation makes of it",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 GROWTH = Threshold(
     "growth on flights left out",
     0.5,
     "of what was left of an axis and of what the effect takes from all of them",
     "coefficients settle elsewhere beside a true effect, which may enlarge what is left of an axis",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 FEW_FLIGHTS = Threshold(
     "flights to leave one out",
     4.0,
     "flights",
     "fewer flights are each flown in their own way, and do not predict each other",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 NAMED_ALONE = Threshold(
     "margin to be named alone",
     4.6,
     "nat",
     "odds of about a hundred against every other effect in its place",
-    _CONVENTION,
+    CONVENTION,
 )
 ALIKE = Threshold(
     "margin of a law",
@@ -163,7 +132,7 @@ ALIKE = Threshold(
     "of the gain of the effect",
     "an aerodynamic law that is off by a third leaves this share of its gain, so another effect that does as "
     "well may be the true one",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 PREDICTABLE = Threshold(
     "squares that are predicted",
@@ -171,7 +140,7 @@ PREDICTABLE = Threshold(
     "of those of the noise",
     "of flights without any effect nothing is predicted, of a hover up to a quarter: all its motion is noise "
     "of the estimator",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 LOUD_AXIS = Threshold(
     "squares of an axis that counts by itself",
@@ -179,26 +148,21 @@ LOUD_AXIS = Threshold(
     "of those of the noise",
     "an effect may explain another axis so well that it hides this one; above what is left beside effects of "
     "the library that were found, of which a tilted rotor leaves most",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 PART_OF_AXIS = Threshold(
     "part of an axis that counts by itself",
     0.2,
     "of what was named in the axis",
     "less is what a law that is off leaves of its own axis",
-    _DEVELOPMENT,
+    DEVELOPMENT,
 )
 UNEXPLAINED = Threshold(
     "share without a name",
     0.05,
     "of the predictable discrepancy",
     "effects of the library that were found leave less; of a force that no effect explains most is left",
-    _DEVELOPMENT,
-)
-THRESHOLDS = (
-    *(FALSE_ALARMS, LEAST_EVIDENCE, FURTHER_SHARE, FURTHER_LEAST, FURTHER_NUMBER, FURTHER_LAW, BESIDE_LAW),
-    *(SMALLEST, LOUDNESS, GROWTH, FEW_FLIGHTS, NAMED_ALONE, ALIKE),
-    *(PREDICTABLE, LOUD_AXIS, PART_OF_AXIS, UNEXPLAINED),
+    DEVELOPMENT,
 )
 
 
@@ -228,6 +192,11 @@ class Judgement:
         """The verdict that decided: of a rejected candidate the last, of an accepted one its evidence."""
         wanted = "evidence" if self.accepted else self.verdicts[-1].test
         return next(verdict for verdict in self.verdicts if verdict.test == wanted)
+
+
+def _verdict(threshold: Threshold[float], test: str, value: float, passed: bool, sentence: str) -> Verdict:
+    """The verdict of a test that compares a value with a threshold."""
+    return Verdict(test, passed, value, threshold.value, threshold.unit, sentence)
 
 
 def evidence_threshold(gains: Array) -> float:
@@ -272,13 +241,13 @@ def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
     """Whether every effect of a set, by its name, is of some size, in prior standard deviations."""
     name, smallest = min(sizes.items(), key=lambda item: item[1])
     sentence = f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed"
-    return SMALLEST.verdict(test, smallest, smallest > SMALLEST.value, sentence)
+    return _verdict(SMALLEST, test, smallest, smallest > SMALLEST.value, sentence)
 
 
 def judge_loudness(loudness: float) -> Verdict:
     """Whether what an effect adds is distinguishable from the noise."""
     sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
-    return LOUDNESS.verdict("loudness", loudness, loudness >= LOUDNESS.value, sentence)
+    return _verdict(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
 
 
 def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
@@ -294,7 +263,7 @@ def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
     if few:
         sentence = f"not judged on flights left out, of {flights} flights"
     passed = few or bool(np.all(grown <= GROWTH.value * room))
-    return GROWTH.verdict("flights left out", worst, passed, sentence)
+    return _verdict(GROWTH, "flights left out", worst, passed, sentence)
 
 
 def rival_margin(gain: float) -> float:
@@ -325,160 +294,4 @@ def unexplained_share(left: Array, named: Array, rows: int) -> float:
 def judge_unexplained(share: float) -> Verdict:
     """Whether what the effects leave is little enough to call the discrepancy explained."""
     sentence = f"{100.0 * share:.0f} % of what can be predicted has no name, {UNEXPLAINED.value:.0%} allowed"
-    return UNEXPLAINED.verdict("unexplained", share, share <= UNEXPLAINED.value, sentence)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A candidate beside the effects accepted before it; what a test asks for is computed once.
-
-    Attributes:
-        regression: before the candidate.
-        chosen: indices of the effects accepted before.
-        found: their fit.
-        added: index of the candidate.
-        fit: of all together; None where bounds leave nothing of one.
-        needed: evidence that the candidate has to gain.
-        dropped: whether it was accepted earlier and became idle.
-        behind: name of a better candidate that ended the round; empty without one.
-        squares_before: gives the squares (6,) that flights left out had before.
-    """
-
-    regression: Regression
-    chosen: tuple[int, ...]
-    found: Fit
-    added: int
-    fit: Fit | None
-    needed: float
-    dropped: bool
-    behind: str
-    squares_before: Callable[[], Array]
-
-    @property
-    def candidate(self) -> Candidate:
-        """That is tried."""
-        return self.regression.candidates[self.added]
-
-    @property
-    def larger(self) -> tuple[int, ...]:
-        """Indices of all effects together."""
-        return tuple(sorted((*self.chosen, self.added)))
-
-    @property
-    def fitted(self) -> Fit:
-        """The fit, of a trial that passed the test of bounds."""
-        assert self.fit is not None
-        return self.fit
-
-    @property
-    def gain(self) -> float:
-        """Evidence that the candidate gains."""
-        return self.fitted.log_evidence - self.found.log_evidence
-
-    @property
-    def loudness(self) -> float:
-        """Of what the candidate adds."""
-        return self.regression.loudness(self.added, self.fitted)
-
-    @cached_property
-    def refined(self) -> tuple[Regression, Fit] | None:
-        """Linearised where all fit together."""
-        return refined(self.regression, self.larger, self.fitted)
-
-    @property
-    def refinement(self) -> tuple[Regression, Fit]:
-        """That of a trial that passed the test of bounds after it."""
-        assert self.refined is not None
-        return self.refined
-
-    @cached_property
-    def reweighted(self) -> Regression:
-        """The refined regression with what the set leaves counted as noise."""
-        regression, found = self.refinement
-        return regression.beside(self.larger, found)
-
-    @cached_property
-    def accepted_fit(self) -> Fit | None:
-        """Fit of all together after refinement and with the noise that they leave."""
-        return self.reweighted.fit(self.larger)
-
-    def sizes(self, regression: Regression, found: Fit) -> dict[str, float]:
-        """Size of each effect in a fit, by its name."""
-        return {regression.candidates[i].name: regression.size(i, found) for i in self.larger}
-
-    def judged(self) -> tuple[tuple[Verdict, ...], bool]:
-        """Verdicts up to the first that fails, and whether that one ends the round."""
-        verdicts = []
-        for test in ACCEPTANCE_TESTS:
-            verdicts.append(test.judge(self))
-            if not verdicts[-1].passed:
-                return tuple(verdicts), test.ends_round
-        return tuple(verdicts), False
-
-
-def _possible(test: str, fit: object) -> Verdict:
-    sentence = "fits with possible parameters" if fit else "does not fit with possible parameters"
-    return Verdict(test, bool(fit), float(bool(fit)), 1.0, "", sentence)
-
-
-def _not_dropped(trial: Trial) -> Verdict:
-    sentence = "became idle beside a better one" if trial.dropped else "was not dropped before"
-    return Verdict("not dropped", not trial.dropped, float(trial.dropped), 0.0, "", sentence)
-
-
-def _precedence(trial: Trial) -> Verdict:
-    beside = [trial.regression.candidates[index] for index in trial.chosen]
-    passed = not trial.behind or scales_beside_law(trial.candidate, beside)
-    sentence = f"gains less than {trial.behind}, which was rejected"
-    if passed:
-        sentence = "no better candidate was rejected for good"
-    return Verdict("precedence", passed, float(passed), 1.0, "", sentence)
-
-
-def _left_out(trial: Trial) -> Verdict:
-    regression, _ = trial.refinement
-    after = Closing.by_laws(regression, trial.larger).left_out_squares()
-    return judge_left_out(trial.squares_before(), after, len(regression.flights))
-
-
-def _size_by_law(trial: Trial) -> Verdict:
-    """The room that a law has for its form is not the effect: by the laws alone, every effect has a size."""
-    regression = trial.reweighted
-    plain = regression.fit(trial.larger, form=False)
-    sizes = {trial.candidate.name: 0.0} if plain is None else trial.sizes(regression, plain)
-    return judge_size(sizes, "size by its law")
-
-
-@dataclass(frozen=True)
-class AcceptanceTest:
-    """One test of a candidate.
-
-    Attributes:
-        name: as in its verdicts.
-        judge: gives the verdict.
-        ends_round: whether a candidate that fails ends the round: what is left is then noise, or another law
-            that looks like it, and any effect that does less well would be named for the same. Otherwise the
-            next best is tried.
-    """
-
-    name: str
-    judge: Callable[[Trial], Verdict]
-    ends_round: bool
-
-
-ACCEPTANCE_TESTS = (
-    AcceptanceTest("bounds", lambda trial: _possible("bounds", trial.fit), False),
-    AcceptanceTest("size", lambda trial: judge_size(trial.sizes(trial.regression, trial.fitted)), False),
-    # Two effects could take turns for ever.
-    AcceptanceTest("not dropped", _not_dropped, False),
-    AcceptanceTest("evidence", lambda trial: judge_evidence(trial.gain, trial.needed), True),
-    AcceptanceTest("precedence", _precedence, False),
-    AcceptanceTest("loudness", lambda trial: judge_loudness(trial.loudness), True),
-    # From here on linearised where all fit together.
-    AcceptanceTest("bounds, refined", lambda trial: _possible("bounds, refined", trial.refined), True),
-    AcceptanceTest("flights left out", _left_out, False),
-    AcceptanceTest("size, refined", lambda t: judge_size(t.sizes(*t.refinement), "size, refined"), True),
-    # With what the set leaves counted as noise.
-    AcceptanceTest("size by its law", _size_by_law, True),
-    AcceptanceTest("bounds, reweighted", lambda t: _possible("bounds, reweighted", t.accepted_fit), True),
-)
+    return _verdict(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)

@@ -23,14 +23,29 @@ from quadpi_core.discrepancy.residual_bins import (
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.thresholds import CONVENTION, Threshold
 
-# Share of the energy beyond noise and tolerances that the named ranges hold, in the fewest samples: most of
-# it, without the tail that every bin has.
-_BULK = 0.8
-# Share of that energy below which a range is not worth a line.
-_LEAST_SHARE = 0.03
-# Factor by which the share of the energy in a range has to exceed its share of the time to be informative.
-_LIFT = 1.5
+BULK = Threshold(
+    "bulk of the energy",
+    0.8,
+    "of the energy beyond noise and tolerances",
+    "the named ranges hold most of it, in the fewest samples, without the tail that every bin has",
+    CONVENTION,
+)
+LEAST_SHARE = Threshold(
+    "energy of a range",
+    0.03,
+    "of the energy beyond noise and tolerances",
+    "a range with less is not worth a line",
+    CONVENTION,
+)
+LIFT = Threshold(
+    "lift of a range",
+    1.5,
+    "share of the energy over share of the time",
+    "an axis that disagrees alike in all conditions has the same share of both in every range",
+    CONVENTION,
+)
 WORDS = {
     "speed": ("airspeed", "m/s"),
     "u": ("forward airspeed", "m/s"),
@@ -66,6 +81,16 @@ class Range:
     share: float
     time_share: float
     p_value: float
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it holds enough energy to be named."""
+        return self.share >= LEAST_SHARE.value
+
+    @property
+    def is_informative(self) -> bool:
+        """Whether it holds more of the energy than of the time."""
+        return self.share > LIFT.value * self.time_share
 
     @property
     def text(self) -> str:
@@ -191,7 +216,7 @@ def locate(found: Found, seed: int = 0) -> Where:
 def _of_axis(axis: int, order: Sequence[str], cells: Cells, result: CellTest) -> list[tuple[Range, ...]]:
     """Ranges of an axis by variable, most informative first."""
     found = [tuple(_ranges(axis, name, cells, result)) for name in order]
-    telling = [tuple(part for part in parts if part.share > _LIFT * part.time_share) for parts in found]
+    telling = [tuple(part for part in parts if part.is_informative) for parts in found]
     if any(telling) or not any(found):
         return [parts for parts in telling if parts]
     smallest = min(part.p_value for parts in found for part in parts)
@@ -212,25 +237,25 @@ def _ranges(axis: int, name: str, cells: Cells, result: CellTest) -> Iterator[Ra
     own, edges = cells.bins[name], cells.edges[name]
     excess, samples, p_value = result.excess[own, axis], cells.samples[own], result.p_value[own, axis]
     last = len(excess) - 1
-    for first, end in _runs(_bulk(excess, samples, result.stands_out[own, axis])):
-        share = float(excess[first:end].sum() / excess.sum())
-        if share >= _LEAST_SHARE:
-            yield Range(
-                axis=AXES[axis],
-                variable=name,
-                low=None if first == 0 else float(edges[first]),
-                high=None if end > last else float(edges[end]),
-                share=share,
-                time_share=float(samples[first:end].sum() / samples.sum()),
-                p_value=float(p_value[first:end].min()),
-            )
+    for first, end in _runs(holding_bulk(excess, samples, result.stands_out[own, axis])):
+        part = Range(
+            axis=AXES[axis],
+            variable=name,
+            low=None if first == 0 else float(edges[first]),
+            high=None if end > last else float(edges[end]),
+            share=float(excess[first:end].sum() / excess.sum()),
+            time_share=float(samples[first:end].sum() / samples.sum()),
+            p_value=float(p_value[first:end].min()),
+        )
+        if part.is_large:
+            yield part
 
 
 def _segments(flights: Sequence[Residual], cells: Cells, result: CellTest) -> Iterator[Segment]:
     first = cells.seconds[0].start
     for axis, name in enumerate(AXES):
         excess, p_value = result.excess[first:, axis], result.p_value[first:, axis]
-        kept = _bulk(excess, cells.samples[first:], result.stands_out[first:, axis])
+        kept = holding_bulk(excess, cells.samples[first:], result.stands_out[first:, axis])
         for flight, seconds in zip(flights, cells.seconds, strict=True):
             own = slice(seconds.start - first, seconds.stop - first)
             for start, end in _runs(kept[own]):
@@ -239,17 +264,17 @@ def _segments(flights: Sequence[Residual], cells: Cells, result: CellTest) -> It
                 yield Segment(
                     flight=flight.flight,
                     axis=name,
-                    start_s=float(flight.time[0] + start * SEGMENT_S),
-                    end_s=float(flight.time[-1] if whole else flight.time[0] + end * SEGMENT_S),
+                    start_s=float(flight.time[0] + start * SEGMENT_S.value),
+                    end_s=float(flight.time[-1] if whole else flight.time[0] + end * SEGMENT_S.value),
                     share=float(excess[part].sum() / excess.sum()),
                     p_value=float(p_value[part].min()),
                 )
 
 
-def _bulk(excess: Array, samples: Array, stands_out: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Those of the cells (C,) that stand out which hold the bulk of the energy in the fewest samples."""
+def holding_bulk(excess: Array, samples: Array, stands_out: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """The cells (C,) that hold the bulk of the energy in the fewest samples, of those that stand out."""
     kept = np.zeros(len(excess), dtype=bool)
-    energy, bulk = 0.0, _BULK * excess.sum()
+    energy, bulk = 0.0, BULK.value * excess.sum()
     for cell in np.argsort(-excess / samples):
         if energy >= bulk:
             break

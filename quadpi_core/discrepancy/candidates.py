@@ -21,12 +21,18 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Typical sizes of the registry are those of the Bebop 2.
 _TYPICAL_MASS_KG, _TYPICAL_ARM_M = 0.374, 0.1445
-# Prior standard deviation of a parameter, in typical sizes.
-_PRIOR = 1.5
+PRIOR = Threshold(
+    "prior of a parameter",
+    1.5,
+    "typical sizes, as a standard deviation",
+    "an effect may well be three times as large as is typical",
+    CONVENTION,
+)
 # Half the step of a difference quotient, in prior standard deviations. Wind reverses the airspeed of a hover:
 # a small step would see only the cusp at rest.
 _STEP, _WIDE_STEP = 1e-3, 0.2
@@ -141,7 +147,7 @@ def _variants(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
             effect=effect,
             start=np.array(start, dtype=float),
             free=free,
-            scale=_PRIOR * sizes[list(free)],
+            scale=PRIOR.value * sizes[list(free)],
             linear=effect.kind in ("wrench", "vehicle") and effect.composable,
         )
         for start in itertools.product(*choices)

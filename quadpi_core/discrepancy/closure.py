@@ -149,7 +149,7 @@ class Closing:
         axes = [AXES.index(name) for name in candidate.effect.axes]
         slopes = weights[len(axes) :] / modulators.deviation
         shares = np.zeros(len(AXES))
-        shares[axes] = AXES_OVER_FORM * weights[: len(axes)] - slopes @ modulators.mean
+        shares[axes] = AXES_OVER_FORM.value * weights[: len(axes)] - slopes @ modulators.mean
         shape = zip(SHAPE, np.concatenate((shares, slopes)), strict=True)
         return {p.name: float(np.clip(value, p.lowest, p.highest)) for p, value in shape if value}
 

@@ -16,13 +16,19 @@ from quadpi_core.discrepancy.linearisation import NO_COLUMNS, Linearisation, tab
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.thresholds import CONVENTION, Threshold
 
 # Rounds in which the columns of mass and inertia, and the accelerations that all columns explain, settle.
 _ACCELERATION_ROUNDS = 2
 # Steps to the point that candidates are linearised at.
 _ROUNDS = 3
-# Evidence [nat] that a step of a curved effect may lose before it is halved: odds of about 150.
-_STEP_LOSS = 5.0
+STEP_LOSS = Threshold(
+    "evidence that a step may lose",
+    5.0,
+    "nat",
+    "odds of about 150: a step of a curved effect that loses more overshoots, and is halved",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True)
@@ -223,7 +229,9 @@ def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[
     for _ in range(_ROUNDS):
         regression = regression.moved(dict(zip(chosen, to, strict=True)))
         improved = regression.fit(chosen)
-        if improved is not None and (not curved or improved.log_evidence > best.log_evidence - _STEP_LOSS):
+        if improved is not None and (
+            not curved or improved.log_evidence > best.log_evidence - STEP_LOSS.value
+        ):
             best, at = improved, to
             to = [regression.parameters(index, improved) for index in chosen]
         elif not curved:

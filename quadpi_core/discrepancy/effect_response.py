@@ -30,12 +30,23 @@ from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
-# Rate of columns and residuals: more than six times the highest frequency compared, `whitening.BAND_HZ`.
-RATE_HZ = 125.0
-# Angular accelerations below this frequency are taken as measured.
-SLOW_HZ = 1.0
+RATE_HZ = Threshold(
+    "rate of columns and residuals",
+    125.0,
+    "Hz",
+    "more than six times the highest frequency compared, `whitening.BAND_HZ`",
+    CONVENTION,
+)
+SLOW_HZ = Threshold(
+    "angular accelerations taken as measured",
+    1.0,
+    "Hz, below which they are",
+    "slower ones are measured with little noise; faster ones would let another inertia explain that noise",
+    "13 development flights without effects: two had an inertia named with predicted accelerations alone",
+)
 _NO_NUMBERS = np.random.default_rng(0)
 
 
@@ -47,13 +58,13 @@ class Compared:
     Attributes:
         flight: as given to the simulation: at its own rate, or thinned where that makes no difference.
         simulation: that the flight is compared with.
-        thinned: the flight at about RATE_HZ.
+        thinned: the flight at about `RATE_HZ`.
     """
 
     def __init__(self, flight: Flight, simulation: Simulation) -> None:
         self.simulation = simulation
         self._imu_rate_hz = flight.rate_hz
-        step = max(1, int(flight.rate_hz / RATE_HZ + 0.5))
+        step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
         self.thinned = _every(flight, step)
         self.flight, self.step = (self.thinned, 1) if simulation.memoryless else (flight, step)
 
@@ -169,7 +180,7 @@ def predicted_flight(flight: Flight, simulation: Simulation) -> Flight:
     turning = moment @ np.linalg.inv(vehicle.inertia)
     # A moment that the simulation has wrong would spin up the predicted vehicle, and another inertia would
     # seem to explain a share of it. Slow angular acceleration is measured with little noise.
-    smoothing = flight.rate_hz / (2.0 * np.pi * SLOW_HZ)
+    smoothing = flight.rate_hz / (2.0 * np.pi * SLOW_HZ.value)
     turning += gaussian_filter1d(flight.angular_acceleration - turning, smoothing, axis=0, mode="nearest")
     return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
 

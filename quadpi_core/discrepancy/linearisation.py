@@ -16,10 +16,15 @@ from quadpi_core.discrepancy.whitening import spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import state_modulators
+from quadpi_core.thresholds import DEVELOPMENT, Threshold
 
-# Prior deviation of the share of a single axis, over the share by which the whole law may be off: two laws of
-# the literature for one effect differ more from axis to axis than in their mean.
-AXES_OVER_FORM = 1.5
+AXES_OVER_FORM = Threshold(
+    "share of a single axis by which a law may be off",
+    1.5,
+    "shares by which the whole law may be off",
+    "two laws of the literature for one effect differ more from axis to axis than in their mean",
+    DEVELOPMENT,
+)
 # Step of the difference quotient in a vehicle parameter, in prior standard deviations.
 _VEHICLE_STEP = 1e-3
 # Smallest standard deviation of a modulator that is divided by: one that is constant has none.
@@ -228,7 +233,7 @@ class Linearisation:
         for axis, name in enumerate(AXES):
             if name in candidate.effect.axes:
                 single = np.zeros_like(here)
-                single[:, axis] = AXES_OVER_FORM * share * here[:, axis]
+                single[:, axis] = AXES_OVER_FORM.value * share * here[:, axis]
                 columns.append(single)
         columns += [share * here * modulator[:, None] for modulator in self.modulators.values[place].T]
         return np.stack(columns, axis=2)

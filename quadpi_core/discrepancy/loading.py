@@ -22,13 +22,19 @@ from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.simulated_vehicle import own_effects
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 RECORDED = "recorded"
 # Bytes in the name of a file that a file system takes.
 _NAME_MAX = 250
-# A coefficient further off than this many of its tolerances is not a correction of the simulation.
-_ADJUSTED_MAX = 10.0
+ADJUSTED_MAX = Threshold(
+    "largest adjustment of a coefficient",
+    10.0,
+    "tolerances",
+    "a coefficient that is further off is no correction of the simulation",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +49,9 @@ class _AdditionFile(Section):
     simulation: Text
     vehicle: Text | None = None
     effects: dict[str, Any] = field(default_factory=dict)
-    adjusted: dict[str, Annotated[float, Within(-_ADJUSTED_MAX, _ADJUSTED_MAX)]] = field(default_factory=dict)
+    adjusted: dict[str, Annotated[float, Within(-ADJUSTED_MAX.value, ADJUSTED_MAX.value)]] = field(
+        default_factory=dict
+    )
     version: Any = None
 
 

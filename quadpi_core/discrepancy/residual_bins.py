@@ -30,25 +30,67 @@ from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotation_matrix
+from quadpi_core.thresholds import CONVENTION, Threshold
 
-# Chance that some coefficient of a simulation is further off than is allowed for here: half of the 5 % by
-# which a range may be named in flights without a discrepancy.
-_BEYOND = 0.025
 VARIABLES = ("speed", "u", "v", "w", "height", "rotor_speed", "rates", "heading", "north", "east", "time")
-DRAWS = 200
-_MOST_BINS = 12
-# Adjusted p-value of a cell that stands out: the other half of the 5 %.
-_SIGNIFICANT = 0.025
-# Energy of a cell that stands out, over the mean of the draws: twice their root mean square, since noise
-# grows with speed and load, and a coefficient has a form.
-_MATTERS = 4.0
-SEGMENT_S = 1.0
-# Share of all samples below which a bin is merged with its neighbour.
-_FEWEST = 0.01
-# Air near the ground changes with powers of the height.
+# Edges of the bins of the height [m]: the air near the ground changes with powers of the height.
 _HEIGHTS_M = np.array([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-# Quantile of the draws that is shown as allowed.
-_QUANTILE = 0.95
+BEYOND_TOLERANCES = Threshold(
+    "coefficients beyond what is allowed for",
+    0.025,
+    "probability that any coefficient of a simulation is",
+    "half of the 5 % by which a range may be named in flights without a discrepancy",
+    CONVENTION,
+)
+SIGNIFICANCE = Threshold(
+    "significance of a cell",
+    0.025,
+    "p-value, adjusted for all cells",
+    "the other half of the 5 %",
+    CONVENTION,
+)
+CELL_DRAWS = Threshold(
+    "draws without any effect",
+    200,
+    "draws",
+    "five of them lie beyond the quantile that makes a cell significant",
+    CONVENTION,
+)
+EFFECT_SIZE = Threshold(
+    "energy that matters",
+    4.0,
+    "mean energy of a cell in the draws",
+    "twice their root mean square: noise grows with speed and load, and a coefficient has a form",
+    "none: a convention; 20 sets of flights without a discrepancy stay below it (test_by_condition.py)",
+)
+ALLOWED = Threshold(
+    "allowed energy",
+    0.95,
+    "quantile of the draws",
+    "what is shown as allowed in a figure is exceeded by chance in one bin of twenty",
+    CONVENTION,
+)
+MOST_BINS = Threshold(
+    "bins of a variable",
+    12,
+    "bins",
+    "enough to see where an axis disagrees, and few enough that chance is divided among few",
+    CONVENTION,
+)
+FEWEST_SAMPLES = Threshold(
+    "samples of a bin",
+    0.01,
+    "of all samples",
+    "a bin with fewer says nothing, and is merged with its neighbour",
+    CONVENTION,
+)
+SEGMENT_S = Threshold(
+    "length of a cell in time",
+    1.0,
+    "s",
+    "a manoeuvre lasts one to a few seconds",
+    CONVENTION,
+)
 
 
 class Residual(NamedTuple):
@@ -128,8 +170,8 @@ def sample_indices(count: int, samples: int) -> npt.NDArray[np.intp]:
 
 
 def largest_deviation(count: int) -> float:
-    """Tolerances that the furthest of `count` coefficients may be off, by the chance of `_BEYOND`."""
-    return float(norm.isf(_BEYOND / (2.0 * count)))
+    """Tolerances that the furthest of `count` coefficients exceeds with the probability allowed for."""
+    return float(norm.isf(BEYOND_TOLERANCES.value / (2.0 * count)))
 
 
 def within_tolerance(gram: Array, projected: Array) -> Array:
@@ -195,15 +237,18 @@ class Cells:
     @classmethod
     def of(cls, flights: Sequence[Residual]) -> Cells:
         """The cells of some flights."""
-        edges = {name: _edges(name, flights) for name in VARIABLES}
+        edges = {
+            name: bin_edges(name, np.concatenate([flight.variables[name] for flight in flights]))
+            for name in VARIABLES
+        }
         bins, seconds, first = {}, [], 0
         for name in VARIABLES:
             bins[name] = slice(first, first := first + len(edges[name]) - 1)
         owned = []
         for flight in flights:
-            second = ((flight.time - flight.time[0]) / SEGMENT_S).astype(np.intp)
+            second = ((flight.time - flight.time[0]) / SEGMENT_S.value).astype(np.intp)
             # What is left over at the end belongs to the last whole one.
-            second = np.minimum(second, max(int((flight.time[-1] - flight.time[0]) / SEGMENT_S) - 1, 0))
+            second = np.minimum(second, max(int((flight.time[-1] - flight.time[0]) / SEGMENT_S.value) - 1, 0))
             seconds.append(slice(first, first + int(second[-1]) + 1))
             within = [
                 bins[name].start + bin_indices(flight.variables[name], edges[name]) for name in VARIABLES
@@ -269,19 +314,31 @@ def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed:
     return CellTest(
         excess=np.maximum(energy - mean, 0.0),
         p_value=p_value,
-        stands_out=(p_value <= _SIGNIFICANT) & (energy >= _MATTERS * mean),
-        allowed=np.quantile(drawn, _QUANTILE, axis=2),
+        stands_out=standing_out(p_value, energy, mean),
+        allowed=allowed_energy(drawn),
     )
 
 
+def standing_out(p_value: Array, energy: Array, mean: Array) -> npt.NDArray[np.bool_]:
+    """Whether cells hold significantly more energy than the mean of the draws, and enough to matter."""
+    out: npt.NDArray[np.bool_] = (p_value <= SIGNIFICANCE.value) & (energy >= EFFECT_SIZE.value * mean)
+    return out
+
+
+def allowed_energy(drawn: Array) -> Array:
+    """Energy (...) that most of the draws (..., D) stay below."""
+    allowed: Array = np.quantile(drawn, ALLOWED.value, axis=-1)
+    return allowed
+
+
 def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
-    """Energy (C, 6, DRAWS) of residuals without any effect, coefficients put where they fit best."""
+    """Energy (C, 6, D) of D residuals without any effect, coefficients put where they fit best."""
     regression, columns = found.regression, found.regression.columns
     tolerances = columns.tolerances
     gram = regression.gram[np.ix_(tolerances, tolerances)]
-    most = largest_deviation(len(tolerances))
+    draws, most = CELL_DRAWS.value, largest_deviation(len(tolerances))
     rng = np.random.default_rng(seed)
-    off = np.clip(rng.standard_normal((len(tolerances), DRAWS)), -most, most)
+    off = np.clip(rng.standard_normal((len(tolerances), draws)), -most, most)
 
     # What generic functions predict is no noise either, where it has no name.
     spectrum = np.minimum(regression.noise, found.left.noise)
@@ -290,9 +347,9 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
         rng, band = np.random.default_rng((seed, place)), columns.bands[place]
         # Noise differs from flight to flight: it is known no better than its own squares in a band allow.
         count = np.maximum(np.bincount(band, minlength=BANDS), 1)[:, None]
-        share = rng.chisquare(count, (len(AXES), BANDS, DRAWS)) / count
+        share = rng.chisquare(count, (len(AXES), BANDS, draws)) / count
         deviation = np.sqrt(spectrum[:, :, None] / share)
-        return deviation[:, band] * rng.standard_normal((len(AXES), len(band), DRAWS))
+        return deviation[:, band] * rng.standard_normal((len(AXES), len(band), draws))
 
     # Made twice rather than kept: it is by far the largest of all arrays.
     projected = gram @ off
@@ -301,7 +358,7 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
         weighted = rows / regression.noise[:, columns.bands[place]][:, :, None]
         projected += np.einsum("abk,abd->kd", weighted, noise(place), optimize=True)
     left = off - within_tolerance(gram, projected)
-    energy = np.zeros((len(cells.samples), len(AXES), DRAWS))
+    energy = np.zeros((len(cells.samples), len(AXES), draws))
     for place, rows in enumerate(allowed):
         series = over_time(rows @ left + noise(place), len(regression.flights[place].thinned))
         energy += (cells.members[place] @ np.square(series).reshape(len(series), -1)).reshape(energy.shape)
@@ -313,15 +370,14 @@ def bin_indices(values: Array, edges: Array) -> Indices:
     return np.searchsorted(edges[1:-1], values, side="right")
 
 
-def _edges(name: str, flights: Sequence[Residual]) -> Array:
-    """Edges (K + 1,) of the bins of a variable, round numbers."""
-    values = np.concatenate([flight.variables[name] for flight in flights])
+def bin_edges(name: str, values: Array) -> Array:
+    """Edges (K + 1,), round numbers, of the bins of a variable with these values (N,)."""
     if name == "height":
         within = (values.min() < _HEIGHTS_M) & (values.max() > _HEIGHTS_M)
         edges = np.concatenate(([min(values.min(), 0.0)], _HEIGHTS_M[within], [values.max()]))
     else:
-        edges = round_edges(values, _MOST_BINS)
-    fewest = _FEWEST * len(values)
+        edges = round_edges(values, MOST_BINS.value)
+    fewest = FEWEST_SAMPLES.value * len(values)
     while len(edges) > 2:
         counts = np.bincount(bin_indices(values, edges), minlength=len(edges) - 1)
         small = int(np.argmin(counts))

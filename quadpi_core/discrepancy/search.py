@@ -13,7 +13,6 @@ import numpy as np
 from quadpi_core.discrepancy.acceptance import (
     NAMED_ALONE,
     Judgement,
-    Trial,
     evidence_beside,
     evidence_threshold,
     judge_evidence,
@@ -26,14 +25,26 @@ from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit, null_gains, residual_weights
+from quadpi_core.discrepancy.trial import Trial
 from quadpi_core.discrepancy.unexplained import Left, generic_spectra, predicted
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.thresholds import CONVENTION, Threshold
 
-# More effects than a person would look for at once; what is left beyond them is said to have no name.
-MOST_EFFECTS = 3
-# Searches without any effect that the threshold is calibrated on: ten beyond the quantile of 1 %.
-_DRAWS = 1000
+MOST_EFFECTS = Threshold(
+    "most effects",
+    3,
+    "effects",
+    "more than a person would look for at once; what is left beyond them is said to have no name",
+    CONVENTION,
+)
+CALIBRATION_DRAWS = Threshold(
+    "searches without any effect",
+    1000,
+    "draws",
+    "ten of them lie beyond the quantile that limits false alarms",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True)
@@ -96,7 +107,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
     idle: frozenset[int] = frozenset()
     gain = 0.0
     judgements: list[Judgement] = []
-    while len(accepted.chosen) < MOST_EFFECTS:
+    while len(accepted.chosen) < MOST_EFFECTS.value:
         larger, more, judged = _one_more(accepted, threshold, idle)
         judgements += judged
         if larger is None:
@@ -126,7 +137,7 @@ def _calibrated_threshold(regression: Regression, seed: int) -> float:
     """Evidence that a first effect has to gain, calibrated on draws without any effect."""
     linear = [block for block in regression.columns.blocks if block.offset is None]
     rng = np.random.default_rng(seed)
-    gains = null_gains(regression.gram, regression.columns.tolerances, linear, _DRAWS, rng)
+    gains = null_gains(regression.gram, regression.columns.tolerances, linear, CALIBRATION_DRAWS.value, rng)
     return evidence_threshold(gains)
 
 

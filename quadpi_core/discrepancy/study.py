@@ -29,23 +29,42 @@ from quadpi_core.inputs import relative_to_air
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.rotations import rotation_matrix
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
-# A manoeuvre has been flown where a quantity reaches these, about half of what a gentle one of any vehicle
-# does: airspeeds in induced velocities of hover, body rates, extent of the heading, and extent of the sum of
-# squared rotor speeds over its mean.
-_SPEED, _CLIMB = 0.25, 0.12
-_RATE_RAD_S = 0.6
-_HEADING_RAD = 0.8
-_LOAD = 0.15
-# Extent of a rotor speed that does not change: below the resolution of any sensor.
-_STUCK_RAD_S = 1e-3
-# Share of the samples that is beyond the largest value, as noise.
-_TAIL = 0.01
+_HALF_OF_GENTLE = "about half of what a gentle manoeuvre of any vehicle reaches"
+FLOWN_SPEED = Threshold(
+    "flown forward or sideways", 0.25, "induced velocities of hover", _HALF_OF_GENTLE, CONVENTION
+)
+FLOWN_CLIMB = Threshold("climbed", 0.12, "induced velocities of hover", _HALF_OF_GENTLE, CONVENTION)
+FLOWN_RATE = Threshold("doublet flown", 0.6, "rad/s", _HALF_OF_GENTLE, CONVENTION)
+FLOWN_HEADING = Threshold("heading turned", 0.8, "rad", _HALF_OF_GENTLE, CONVENTION)
+FLOWN_LOAD = Threshold(
+    "throttle step flown",
+    0.15,
+    "extent of the sum of squared rotor speeds over its mean",
+    _HALF_OF_GENTLE,
+    CONVENTION,
+)
+STUCK_RAD_S = Threshold(
+    "extent of a stuck rotor speed",
+    1e-3,
+    "rad/s",
+    "below the resolution of any sensor: a speed that changes no more is not measured",
+    CONVENTION,
+)
+TAIL = Threshold(
+    "samples beyond the largest value",
+    0.01,
+    "of all samples",
+    "noise alone exceeds a threshold now and then",
+    CONVENTION,
+)
+FEWEST_FLIGHTS = Threshold(
+    "fewest flights", 2, "flights", "what is found on some flights is tested on others", CONVENTION
+)
 # Standard deviations to either side of an interval of 95 %.
 _INTERVAL = 1.96
-# What is found on some flights is tested on others.
-_FEWEST_FLIGHTS = 2
 
 
 def read_flights(
@@ -161,10 +180,10 @@ def require_flights(count: int) -> None:
     Raises:
         DiscrepancyError: naming how many there are.
     """
-    if count < _FEWEST_FLIGHTS:
+    if count < FEWEST_FLIGHTS.value:
         raise DiscrepancyError(
             f"{count} flight: what is found on some flights is tested on others; "
-            f"{_FEWEST_FLIGHTS} are the least"
+            f"{FEWEST_FLIGHTS.value} are the least"
         )
 
 
@@ -200,7 +219,7 @@ def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str
             speeds that do not change, as of a stuck sensor or a log that was filled in.
     """
     for flight in flights:
-        stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < _STUCK_RAD_S)
+        stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < STUCK_RAD_S.value)
         if len(stuck):
             raise DiscrepancyError(
                 f"{flight.source}: topic rotor_speeds: rotor {stuck[0] + 1} has the same speed throughout, "
@@ -223,23 +242,24 @@ def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
     rates = [flight.rates for flight in flights]
     loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]
     return {
-        "forward and backward flight": _largest([own[:, 0] for own in velocity]) > _SPEED * induced,
-        "sideways flight": _largest([own[:, 1] for own in velocity]) > _SPEED * induced,
-        "climb and descent": _largest([own[:, 2] for own in velocity]) > _CLIMB * induced,
-        "throttle steps": max(_extent(load) / float(load.mean()) for load in loads) > _LOAD,
-        "roll doublets": _largest([own[:, 0] for own in rates]) > _RATE_RAD_S,
-        "pitch doublets": _largest([own[:, 1] for own in rates]) > _RATE_RAD_S,
-        "yaw doublets": _largest([own[:, 2] for own in rates]) > _RATE_RAD_S,
-        "turns of the heading": max(_extent(_heading(flight)) for flight in flights) > _HEADING_RAD,
+        "forward and backward flight": _largest([own[:, 0] for own in velocity])
+        > FLOWN_SPEED.value * induced,
+        "sideways flight": _largest([own[:, 1] for own in velocity]) > FLOWN_SPEED.value * induced,
+        "climb and descent": _largest([own[:, 2] for own in velocity]) > FLOWN_CLIMB.value * induced,
+        "throttle steps": max(_extent(load) / float(load.mean()) for load in loads) > FLOWN_LOAD.value,
+        "roll doublets": _largest([own[:, 0] for own in rates]) > FLOWN_RATE.value,
+        "pitch doublets": _largest([own[:, 1] for own in rates]) > FLOWN_RATE.value,
+        "yaw doublets": _largest([own[:, 2] for own in rates]) > FLOWN_RATE.value,
+        "turns of the heading": max(_extent(_heading(flight)) for flight in flights) > FLOWN_HEADING.value,
     }
 
 
 def _largest(columns: Sequence[Array]) -> float:
-    return float(np.quantile(np.abs(np.concatenate(columns)), 1.0 - _TAIL))
+    return float(np.quantile(np.abs(np.concatenate(columns)), 1.0 - TAIL.value))
 
 
 def _extent(values: Array) -> float:
-    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
+    low, high = np.quantile(values, [TAIL.value, 1.0 - TAIL.value])
     return float(high - low)
 
 

@@ -21,15 +21,47 @@ from quadpi_core.discrepancy.whitening import Spectrum, band_means, expected_squ
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotation_matrix
+from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
-_LAGS_S = (0.1, 0.4)
-# A force that depends on the place alone, such as a draught, is looked for at points of the ground: their
-# spacing in arms of the vehicle, the time that at least two flights were there, and the largest number of
-# points.
-_SPACING_ARMS, _STAY_S, _POINTS = 7.0, 0.25, 60
+LAGS_S = Threshold(
+    "lags of generic functions",
+    (0.1, 0.4),
+    "s",
+    "the memory of air and rotors: longer than the delay of the low-pass, shorter than a manoeuvre",
+    DEVELOPMENT,
+)
+# A force that depends on the place alone, such as a draught, is looked for at points of the ground.
+SPACING = Threshold(
+    "spacing of points of the ground",
+    7.0,
+    "arms of the vehicle",
+    "a metre for the Bebop 2, the width of a draught; points that are closer are shared by fewer flights",
+    DEVELOPMENT,
+)
+STAY_S = Threshold(
+    "stay at a point of the ground",
+    0.25,
+    "s of at least two flights",
+    "what one flight saw at a point can be predicted only where another has been there",
+    DEVELOPMENT,
+)
+MOST_POINTS = Threshold(
+    "points of the ground",
+    60,
+    "points",
+    "those where flights stayed longest; each is three functions of every axis, and the time grows with them",
+    DEVELOPMENT,
+)
+RIDGES = Threshold(
+    "ridges of generic functions",
+    (1e-4, 1e-3, 1e-2, 0.1),
+    "of the squares of each function",
+    "from hardly any shrinkage to a tenth; the one that predicts flights left out best is used",
+    CONVENTION,
+)
 _CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+# Rounds of the estimate of the noise, see `whitening`.
 _ROUNDS = 4
-_RIDGE = (1.0, 10.0, 100.0, 1e3)
 
 
 class Left(NamedTuple):
@@ -90,7 +122,7 @@ def functions(compared: Compared) -> tuple[list[str], Array]:
     # its derivative would predict the noise of the measured force.
     for body, letter in enumerate("xyz"):
         named[f"force {letter}"] = flight.specific_force[:, body] / vehicle.gravity_m_s2
-    for lag in _LAGS_S:
+    for lag in LAGS_S.value:
         keep = np.exp(-1.0 / (lag * flight.rate_hz))
         for name in ("u", "v", "w", "load"):
             start = [keep * named[name][0]]
@@ -105,7 +137,7 @@ def functions_of_place(flights: Sequence[Compared]) -> tuple[list[str], list[Arr
     axes of the force, and of the moment.
     """
     arm = np.linalg.norm(flights[0].simulation.vehicle.rotor_positions[:, :2], axis=1).mean()
-    positions = [flight.thinned.position[:, :2] / (_SPACING_ARMS * arm) for flight in flights]
+    positions = [flight.thinned.position[:, :2] / (SPACING.value * arm) for flight in flights]
     corners = [(np.floor(position)[:, None] + _CORNERS).reshape(-1, 2) for position in positions]
     points, which = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
     ends = np.cumsum([len(own) for own in corners])[:-1]
@@ -116,8 +148,8 @@ def functions_of_place(flights: Sequence[Compared]) -> tuple[list[str], list[Arr
         )
     ]
     second = np.sort(stays, axis=0)[-2]
-    known = np.argsort(-second, kind="stable")[:_POINTS]
-    known = known[second[known] > _STAY_S]
+    known = np.argsort(-second, kind="stable")[: MOST_POINTS.value]
+    known = known[second[known] > STAY_S.value]
     names = [f"place {axis}" for axis in ("north", "east", "down") for _ in known]
     values = []
     for flight, position in zip(flights, positions, strict=True):
@@ -196,7 +228,7 @@ def _noise_left(spectra: Sequence[Spectrum], noise: Array) -> Array:
     """Variance (BANDS,) of what the functions leave of one axis, with what their uncertainty hides of it."""
     grams, projections = _projections(spectra, noise)
     total = grams.sum(axis=0)
-    lower = cholesky(total + _penalty(total, _RIDGE[0]), lower=True)
+    lower = cholesky(total + _penalty(total, RIDGES.value[0]), lower=True)
     coefficients = cho_solve((lower, True), projections.sum(axis=0))
     squares = [expected_squares(flight.rows, coefficients, lower) for flight in spectra]
     means = band_means(squares, [flight.band for flight in spectra])[0]
@@ -228,7 +260,7 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
     """
     total, aim = grams.sum(axis=0), projections.sum(axis=0)
     best, kept = -np.inf, np.zeros(len(total))
-    for ridge in _RIDGE:
+    for ridge in RIDGES.value:
         penalty = _penalty(total, ridge)
         gain = 0.0
         for own, projection in zip(grams, projections, strict=True):
@@ -242,5 +274,5 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
 def _penalty(total: Array, ridge: float) -> Array:
     # What stays zero, such as a force that a simulation does not have, must leave the matrix regular.
     scale = np.sqrt(np.diag(total))
-    penalty: Array = np.diag(1e-4 * ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
+    penalty: Array = np.diag(ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
     return penalty

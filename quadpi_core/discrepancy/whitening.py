@@ -19,12 +19,30 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
-# Highest frequency compared: above it measured moments are noise of the gyro.
-BAND_HZ = 20.0
-# Edges of the bands in which the noise counts as white. The lowest band holds what is constant in a flight.
-_EDGES_HZ = (0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, BAND_HZ)
-_TAPER_S = 0.5
+BAND_HZ = Threshold(
+    "highest frequency compared",
+    20.0,
+    "Hz",
+    "above it measured moments are noise of the gyro; flights are low-passed at 30 Hz",
+    DEVELOPMENT,
+)
+EDGES_HZ = Threshold(
+    "edges of the bands of noise",
+    (0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, BAND_HZ.value),
+    "Hz",
+    "narrow enough that noise counts as white within each; the lowest holds what is constant in a flight",
+    CONVENTION,
+)
+TAPER_S = Threshold(
+    "taper of a flight",
+    0.5,
+    "s at either end",
+    "the ends of a flight differ, which without a taper leaks into every frequency",
+    CONVENTION,
+)
+# Rounds of expectation and maximisation.
 _ROUNDS = 4
 
 
@@ -41,31 +59,31 @@ class Spectrum(NamedTuple):
     band: npt.NDArray[np.intp]
 
 
-BANDS = len(_EDGES_HZ) - 1
+BANDS = len(EDGES_HZ.value) - 1
 
 
 def spectrum(columns: Array, rate_hz: float) -> Spectrum:
     """Bring columns (M, 6, K) of a flight to frequencies up to BAND_HZ."""
     samples = len(columns)
     frequency = np.fft.rfftfreq(samples, 1.0 / rate_hz)
-    kept = frequency <= BAND_HZ
-    taper = _taper(samples, rate_hz)
-    transformed = np.fft.rfft(columns * (taper / np.linalg.norm(taper))[:, None, None], axis=0)[kept]
+    kept = frequency <= BAND_HZ.value
+    faded = taper(samples, rate_hz)
+    transformed = np.fft.rfft(columns * (faded / np.linalg.norm(faded))[:, None, None], axis=0)[kept]
     real, imaginary = transformed.real, transformed.imag[1:]
     real[1:] *= np.sqrt(2.0)
     rows = np.concatenate((real, np.sqrt(2.0) * imaginary))
     bins = np.concatenate((frequency[kept], frequency[kept][1:]))
-    band = np.searchsorted(_EDGES_HZ[1:-1], bins, side="right")
+    band = np.searchsorted(EDGES_HZ.value[1:-1], bins, side="right")
     return Spectrum(np.ascontiguousarray(np.moveaxis(rows, 1, 0)), band)
 
 
-def _taper(samples: int, rate_hz: float) -> Array:
-    """Rises and falls with half a cosine at the ends, so that they do not leak into every frequency."""
-    ramp = min(int(_TAPER_S * rate_hz), samples // 4)
-    taper = np.ones(samples)
+def taper(samples: int, rate_hz: float) -> Array:
+    """Weights (M,) of the samples of a flight: 1, with half a cosine at either end."""
+    ramp = min(int(TAPER_S.value * rate_hz), samples // 4)
+    weights = np.ones(samples)
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / max(ramp, 1))
-    taper[:ramp], taper[samples - ramp :] = rise, rise[::-1]
-    return taper
+    weights[:ramp], weights[samples - ramp :] = rise, rise[::-1]
+    return weights
 
 
 def cross_gram(first: Array, second: Array) -> Array:

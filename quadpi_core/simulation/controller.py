@@ -22,8 +22,11 @@ from quadpi_core.frames import Array
 from quadpi_core.records import Records
 from quadpi_core.simulation.linear_algebra import Vector, cross, inverse, product3
 from quadpi_core.simulation.state_records import VehicleNumbers
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS
 
+# Gains of position [1/s²] and velocity [1/s] (damped at 0.9, settled in two seconds), of attitude [1/s] and
+# of body rates [1/s], each faster than the one before. A test makes a bundled bag again byte for byte.
 _POSITION_GAIN = 5.0
 _VELOCITY_GAIN = 4.0
 _TILT_GAIN = 8.0
@@ -32,11 +35,22 @@ _RATE_GAIN = 18.0
 _YAW_RATE_GAIN = 6.0
 # The command leads the wanted rotor speed by this factor, to make up for the lag of a first-order motor.
 _MOTOR_LEAD = 2.0
-# Largest tilt that a position error may demand.
-TILT_MAX_DEG = 65.0
-_TAN_TILT_MAX = math.tan(math.radians(TILT_MAX_DEG))
-# Smallest upward specific force [m/s²] demanded, below which the attitude of the thrust is undefined.
-_LEAST_SPECIFIC_FORCE = 2.0
+TILT_MAX_DEG = Threshold(
+    "largest tilt of a path",
+    65.0,
+    "degrees",
+    "a position error must not turn the vehicle over; excitation adds to it",
+    CONVENTION,
+)
+SPECIFIC_FORCE_MIN = Threshold(
+    "least upward specific force demanded",
+    2.0,
+    "m/s²",
+    "near zero the attitude of the thrust is undefined",
+    CONVENTION,
+)
+_TAN_TILT_MAX = math.tan(math.radians(TILT_MAX_DEG.value))
+_LEAST_SPECIFIC_FORCE = SPECIFIC_FORCE_MIN.value
 
 
 class Demand(NamedTuple):

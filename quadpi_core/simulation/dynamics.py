@@ -24,6 +24,7 @@ from quadpi_core.simulation.linear_algebra import cross, product3
 from quadpi_core.simulation.rotor_local import aerodynamics
 from quadpi_core.simulation.state_records import STATE, STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
 from quadpi_core.simulation.truth import STEP_HZ
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS
 
 
@@ -76,11 +77,17 @@ class Memory(NamedTuple):
         return cls(motions, motions.view(np.float64).reshape(len(motions), -1), np.zeros(1, dtype=STATE))
 
 
-# Beyond these a vehicle does not recover: nearly upside down (cosine of 102 degrees), spinning far beyond
-# what any reference asks for, or away from it.
-_TILT_COSINE_MIN = -0.2
-_RATE_MAX_RAD_S = 40.0
-_POSITION_ERROR_MAX_M = 10.0
+_NO_RECOVERY = "a vehicle does not recover beyond it"
+TILT_COSINE_MIN = Threshold(
+    "least cosine of the tilt", -0.2, "that of 102 degrees", f"nearly upside down: {_NO_RECOVERY}", CONVENTION
+)
+RATE_MAX_RAD_S = Threshold(
+    "largest body rate", 40.0, "rad/s", f"six times any reference: {_NO_RECOVERY}", CONVENTION
+)
+POSITION_ERROR_MAX_M = Threshold(
+    "largest distance from the reference", 10.0, "m", f"far from any reference: {_NO_RECOVERY}", CONVENTION
+)
+_COSINE, _RATE, _DISTANCE = TILT_COSINE_MIN.value, RATE_MAX_RAD_S.value, POSITION_ERROR_MAX_M.value
 
 
 @njit(cache=True, nogil=True)
@@ -121,7 +128,7 @@ def fly(
         if k % every == 0:
             _record(motion, motions[2], state[0], log[k // every])
         done[0] = k
-        if k == steps - 1 or _is_lost(motion, demand.position[k]):
+        if k == steps - 1 or is_lost(motion, demand.position[k]):
             return
         for stage in range(3):
             ahead = step if stage == 2 else 0.5 * step
@@ -224,16 +231,14 @@ def _record(motion: Motion, slope: Motion, state: State, row: Logged) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _is_lost(motion: Motion, position: Array) -> bool:
+def is_lost(motion: Motion, position: Array) -> bool:
     """Whether the vehicle is upside down, spins, is below the ground, off its reference, or no number."""
     cos_tilt = 1.0 - 2.0 * (motion.attitude[1] ** 2 + motion.attitude[2] ** 2)
     spin, error = 0.0, 0.0
     for axis in range(3):
         spin += motion.rates[axis] ** 2
         error += (motion.position[axis] - position[axis]) ** 2
-    controlled = (
-        cos_tilt > _TILT_COSINE_MIN and spin < _RATE_MAX_RAD_S**2 and error < _POSITION_ERROR_MAX_M**2
-    )
+    controlled = cos_tilt > _COSINE and spin < _RATE**2 and error < _DISTANCE**2
     return not controlled or motion.position[2] > 0.0
 
 

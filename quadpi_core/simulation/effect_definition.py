@@ -20,12 +20,20 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from quadpi_core.frames import Array
+from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Effects that are switched on: name -> all parameters with their values, in the order of the registry.
 Effects: TypeAlias = Mapping[str, Mapping[str, float]]
-# `Effect.form` of a law of the air: two laws of the literature for one effect differ by about as much.
-AERODYNAMIC = 0.15
+FORM_OF_AIR = Threshold(
+    "error of an aerodynamic law",
+    0.15,
+    "of the wrench, as a standard deviation",
+    "two laws of the literature for one effect differ by a third, which is about two standard deviations",
+    "formulas of the blind benchmark beside those of the library",
+)
+# `Effect.form` of an aerodynamic law.
+AERODYNAMIC = FORM_OF_AIR.value
 # `Effect.indistinguishable_group` of a weak rotor and a misread rotor speed: they differ only in how the
 # thrust depends on the airflow, which is known within a tolerance.
 STRENGTH_OF_ONE_ROTOR = "strength of one rotor"

@@ -11,11 +11,17 @@ from quadpi_core.frames import Array
 from quadpi_core.rotations import inverse, product
 from quadpi_core.simulation.effect_definition import SHAPE, Wrench
 from quadpi_core.simulation.state_records import State, VehicleNumbers
+from quadpi_core.thresholds import CONVENTION, Threshold
 
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-# Largest factor on a law that flights shape, the smallest being 0: beyond what was flown it neither changes
-# sign nor grows without bound.
-_MOST = 3.0
+SHAPE_MAX = Threshold(
+    "largest factor on a law that flights shape",
+    3.0,
+    "factor, the smallest being 0",
+    "beyond what was flown a law neither changes sign nor grows without bound",
+    CONVENTION,
+)
+_MOST = SHAPE_MAX.value
 # `SHAPE` begins with a share for each axis.
 _AXES = 6
 MODULATORS = len(SHAPE) - _AXES

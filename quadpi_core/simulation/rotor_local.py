@@ -25,9 +25,17 @@ from quadpi_core.frames import Array
 from quadpi_core.records import Records
 from quadpi_core.simulation.linear_algebra import inverse
 from quadpi_core.simulation.state_records import STATE, VEHICLE, State, VehicleNumbers
+from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle, simulation_section
 
-ADVANCE_RATIO_MAX = 0.6
+FITTED_ADVANCE_RATIO = Threshold(
+    "largest advance ratio",
+    0.6,
+    "airspeed of the hub over speed of the blade tip",
+    "the largest of the fit: its polynomials grow without bound beyond",
+    "Bebop 2 in a wind tunnel, as published in SihaoSun/INDI_Quadrotor_FTC",
+)
+ADVANCE_RATIO_MAX = FITTED_ADVANCE_RATIO.value
 
 
 @dataclass(frozen=True)

@@ -25,13 +25,22 @@ from quadpi_core.simulation.sensors import Sensed, sense
 from quadpi_core.simulation.simulated_bags import write_simulated_bag
 from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import STEP_HZ, Reference, Truth
+from quadpi_core.thresholds import CONVENTION, Threshold
 
 _POLL_S = 0.1
-# The rotor-local model was measured up to 14 m/s; a flight against such a wind moves forward in it too.
-AIRSPEED_MAX_M_S = 16.0
-# Tilt of the path and of the excitation together.
-EXCITED_TILT_MAX_DEG = 75.0
-YAW_RATE_MAX_DEG_S = 360.0
+SIMULATED_AIRSPEED_M_S = Threshold(
+    "largest airspeed of a reference",
+    16.0,
+    "m/s",
+    "the rotor-local model was measured up to 14; a flight against such a wind moves forward in it too",
+    "Bebop 2 in a wind tunnel",
+)
+EXCITED_TILT_MAX_DEG = Threshold(
+    "largest tilt of path and excitation together", 75.0, "degrees", "ten more than of the path", CONVENTION
+)
+YAW_RATE_MAX_DEG_S = Threshold(
+    "largest yaw rate of a reference", 360.0, "degrees/s", "a faster turn is a mistake in units", CONVENTION
+)
 
 
 @dataclass(frozen=True)
@@ -130,10 +139,10 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
     limits: tuple[tuple[str, str, Array, float], ...] = (
         ("specific force", "m/s²", thrust, vehicle.greatest_thrust / nominal.mass_kg),
         ("specific force downward", "m/s²", -thrust, 0.0),
-        ("airspeed", "m/s", _size(reference.velocity - wind), AIRSPEED_MAX_M_S),
-        ("tilt along the path", "degrees", np.degrees(upright), TILT_MAX_DEG),
-        ("tilt", "degrees", np.degrees(upright + _size(reference.tilt)), EXCITED_TILT_MAX_DEG),
-        ("yaw rate", "degrees/s", np.degrees(np.abs(reference.yaw_rate)), YAW_RATE_MAX_DEG_S),
+        ("airspeed", "m/s", _size(reference.velocity - wind), SIMULATED_AIRSPEED_M_S.value),
+        ("tilt along the path", "degrees", np.degrees(upright), TILT_MAX_DEG.value),
+        ("tilt", "degrees", np.degrees(upright + _size(reference.tilt)), EXCITED_TILT_MAX_DEG.value),
+        ("yaw rate", "degrees/s", np.degrees(np.abs(reference.yaw_rate)), YAW_RATE_MAX_DEG_S.value),
     )
     for quantity, unit, demanded, available in limits:
         worst = int(np.argmax(demanded))

@@ -41,11 +41,17 @@ from quadpi_core.simulation.sensor_noise import (
     turned,
 )
 from quadpi_core.simulation.truth import Truth
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 _FIELDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap/pose": "pose", "wind": "wind"}
-# Share of a frame's period: with less than half, frames keep their order.
-_JITTER_MAX = 0.4
+JITTER_MAX = Threshold(
+    "largest jitter of a frame",
+    0.4,
+    "of its period",
+    "with less than half, frames keep their order",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True)
@@ -148,9 +154,8 @@ def _seen_poses(truth: Truth, mocap: MotionCapture, seed: int) -> PoseStream:
     """Poses at the instants of the frames in which the markers are seen, between samples of the truth."""
     random = generator(seed, "mocap frames")
     count = int(truth.time[-1] * mocap.rate)
-    jitter = (mocap.capture_jitter * mocap.rate * random.standard_normal(count)).clip(
-        -_JITTER_MAX, _JITTER_MAX
-    )
+    drawn = mocap.capture_jitter * mocap.rate * random.standard_normal(count)
+    jitter = drawn.clip(-JITTER_MAX.value, JITTER_MAX.value)
     # Half a period from the start: with jitter, too, every frame lies within the flight.
     frames = truth.time_ns[0] + np.rint(1e9 / mocap.rate * (np.arange(count) + 0.5 + jitter)).astype(np.int64)
     attitude = interpolate_attitude(truth.time_ns, truth.attitude, frames, MAX_GAP_NS).values

@@ -14,10 +14,17 @@ from quadpi_core.simulation.effect_kernels import (
     with_hub_force,
 )
 from quadpi_core.simulation.state_records import State, VehicleNumbers
+from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import ROTORS
 
-# Of the rotor radius: nearer to a surface than this the formulas are not valid, and the effect grows no more.
-NEAREST = 0.5
+NEAREST_SURFACE = Threshold(
+    "nearest surface",
+    0.5,
+    "rotor radii",
+    "nearer to a surface the formulas are not valid, and the effect grows no more",
+    "Cheeseman and Bennett, ARC R&M 3021, 1955",
+)
+NEAREST = NEAREST_SURFACE.value
 
 
 @effect(

@@ -1,0 +1,483 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every threshold of the search and of the simulation decides at its value, and has a reason for it."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pkgutil
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from quadpi_core import discrepancy, simulation
+from quadpi_core.discrepancy import acceptance, residual_bins, study, unexplained, whitening
+from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, judge_loudness, judge_size
+from quadpi_core.discrepancy.by_condition import Range, holding_bulk
+from quadpi_core.discrepancy.candidates import candidates, typical_sizes
+from quadpi_core.discrepancy.effect_regression import refined
+from quadpi_core.discrepancy.effect_response import Compared, predicted_flight
+from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
+from quadpi_core.errors import DiscrepancyError, SimulationError
+from quadpi_core.flight import AXES, Flight
+from quadpi_core.simulation.controller import Controls, Demand, control
+from quadpi_core.simulation.dynamics import MOTION, is_lost
+from quadpi_core.simulation.effect_kernels import shaped
+from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.effects.proximity import ground_effect
+from quadpi_core.simulation.flight_plan import FlightPlan
+from quadpi_core.simulation.rotor_local import RotorLocalModel
+from quadpi_core.simulation.run import require_reachable
+from quadpi_core.simulation.sensor_noise import MotionCapture, SensorSuite
+from quadpi_core.simulation.sensors import ideal_recording
+from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.truth import Reference
+from quadpi_core.thresholds import Threshold
+from quadpi_core.vehicle import Vehicle
+
+from .simulation.conftest import START_NS, swing
+
+BEBOP = Vehicle.load("bebop2")
+ARM_M = float(np.linalg.norm(BEBOP.rotor_positions[:, :2], axis=1).mean())
+SQUARES = np.full(6, 100.0)
+
+
+def first_axis(value, others=0.0):
+    return np.array([value, *[others] * 5])
+
+
+def beside(gain, *, energy=1e6, law=False, beside_law=False, scales=False):
+    needed = acceptance.evidence_beside(energy, law=law, beside_law=beside_law, scales=scales)
+    return judge_evidence(gain, needed).passed
+
+
+def share(left, named, rows):
+    return acceptance.unexplained_share(left, named, rows)
+
+
+def refused(error: type[Exception], action: Callable[[], Any]) -> bool:
+    try:
+        action()
+    except error:
+        return True
+    return False
+
+
+def hover(seconds=10.0, rate_hz=100.0, **columns) -> Flight:
+    """Flight of a level hover, but for some columns."""
+    samples = round(seconds * rate_hz)
+    none = np.zeros((samples, 3))
+    still = Flight(
+        name="hover",
+        vehicle="bebop2",
+        source="hover",
+        start_ns=0,
+        time=np.arange(samples) / rate_hz,
+        position=none,
+        attitude=np.tile([1.0, 0.0, 0.0, 0.0], (samples, 1)),
+        velocity=none,
+        rates=none,
+        angular_acceleration=none,
+        specific_force=none,
+        rotor_speeds=np.linspace([600.0] * 4, [601.0] * 4, samples),
+        wind=none,
+    )
+    return replace(still, **columns)
+
+
+def in_column(column, values, width=3):
+    table = np.zeros((len(values), width))
+    table[:, column] = values
+    return table
+
+
+def flown(manoeuvre, **columns) -> bool:
+    """Whether a manoeuvre counts as flown in a hover with some columns, beside a flight that turned."""
+    turned = hover(rates=np.tile([9.0, 9.0, 0.0], (1000, 1)))
+    return manoeuvre not in study.require_excitation([hover(**columns), turned], BEBOP)
+
+
+def at_speed(multiple):
+    return in_column(0, np.full(1000, multiple * BEBOP.hover_induced_velocity))
+
+
+def turned_by(heading):
+    half = 0.5 * np.linspace(0.0, heading / 0.98, 1000)
+    return np.stack((np.cos(half), 0 * half, 0 * half, np.sin(half)), axis=1)
+
+
+def loaded_by(extent):
+    """Rotor speeds whose sum of squares has that extent, tails left out, over its mean."""
+    squares = 1.0 + extent / 0.98 * np.linspace(-0.5, 0.5, 1000)
+    return 600.0 * np.sqrt(np.tile(squares[:, None], (1, 4)))
+
+
+def loaded_for(share_of_samples):
+    """Whether throttle steps count as flown where rotors turn faster in a share of the samples."""
+    fast = np.where(np.arange(10_000) < round(1e4 * share_of_samples), 1200.0, 600.0)
+    return flown("throttle steps", seconds=100.0, rotor_speeds=np.tile(fast[:, None], (1, 4)))
+
+
+def located(seconds) -> int:
+    """Cells in time of a flight of that length."""
+    time = np.arange(round(seconds * 100.0) + 1) / 100.0
+    none = np.zeros((len(time), 6))
+    variables = dict.fromkeys(residual_bins.VARIABLES, time)
+    cells = Cells.of([Residual("one", time, variables, none, none, none)])
+    return cells.seconds[0].stop - cells.seconds[0].start
+
+
+def kept_bins(share_of_samples) -> int:
+    few = round(10_000 * share_of_samples)
+    return len(bin_edges("u", np.concatenate((np.full(few, 0.5), np.linspace(1.0, 3.99, 10_000 - few))))) - 1
+
+
+def known_points(seconds, position=(0.0, 0.0), flights=2):
+    """Functions of place of flights that hover at points, in spacings of 7 arms, and first at the origin."""
+    rate = 1000.0
+    places = np.repeat(np.atleast_2d(position), max(1, round(seconds * rate)), axis=0) * 7.0 * ARM_M
+    places = np.vstack((np.zeros(2), places))
+    thinned = SimpleNamespace(
+        position=np.column_stack((places, np.zeros(len(places)))),
+        rate_hz=rate,
+        attitude=np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)),
+    )
+    flight = SimpleNamespace(simulation=SimpleNamespace(vehicle=BEBOP), thinned=thinned)
+    return unexplained.functions_of_place([flight] * flights)
+
+
+def points_along(count):
+    """Number of points that are known where flights stayed at so many of them."""
+    names, _ = known_points(0.3, [(float(k), 0.0) for k in range(1, count + 1)])
+    return len(names) // 3
+
+
+def seen_at_origin(spacings):
+    """Whether the origin is near a known point, of flights that hover between two points for long."""
+    _, values = known_points(30.0, (spacings, 0.0))
+    return values[0][0].any()
+
+
+def tone(frequency_hz):
+    """Share of the squares of a tone of 100 s that is among the frequencies compared."""
+    time = np.arange(25_000) / 250.0
+    wave = np.sin(2.0 * np.pi * frequency_hz * time)
+    rows = whitening.spectrum(np.tile(wave[:, None, None], (1, 6, 1)), 250.0).rows[0]
+    return float(np.square(rows).sum() / np.square(wave).sum())
+
+
+def slow_response(frequency_hz):
+    """Amplitude of a measured angular acceleration of some frequency that predicted flight keeps."""
+    time = np.arange(4000) / 100.0
+    wave = np.sin(2.0 * np.pi * frequency_hz * time)
+    simulated = SimpleNamespace(vehicle=BEBOP, wrench=lambda flight: np.zeros((len(flight), 6)))
+    seen = predicted_flight(hover(40.0, angular_acceleration=in_column(0, wave)), simulated)
+    return np.abs(seen.angular_acceleration[1000:3000, 0]).max()
+
+
+class OneStep:
+    """A regression of one curved effect in which a step to the fit loses some evidence."""
+
+    def __init__(self, loss, moves=0):
+        self.loss, self.moves = loss, moves
+        self.candidates = [SimpleNamespace(linear=False)]
+        self.columns = SimpleNamespace(points=[np.zeros(1)])
+
+    def moved(self, points):
+        return OneStep(self.loss, self.moves + (points[0][0] == 1.0))
+
+    def fit(self, chosen):
+        lost = self.loss if self.moves else 0.0
+        return Fit(-lost, np.array(chosen), np.ones(1), np.eye(1), np.zeros(1))
+
+    def parameters(self, *_):
+        return np.ones(1)
+
+
+def steps_on(loss):
+    """Whether a step that loses some evidence is taken: the next one then goes the whole way again."""
+    start = OneStep(loss)
+    regression, _ = refined(start, (0,), start.fit((0,)))
+    return regression.moves > 2
+
+
+def loads_with(tmp_path, multiple):
+    path = tmp_path / "addition.json"
+    path.write_text(
+        json.dumps({"simulation": "bebop2", "vehicle": "bebop2", "adjusted": {"thrust": multiple}})
+    )
+    return not refused(DiscrepancyError, lambda: load_simulation(str(path)))
+
+
+def reachable(**columns) -> bool:
+    """Whether a reference of hover with some columns (2, ·) is accepted."""
+    plan = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=1.0)
+    level = Reference.hover(np.array([0.0, 0.0, -3.0]), 2)
+    vehicle = SimulatedVehicle.load("bebop2")
+    strong = replace(vehicle.vehicle, rotor_speed_max_rad_s=9e3)
+    reference = replace(level, **{name: np.array([values] * 2) for name, values in columns.items()})
+    return not refused(SimulationError, lambda: require_reachable(plan, vehicle.altered(strong), reference))
+
+
+def leaning(degrees):
+    """Acceleration along which a vehicle leans by an angle."""
+    return [BEBOP.gravity_m_s2 * np.tan(np.radians(degrees)), 0.0, 0.0]
+
+
+def lost(*, attitude=(1.0, 0.0, 0.0, 0.0), rates=0.0, distance=0.0):
+    motion = np.zeros(1, dtype=MOTION)
+    motion["attitude"], motion["rates"][0, 1], motion["position"][0, 2] = attitude, rates, -20.0
+    return bool(is_lost(motion[0], np.array([distance, 0.0, -20.0])))
+
+
+def tilted_to(cosine):
+    half = 0.5 * np.arccos(cosine)
+    return np.cos(half), np.sin(half), 0.0, 0.0
+
+
+def commanded(acceleration):
+    """Commanded rotor speeds of a level vehicle at rest that is to accelerate."""
+    controls = Controls.of(SimulatedVehicle.load("bebop2").record())
+    motion = np.zeros(1, dtype=MOTION)
+    motion["attitude"][0, 0], motion["rotor_speeds"] = 1.0, 600.0
+    none, level = np.zeros((1, 3)), np.zeros(1)
+    demand = Demand(
+        none, none, np.array([acceleration], dtype=float), none, level, level, np.zeros((1, 2)), level, none
+    )
+    control(controls, motion[0], demand, 0)
+    return controls.command.tolist()
+
+
+def not_limited(degrees):
+    return commanded(leaning(degrees)) != pytest.approx(commanded(leaning(80.0)))
+
+
+def upward(force):
+    return commanded([0.0, 0.0, BEBOP.gravity_m_s2 - force])
+
+
+def instant(**columns):
+    model = RotorLocalModel.load("bebop2")
+    still = {"velocity": np.zeros((1, 3)), "rates": np.zeros((1, 3)), "rotor_speeds": np.full((1, 4), 300.0)}
+    return model.states(**still | columns)[0], model.record()[0]
+
+
+def shaped_force(share_more):
+    wrench = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return shaped(wrench, *instant(), np.append(first_axis(share_more), np.zeros(8)))
+
+
+def gain_at(radii):
+    state, record = instant(position=np.array([[0.0, 0.0, -radii * BEBOP.rotor_radius_m]]))
+    flat = record.copy()
+    flat["rotor_positions"][:, 2] = 0.0
+    return ground_effect.function(state, flat, np.ones(1))[2]
+
+
+def thrust_at(advance_ratio):
+    velocity = np.array([[advance_ratio * 300.0 * BEBOP.rotor_radius_m, 0.0, 0.0]])
+    return instant(velocity=velocity)[0]["thrusts"].tolist()
+
+
+def largest_jitter():
+    """Largest offset of frames from the even grid, in periods, where the jitter asked for is far larger."""
+    mocap = MotionCapture(rate=100.0, capture_jitter=1.0)
+    poses = ideal_recording(swing(), BEBOP, SensorSuite("test", mocap=mocap), 1).pose
+    return np.abs(1e-7 * (poses.time_ns - START_NS) % 1.0 - 0.5).max()
+
+
+# What a value in the unit of a threshold leads to, and where that turns over. The values are those of the
+# thresholds, so that neither changes alone.
+EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
+    "FALSE_ALARMS": (
+        0.01,
+        lambda x: acceptance.evidence_threshold(np.where(np.arange(1e4) < 1e4 * x, 99.0, 6.0)) > 50.0,
+    ),
+    "LEAST_EVIDENCE": (5.0, lambda x: judge_evidence(x, acceptance.evidence_threshold(np.zeros(9))).passed),
+    "FURTHER_SHARE": (0.05, lambda x: beside(1000.0 * x, energy=1000.0)),
+    "FURTHER_LEAST": (20.0, lambda x: beside(x, energy=0.0) and beside(x, scales=True)),
+    "FURTHER_NUMBER": (100.0, beside),
+    "FURTHER_LAW": (200.0, lambda x: beside(x, law=True)),
+    "BESIDE_LAW": (350.0, lambda x: beside(x, beside_law=True) and beside(x, law=True, beside_law=True)),
+    "SMALLEST": (0.13, lambda x: judge_size({"large": 1.0, "small": x}).passed),
+    "LOUDNESS": (0.1, lambda x: judge_loudness(x).passed),
+    "GROWTH": (0.5, lambda x: judge_left_out(SQUARES, SQUARES + first_axis(100.0 * x), 10).passed),
+    "FEW_FLIGHTS": (4.0, lambda x: judge_left_out(SQUARES, 9.0 * SQUARES, x).passed),
+    "NAMED_ALONE": (4.6, lambda x: x < acceptance.rival_margin(0.0)),
+    "ALIKE": (0.1, lambda x: 1000.0 * x < acceptance.rival_margin(1000.0)),
+    "PREDICTABLE": (0.3, lambda x: acceptance.predictable(first_axis(100.0 * x), 100).any()),
+    "LOUD_AXIS": (0.8, lambda x: share(first_axis(100.0 * x), first_axis(9.0, 1e6), 100) > 0.5),
+    "PART_OF_AXIS": (0.2, lambda x: share(first_axis(1e3 * x), first_axis(1e3, 1e9), 1) > 0.1),
+    "UNEXPLAINED": (0.05, lambda x: acceptance.judge_unexplained(x).passed),
+    # The others of the room, file by file.
+    "BULK": (0.8, lambda x: holding_bulk(np.array([x, 1.0 - x]), np.ones(2), np.full(2, True)).all()),
+    "LEAST_SHARE": (0.03, lambda x: Range("Fx", "u", 0.0, 1.0, x, 0.1, 0.0).is_large),
+    "LIFT": (1.5, lambda x: Range("Fx", "u", 0.0, 1.0, 0.1 * x, 0.1, 0.0).is_informative),
+    "PRIOR": (
+        1.5,
+        lambda x: x * typical_sizes(EFFECTS["payload"], BEBOP) < candidates(BEBOP, ["payload"])[0].scale,
+    ),
+    "STEP_LOSS": (5.0, steps_on),
+    "RATE_HZ": (
+        125.0,
+        lambda x: (
+            Compared(hover(rate_hz=1.5 * x), SimpleNamespace(memoryless=True)).thinned.rate_hz > 1.4 * x
+        ),
+    ),
+    "SLOW_HZ": (1.0, lambda x: slow_response(x) > np.exp(-0.5)),
+    "BEYOND_TOLERANCES": (0.025, lambda x: residual_bins.norm.isf(0.5 * x) > largest_deviation(1)),
+    "SIGNIFICANCE": (0.025, lambda x: residual_bins.standing_out(np.array(x), np.array(9.0), np.array(1.0))),
+    "EFFECT_SIZE": (4.0, lambda x: residual_bins.standing_out(np.array(0.0), np.array(x), np.array(1.0))),
+    "ALLOWED": (0.95, lambda x: x < residual_bins.allowed_energy(np.linspace(0.0, 1.0, 1001))),
+    "MOST_BINS": (
+        12,
+        lambda x: len(bin_edges("u", np.linspace(0.0, np.ceil(x) - 0.5, 9999))) - 1 == np.ceil(x),
+    ),
+    "FEWEST_SAMPLES": (0.01, lambda x: kept_bins(x) > kept_bins(0.0)),
+    "SEGMENT_S": (1.0, lambda x: located(10.0 * x) < 10),
+    "FLOWN_SPEED": (0.25, lambda x: flown("forward and backward flight", velocity=at_speed(x))),
+    "FLOWN_CLIMB": (0.12, lambda x: flown("climb and descent", velocity=np.roll(at_speed(x), 2, axis=1))),
+    "FLOWN_RATE": (0.6, lambda x: flown("yaw doublets", rates=in_column(2, np.full(1000, x)))),
+    "FLOWN_HEADING": (0.8, lambda x: flown("turns of the heading", attitude=turned_by(x))),
+    "FLOWN_LOAD": (0.15, lambda x: flown("throttle steps", rotor_speeds=loaded_by(x))),
+    "TAIL": (0.01, loaded_for),
+    "STUCK_RAD_S": (
+        1e-3,
+        lambda x: refused(
+            DiscrepancyError,
+            lambda: flown("climb and descent", rotor_speeds=600.0 + np.linspace([0.0] * 4, [x] * 4, 1000)),
+        ),
+    ),
+    "FEWEST_FLIGHTS": (2, lambda x: refused(DiscrepancyError, lambda: study.require_flights(x))),
+    "SPACING": (7.0, lambda x: seen_at_origin(x / 7.0)),
+    "STAY_S": (0.25, lambda x: len(known_points(x)[0]) > 0),
+    "MOST_POINTS": (60, lambda x: points_along(int(np.ceil(x))) == np.ceil(x)),
+    "BAND_HZ": (20.0, lambda x: tone(x) > 0.5),
+    "TAPER_S": (0.5, lambda x: whitening.taper(9000, 1000.0)[int(1000.0 * x)] < 1.0),
+    # The simulation.
+    "FORM_OF_AIR": (0.15, lambda x: x < EFFECTS["rotor_drag"].form),
+    "SHAPE_MAX": (3.0, lambda x: shaped_force(x - 1.0)[0] == pytest.approx(x)),
+    "NEAREST_SURFACE": (0.5, lambda x: gain_at(x) == gain_at(0.1)),
+    "FITTED_ADVANCE_RATIO": (0.6, lambda x: thrust_at(x) == thrust_at(2.0)),
+    "TILT_MAX_DEG": (65.0, lambda x: reachable(acceleration=leaning(x)) and not_limited(x)),
+    "EXCITED_TILT_MAX_DEG": (75.0, lambda x: reachable(tilt=[np.radians(x), 0.0])),
+    "YAW_RATE_MAX_DEG_S": (360.0, lambda x: reachable(yaw_rate=np.radians(x))),
+    "SIMULATED_AIRSPEED_M_S": (16.0, lambda x: reachable(velocity=[x, 0.0, 0.0])),
+    "SPECIFIC_FORCE_MIN": (2.0, lambda x: upward(x) == upward(0.5)),
+    "TILT_COSINE_MIN": (-0.2, lambda x: lost(attitude=tilted_to(x))),
+    "RATE_MAX_RAD_S": (40.0, lambda x: lost(rates=x)),
+    "POSITION_ERROR_MAX_M": (10.0, lambda x: lost(distance=x)),
+    "JITTER_MAX": (0.4, lambda x: x < largest_jitter()),
+}
+# These are examined by the tests below, which need more than a number.
+ALONE = {
+    *(
+        "ADJUSTED_MAX",
+        "AXES_OVER_FORM",
+        "CALIBRATION_DRAWS",
+        "CELL_DRAWS",
+        "EDGES_HZ",
+        "LAGS_S",
+        "MOST_EFFECTS",
+    ),
+    "RIDGES",
+}
+
+
+def thresholds() -> dict[str, Threshold]:
+    """All thresholds of the two rooms by the names that their modules give them."""
+    found = {}
+    for room in (simulation, discrepancy):
+        for module in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
+            for name, value in vars(importlib.import_module(module.name)).items():
+                if isinstance(value, Threshold):
+                    assert found.setdefault(name, value) is value, f"two thresholds are called {name}"
+    return found
+
+
+@pytest.mark.parametrize("name", EXAMINED)
+def test_a_threshold_decides_at_its_value(name):
+    value, decision = EXAMINED[name]
+    assert bool(decision(0.99 * value)) != bool(decision(1.01 * value))
+    assert thresholds()[name].value == value
+
+
+def test_every_threshold_is_examined_and_says_why():
+    found = thresholds()
+    assert sorted(found) == sorted({*EXAMINED, *ALONE})
+    for threshold in found.values():
+        assert all((threshold.name, threshold.unit, threshold.reason, threshold.data))
+    assert len({threshold.name for threshold in found.values()}) == len(found)
+
+
+def test_an_adjustment_of_more_than_ten_tolerances_is_refused(tmp_path):
+    assert loads_with(tmp_path, 9.9)
+    assert not loads_with(tmp_path, 10.1)
+
+
+def test_draws_without_any_effect_resolve_the_quantiles_that_decide():
+    """Ten searches beyond the false alarms; five draws beyond the significance of a cell."""
+    found = thresholds()
+    assert found["CALIBRATION_DRAWS"].value * found["FALSE_ALARMS"].value == pytest.approx(10.0)
+    assert found["CELL_DRAWS"].value * found["SIGNIFICANCE"].value == pytest.approx(5.0)
+
+
+def test_noise_counts_as_white_between_edges():
+    """A tone on either side of an edge is in another band."""
+    edges = thresholds()["EDGES_HZ"].value
+    assert edges[0] == 0.0
+    frequencies = np.fft.rfftfreq(250_000, 1.0 / 250.0)
+    band = whitening.spectrum(np.ones((250_000, 6, 1)), 250.0).band[: np.sum(frequencies <= edges[-1])]
+    first = [frequencies[np.argmax(band == index)] for index in range(len(edges) - 1)]
+    assert first == pytest.approx([0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0], abs=2e-3)
+
+
+def test_generic_functions_remember_a_tenth_and_four_tenths_of_a_second(simulation, flights):
+    names, values = unexplained.functions(Compared(flights[0], simulation))
+    rate_hz = Compared(flights[0], simulation).thinned.rate_hz
+    for lag in (0.1, 0.4):
+        late, now = values[:, names.index(f"u {lag:g} s ago")], values[:, names.index("u")]
+        kept = (late[1:] - now[1:]) @ (late[:-1] - now[1:]) / np.sum(np.square(late[:-1] - now[1:]))
+        assert -1.0 / (rate_hz * np.log(kept)) == pytest.approx(lag)
+
+
+def test_generic_functions_are_shrunk_by_a_ten_thousandth_to_a_tenth():
+    """Where flights agree hardly at all, and where they contradict each other."""
+    alike = unexplained.left_out_gain(np.ones((4, 1, 1)), np.ones((4, 1)))[1][0]
+    assert 1.0 / alike - 1.0 == pytest.approx(1e-4)
+    contrary = unexplained.left_out_gain(np.ones((4, 1, 1)), np.array([[1.0], [1.0], [-1.0], [0.0]]))[1][0]
+    assert 0.25 / contrary - 1.0 == pytest.approx(0.1)
+
+
+def test_the_form_of_a_law_may_differ_by_axis_more_than_as_a_whole(found):
+    regression = found.discovery.found.regression
+    (index,) = found.discovery.found.chosen
+    columns, block, candidate = regression.columns, regression.block(index), regression.candidates[index]
+    axis = AXES.index(candidate.effect.axes[0])
+    whole = columns.rows(0, block.parameters) @ (columns.points[index] / candidate.scale)
+    single = columns.rows(0, block.form[:1])[axis, :, 0]
+    assert single == pytest.approx(1.5 * 0.15 * whole[axis])
+
+
+def test_three_effects_are_the_most(simulation, flights, pushed):
+    """Four are there, each plain to see, and looked for."""
+    rng = np.random.default_rng(0)
+    made = []
+    for flight in flights:
+        wrench = np.zeros((len(flight), 6))
+        wrench[:, 0] = 0.2 - 0.03 * flight.velocity[:, 0] * np.linalg.norm(flight.velocity, axis=1)
+        wrench[:, 3:5] = 0.02 - 5e-3 * flight.rates[:, :2]
+        wrench[:, 2] = 0.1 * simulation.wrench(flight)[:, 2]
+        wrench += rng.standard_normal(wrench.shape) * [0.03, 0.03, 0.03, 3e-4, 3e-4, 3e-4]
+        made.append(pushed(flight, simulation.vehicle, wrench))
+    names = ["force_bias", "moment_bias", "body_drag", "rate_damping", "thrust_coefficient"]
+    discovery_ = discrepancy.discover(simulation, made, names=names)
+    assert len(discovery_.effects) == 3
+    assert any(own.reason.passed for own in discovery_.found.judgements)
