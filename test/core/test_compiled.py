@@ -12,7 +12,7 @@ import quadpi_core
 
 _PRINT = """
 from quadpi_core import kernel
-print(kernel.f._cache.cache_path)
+print(kernel.f.stats.cache_path)
 """
 _KERNEL = """
 from quadpi_core.compiled import njit

@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live nodes, with errors in the program: `python failing_live.py --ros-args …`.
 
-While the node `monitor` has an alarm_rate_hz of 123, all that it does with a sample raises an exception;
-while it has one of 321, so does all that the estimator does with a pose.
+While the node `monitor` has an alarm_rate_hz of 123, what it does with every sample raises an exception; at
+321 Hz, what the estimator does with every pose.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.monitor.pairing import Pairing
 from quadpi_ros.live_process import create_nodes
 from quadpi_ros.runtime import run, serve
 
@@ -22,16 +24,18 @@ def main() -> int:
     def work() -> None:
         estimator, monitor = create_nodes()
 
-        def failing(method: Any, rate_hz: float) -> Any:
-            def call(*arguments: Any) -> None:
+        def fail(owner: type, name: str, rate_hz: float) -> None:
+            method = getattr(owner, name)
+
+            def call(*arguments: Any) -> Any:
                 if monitor.parameters.alarm_rate_hz == rate_hz:
                     raise ValueError(f"as {rate_hz:g} asks for")
-                method(*arguments)
+                return method(*arguments)
 
-            return call
+            setattr(owner, name, call)
 
-        monitor._judge_completed = failing(monitor._judge_completed, MONITOR_FAILS_HZ)
-        estimator._take_pose = failing(estimator._take_pose, ESTIMATOR_FAILS_HZ)
+        fail(Pairing, "take", MONITOR_FAILS_HZ)
+        fail(Ekf, "update_pose", ESTIMATOR_FAILS_HZ)
         serve([estimator, monitor])
 
     return run(work)

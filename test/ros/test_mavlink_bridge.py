@@ -329,7 +329,7 @@ def test_an_error_in_the_program_costs_a_packet_and_not_the_link(monkeypatch: py
             raise ValueError("of the test")
 
         with monkeypatch.context() as patch, flying(port, "--rate", "100"):
-            patch.setattr(bridge, "_packed", fail)
+            patch.setattr(sensor_messages, "pack_imu", fail)
             heard.until(lambda: bridge.exceptions.counts["link"] > 50)
             patch.undo()
             heard.until(lambda: heard.count() > 50)

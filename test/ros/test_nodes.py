@@ -219,6 +219,7 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(node, "create_subscription", create_and_keep)
     start([node])
+    (diagnose,) = node.timers
     assert node.state == "unconfigured"
     node.must(node.trigger_configure)
     node.must(node.trigger_activate)
@@ -233,7 +234,7 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
         logged.clear()
         for topic in topics:
             receivers[topic](sent[topic])
-        node._diagnose()
+        diagnose.callback()
         return list(logged)
 
     assert watch() == []

@@ -175,6 +175,16 @@ def test_chunks_that_overlap_in_time_come_in_the_order_of_log_times(tmp_path, to
     assert_blocks_are_the_whole(path, topics, 500)
 
 
+def say_where_chunks_begin(path, time_ns):
+    """Let the index of a bag give every chunk that time as the one of its first message."""
+    data = bytearray(path.read_bytes())
+    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    for start in find_records(np.frombuffer(data, np.uint8), summary_start).of(CHUNK_INDEX)[0].tolist():
+        data[start : start + 8] = struct.pack("<Q", time_ns)
+    data[-12:-8] = bytes(4)  # no checksum of the summary
+    path.write_bytes(data)
+
+
 def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
     """The time would grow with the square of the flight where every chunk may hold the earliest message."""
     cut = []
@@ -186,9 +196,8 @@ def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
     cut_payloads = Payloads.cut
     path = tmp_path / "bag.mcap"
     write_mcap(path, [topics[1]], {})
+    say_where_chunks_begin(path, 0)
     with Bag(path) as bag:
-        chunks = bag._reader.storage.chunks
-        chunks[:] = [chunk._replace(message_start_time=0) for chunk in chunks]
         monkeypatch.setattr(Payloads, "cut", counted)
         blocks = list(bag.blocks(["/wind"], messages=2))
     assert [len(block["/wind"].payloads) for block in blocks] == [2] * (N // 2)
@@ -198,12 +207,7 @@ def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
 def test_a_chunk_that_begins_before_it_says_is_refused(tmp_path, topics):
     path = tmp_path / "bag.mcap"
     write_mcap(path, topics, {})
-    data = bytearray(path.read_bytes())
-    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
-    (first, *_), _ = find_records(np.frombuffer(data, np.uint8), summary_start).of(CHUNK_INDEX)
-    data[first : first + 8] = struct.pack("<Q", 10**9)
-    data[-12:-8] = bytes(4)
-    path.write_bytes(data)
+    say_where_chunks_begin(path, 10**9)
     with Bag(path) as bag, pytest.raises(LogError, match=r"bag.mcap: damaged: the chunk at byte \d+ holds"):
         bag.read(["/wind"])
 
