@@ -16,7 +16,7 @@ from benchmarks import Result
 from quadpi_core.discrepancy import VehicleSimulation, discover
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
-from quadpi_core.identification.identify import CUTOFF_HZ
+from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario

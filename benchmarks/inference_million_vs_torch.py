@@ -19,7 +19,7 @@ from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
-from quadpi_core.models.fitted_ensemble import FittedBootstrap
+from quadpi_core.models.kinds.bootstrap import FittedBootstrap
 from quadpi_core.models.model_kind import interval_factors
 from quadpi_core.training.networks import Networks
 

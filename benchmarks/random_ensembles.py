@@ -11,8 +11,10 @@ import numpy as np
 
 from quadpi_core.frames import Array
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven, Scaling
+from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
 from quadpi_core.models.interval_rules import AnyRule, NormalRule
+from quadpi_core.models.kinds.bootstrap import FittedBootstrap
+from quadpi_core.models.kinds.quality_driven import FittedQualityDriven
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.training.networks import Networks
 
@@ -21,7 +23,7 @@ NOISE_UNITS = 25
 
 def random_ensembles(
     method: str, X: Array, inputs: Mapping[str, Sequence[Regressor]]
-) -> dict[str, AnyFitted]:
+) -> dict[str, FittedEnsemble]:
     """Ten networks of 20 units for each axis, over input vectors X (N, 19)."""
     return {axis: random_ensemble(method, X, own, seed=k) for k, (axis, own) in enumerate(inputs.items())}
 
@@ -40,13 +42,13 @@ def random_ensemble(
     units: int = 20,
     rule: AnyRule | None = None,
     seed: int = 0,
-) -> AnyFitted:
+) -> FittedEnsemble:
     """One axis of about 1 ± 0.3 N or Nm."""
     rng = np.random.default_rng(seed)
     features = RegressorProgram.compile(inputs).evaluate(X)
     scaling = Scaling(features.mean(axis=0), features.std(axis=0), target_mean=1.0, target_scale=0.3)
     rule = NormalRule() if rule is None else rule
-    fitted: AnyFitted
+    fitted: FittedEnsemble
     if method == FittedBootstrap.method:
         networks = _random_networks(rng, members, len(inputs), units, outputs=1)
         noise = _random_networks(rng, 1, len(inputs), NOISE_UNITS, outputs=1)

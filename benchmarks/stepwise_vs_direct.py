@@ -13,7 +13,7 @@ from benchmarks import Result
 from benchmarks.direct_stepwise import candidate_errors, unit_columns
 from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.polynomial import StepwisePolynomial
+from quadpi_core.models.kinds.polynomial import StepwisePolynomial
 from quadpi_core.models.regressors import RegressorProgram
 
 NAMES = ("stepwise_vs_direct",)

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks import Result, interleaved_seconds
 from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.polynomial import StepwisePolynomial
+from quadpi_core.models.kinds.polynomial import StepwisePolynomial
 from quadpi_core.models.regressors import RegressorProgram
 
 NAMES = ("stepwise_vs_gram",)

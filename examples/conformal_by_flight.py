@@ -147,7 +147,7 @@ def _content(X: Array, y: Array, samples: npt.NDArray[np.bool_]) -> bytes:
 
 def main() -> None:
     """Calibrate a quality-driven ensemble on ten synthetic flights; training needs PyTorch."""
-    from quadpi_core.models.ensembles import QualityDrivenEnsemble
+    from quadpi_core.models.kinds.quality_driven import QualityDrivenEnsemble
 
     rng = np.random.default_rng(1)
     groups = np.repeat(np.arange(20), 200)

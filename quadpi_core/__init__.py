@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from quadpi_core.discrepancy.study import read_flights as read_flights
     from quadpi_core.discrepancy.study import study as study
     from quadpi_core.evaluation.evaluate import judge as judge
-    from quadpi_core.identification.identify import IdentifyOptions as IdentifyOptions
     from quadpi_core.identification.identify import identify as identify
     from quadpi_core.identification.prepared_flights import prepare_flights as prepare_flights
     from quadpi_core.logs import read_recording as read_recording
     from quadpi_core.models.aerodynamic import AerodynamicModel as AerodynamicModel
     from quadpi_core.models.candidate_pool import load_pools as load_pools
+    from quadpi_core.models.model_kind import IdentifyOptions as IdentifyOptions
     from quadpi_core.monitor.alarm import MonitorSettings as MonitorSettings
     from quadpi_core.monitor.monitor import Monitor as Monitor
     from quadpi_core.monitor.replay import replay as replay
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _ROOMS = {
     "AerodynamicModel": "models.aerodynamic",
-    "IdentifyOptions": "identification.identify",
+    "IdentifyOptions": "models.model_kind",
     "Monitor": "monitor.monitor",
     "MonitorSettings": "monitor.alarm",
     "Vehicle": "vehicle",

@@ -13,11 +13,12 @@ from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.evaluation.evaluate import judge
-from quadpi_core.identification.identify import CUTOFF_HZ, IdentifyOptions, identify
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page

@@ -25,18 +25,14 @@ from quadpi_core.evaluation.alarm_assessment import auroc, per_hour
 from quadpi_core.evaluation.evaluate import predict_flight
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.identification.identify import (
-    CUTOFF_HZ,
-    IdentifyOptions,
-    MethodName,
-    identify,
-)
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
 from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.parallel import Workers
@@ -139,9 +135,7 @@ def random_plan(name: str, kind: str, seed: tuple[int, int], duration_s: float) 
     )
 
 
-def model_of(
-    flights: Sequence[PreparedFlight], vehicle: str, method: MethodName = "polynomial"
-) -> AerodynamicModel:
+def model_of(flights: Sequence[PreparedFlight], vehicle: str, method: str = "polynomial") -> AerodynamicModel:
     """Default settings."""
     pools = load_pools("quadrotor")
     return identify(
@@ -219,7 +213,7 @@ def signal_areas(case: Case, model: AerodynamicModel) -> tuple[float, dict[str, 
 
 
 # Signals of each method, with their headings; an ensemble has no leverage.
-_SIGNALS: dict[MethodName, dict[str, str]] = {
+_SIGNALS: dict[str, dict[str, str]] = {
     "polynomial": {"inputs": "range", "leverage": "leverage", "mahalanobis": "Mahalanobis", "width": "width"},
     "bootstrap": {"inputs": "range", "width": "width"},
     "quality-driven": {"inputs": "range", "width": "width"},
@@ -229,7 +223,7 @@ _SIGNALS: dict[MethodName, dict[str, str]] = {
 def signals(job: Job) -> str:
     """One table per method: area under the ROC curve of each signal for misses."""
     cases = simulated_cases(job) + real_cases(job)
-    methods: list[MethodName] = ["polynomial"]
+    methods: list[str] = ["polynomial"]
     if job.ensembles:
         methods += ["bootstrap", "quality-driven"]
     parts = []

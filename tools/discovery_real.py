@@ -33,8 +33,8 @@ from quadpi_core.discrepancy.reflight import rollouts  # noqa: E402
 from quadpi_core.errors import DiscrepancyError  # noqa: E402
 from quadpi_core.estimator.fusion import fuse_airborne  # noqa: E402
 from quadpi_core.flight import AXES, Flight  # noqa: E402
-from quadpi_core.identification.identify import CUTOFF_HZ  # noqa: E402
 from quadpi_core.logs import read_recording  # noqa: E402
+from quadpi_core.models.model_kind import CUTOFF_HZ  # noqa: E402
 from quadpi_core.paths import data_directory, whole_output  # noqa: E402
 from quadpi_core.report.table import Column, Table, markdown_table  # noqa: E402
 from quadpi_core.vehicle import Vehicle  # noqa: E402

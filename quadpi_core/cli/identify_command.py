@@ -12,6 +12,13 @@ import typer
 from quadpi_core.cli.evaluate_command import write_evaluation
 from quadpi_core.cli.options import Bags, FileProcessCount, HtmlFile, JsonFile, Scheduler, VehicleName
 from quadpi_core.cli.outputs import check_outputs, open_console, print_quality
+from quadpi_core.models.kind_registry import kind_names, own_kind_names
+
+
+def _known_kind(name: str) -> str:
+    if name in own_kind_names() or name in (known := kind_names()):
+        return name
+    raise typer.BadParameter(f"{name!r} is not one of {', '.join(known)}.")
 
 
 def identify(
@@ -19,7 +26,11 @@ def identify(
     vehicle: VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
     method: Annotated[
-        Literal["polynomial", "bootstrap", "quality-driven"], typer.Option(help="Kind of model.")
+        str,
+        typer.Option(
+            callback=_known_kind,
+            help=f"Kind of model: {', '.join(own_kind_names())}, or one of an installed package.",
+        ),
     ] = "polynomial",
     candidates: Annotated[
         str, typer.Option(help="Candidate pools: a name in config/candidates, or a YAML file.")
@@ -51,11 +62,12 @@ def identify(
     html_file: HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
-    from quadpi_core.identification.identify import CUTOFF_HZ, IdentifyOptions
+    from quadpi_core.identification.identify import check_options
     from quadpi_core.identification.identify import identify as identify_model
     from quadpi_core.identification.prepared_flights import prepare_flights
     from quadpi_core.models.candidate_pool import load_pools, select_axes
     from quadpi_core.models.model_folder import require_replaceable
+    from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
     from quadpi_core.parallel import Workers
     from quadpi_core.report.model_tables import held_out_table, selection_table
     from quadpi_core.report.progress_bar import progress_bar
@@ -78,7 +90,7 @@ def identify(
         device=device,
         false_alarms_per_hour=false_alarms_per_hour,
     )
-    options.check(pools)
+    check_options(options, pools)
     with progress_bar(console) as progress:
         reading = Workers(workers, scheduler, progress)
         flights = prepare_flights(bags, the_vehicle, cutoff, workers=reading)

@@ -15,8 +15,8 @@ from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, 
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import MAX_GAP_NS, Flight, Stamps, WrenchStream
 from quadpi_core.frames import Array
-from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.logs.bags import read_bag
+from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.resample import first_gap, interpolate, nominal_rate, uniform_stamps
 from quadpi_core.vehicle import ROTORS, Vehicle

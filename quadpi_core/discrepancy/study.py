@@ -23,10 +23,10 @@ from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
-from quadpi_core.identification.identify import CUTOFF_HZ
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.logs.duplicates import refuse_duplicates
+from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.thresholds import CONVENTION, Threshold

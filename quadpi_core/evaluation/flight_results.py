@@ -25,14 +25,13 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS
 from quadpi_core.models.interval_rules import inside_interval
+from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.version import __version__
 
 # Confidences of the calibration curve.
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 # What coverage is binned by, see FlightResult.regimes.
 REGIMES = ("speed_m_s", "rotor_speed_rad_s", "height_m")
-# Methods whose intervals are those of a normal distribution, so that CRPS is defined.
-NORMAL_METHODS = ("polynomial", "bootstrap")
 
 
 class EvaluationError(QuadpiError):
@@ -158,7 +157,7 @@ def evaluate_flights(
 
     def judge(flights: Sequence[FlightResult]) -> dict[str, AxisMetrics]:
         axes = [axis for axis in AXES if all(axis in flight.axes for flight in flights)]
-        normal = method in NORMAL_METHODS
+        normal = kind_named(method).normal_errors
         return {
             axis: _evaluate_axis(flights, axis, training_range[axis], confidence, normal, edges, curve)
             for axis in axes

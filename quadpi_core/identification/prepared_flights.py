@@ -21,6 +21,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, flight_inputs
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import Followed, follow, recorded_flight
@@ -29,10 +30,6 @@ from quadpi_core.screening.consistency import checked
 from quadpi_core.signals.resample import interpolate, nominal_rate
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
-
-# Cut-off of the low-pass over all signals [Hz]: keeps the band in which rotor speeds and measured moments are
-# coherent (above about 25 Hz they are not, on two data sets).
-DEFAULT_CUTOFF_HZ = 30.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,7 @@ class PreparedFlight:
 def prepare_flights(
     paths: Sequence[Path | str],
     vehicle: Vehicle,
-    cutoff_hz: float = DEFAULT_CUTOFF_HZ,
+    cutoff_hz: float = CUTOFF_HZ["default"],
     *,
     workers: Workers = DEFAULT_WORKERS,
 ) -> list[PreparedFlight]:

@@ -4,32 +4,41 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
-from quadpi_core.config_schema import Within
+from quadpi_core.config_schema import Flag, OneOf, Real, Text, Within, parse_config
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_ensemble import FittedBootstrap, FittedQualityDriven
-from quadpi_core.models.fitted_polynomial import CompiledPolynomials, FittedPolynomial
 from quadpi_core.models.interval_rules import HeldOutRule
-from quadpi_core.models.model_kind import CompiledAxes, Evaluation, FittedAxis, Method, interval_factors
+from quadpi_core.models.kind_registry import kind_named
+from quadpi_core.models.model_folder import (
+    MODEL_FILE,
+    FolderContent,
+    damage_named,
+    read_folder,
+    write_folder,
+)
+from quadpi_core.models.model_kind import (
+    CompiledAxes,
+    Evaluation,
+    FittedAxis,
+    Kind,
+    StoredAxes,
+    interval_factors,
+)
 from quadpi_core.vehicle import Vehicle
-
-METHODS: dict[str, Method] = {
-    FittedPolynomial.method: Method(FittedPolynomial.stored, CompiledPolynomials.pack),
-    FittedBootstrap.method: Method(FittedBootstrap.stored, CompiledEnsembles.pack),
-    FittedQualityDriven.method: Method(FittedQualityDriven.stored, CompiledEnsembles.pack),
-}
+from quadpi_core.version import __version__
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,7 @@ class AerodynamicModel:
         envelope: what the training flights showed.
         training_range: per axis, range (max − min) of the measured training data, the denominator of NMPIW.
         flights: that the model was identified on.
-        selection: per axis, the selection log (see `StepwisePolynomial.selection_log`).
+        selection: per axis, the selection log (see `model_kind.Fit.log`).
         held_out_coverage: per axis, the coverage of each of `flights` by model and intervals of the others;
             empty under the paper's settings.
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
@@ -87,8 +96,13 @@ class AerodynamicModel:
 
     @property
     def method(self) -> str:
-        """Name of the method, one of :data:`METHODS`."""
+        """Name of the kind of model."""
         return next(iter(self.fitted.values())).method
+
+    @property
+    def kind(self) -> Kind:
+        """What is special of models of this kind."""
+        return kind_named(self.method)
 
     def load_vehicle(self, given: str | Path | None = None) -> Vehicle:
         """The vehicle that the model was identified for: of the file given, else of the name that it holds.
@@ -138,7 +152,7 @@ class AerodynamicModel:
 
     @cached_property
     def _compiled(self) -> CompiledAxes:
-        return self.compiled or METHODS[self.method].compile(self.fitted)
+        return self.compiled or self.kind.compile(self.fitted)
 
     @cached_property
     def _factors(self) -> Callable[[float], Array]:
@@ -169,11 +183,41 @@ class AerodynamicModel:
         return {column.name: getattr(self, column.name) for column in fields(self)} | {"compiled": None}
 
     def save(self, folder: str | Path) -> AerodynamicModel:
-        """Write the model as a folder of JSON and safetensors; returns it with its identity."""
-        # Storage knows this class, so it is imported when needed.
-        from quadpi_core.models.model_folder import save_model
+        """Write the model as a folder, whole or not at all; returns it with name and identity.
 
-        return save_model(self, Path(folder))
+        Raises:
+            OutputError: if the folder cannot be written, or holds what is not part of a model.
+        """
+        folder = Path(folder)
+        stored = self.kind.store(self.fitted)
+        axes = {
+            axis: {
+                **entry,
+                "training_range": self.training_range[axis],
+                "selection": self.selection[axis],
+                "held_out_coverage": self.held_out_coverage[axis],
+            }
+            for axis, entry in stored.entries.items()
+        }
+        description = {
+            "method": self.method,
+            "settings": self.settings,
+            "vehicle": self.vehicle,
+            "vehicle_fingerprint": self.vehicle_fingerprint,
+            "cutoff_hz": self.cutoff_hz,
+            "confidence": self.confidence,
+            "axes": axes,
+            "envelope": self.envelope.to_json(),
+            "alarm": self.alarm_limits.to_json(),
+            "flights": [asdict(flight) for flight in self.flights],
+            "versions": {
+                "quadpi": __version__,
+                "numpy": np.__version__,
+                "python": platform.python_version(),
+            },
+        }
+        identity = write_folder(FolderContent(description, stored.arrays, stored.files), folder)
+        return replace(self, name=folder.name, identity=identity)
 
     @classmethod
     def load(cls, folder: str | Path) -> AerodynamicModel:
@@ -182,6 +226,75 @@ class AerodynamicModel:
         Raises:
             ModelError: naming the file that is missing, altered or not understood.
         """
-        from quadpi_core.models.model_folder import load_model
+        folder = Path(folder)
+        content, identity = read_folder(folder)
+        with damage_named(folder):
+            entries = content.description.get("axes", {})
+            described = parse_config(
+                _Description, content.description, f"{MODEL_FILE}: not a quadpi model", ModelError
+            )
+            with named_in(MODEL_FILE):
+                kind = kind_named(described.method)
+            axes = described.axes
+            model = cls(
+                name=folder.name,
+                vehicle=described.vehicle,
+                vehicle_fingerprint=described.vehicle_fingerprint,
+                settings=described.settings,
+                cutoff_hz=described.cutoff_hz,
+                confidence=described.confidence,
+                fitted=kind.read(StoredAxes(entries, content.arrays, content.files)),
+                envelope=Envelope.from_json(described.envelope),
+                training_range={axis: entry.training_range for axis, entry in axes.items()},
+                flights=described.flights,
+                selection={axis: entries[axis]["selection"] for axis in axes},
+                held_out_coverage={axis: entry.held_out_coverage for axis, entry in axes.items()},
+                identity=identity,
+                alarm_limits=AlarmLimits.from_json(described.alarm),
+            )
+            # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
+            for fitted in model.fitted.values():
+                fitted.rule.factor(model.confidence)
+            return model
 
-        return load_model(Path(folder))
+
+# model.json is written by quadpi alone: what its types do not declare is passed over, not refused.
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Step:
+    """A step of the selection of regressors, see :attr:`.model_kind.Fit.log`."""
+
+    term: Text
+    fixed: Flag
+    coefficient: Real | None
+    r2: Real | None
+    removed: tuple[Text, ...] = ()
+    sse: Real | None = None
+    criterion: Real | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AxisEntry:
+    """What an axis has beside the keys of its kind."""
+
+    training_range: Real
+    selection: tuple[_Step, ...]
+    held_out_coverage: list[Real]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Description:
+    """The content of model.json, the keys of a kind apart."""
+
+    method: Text
+    settings: str
+    vehicle: str
+    vehicle_fingerprint: str
+    cutoff_hz: Real
+    confidence: Real
+    axes: Annotated[dict[Annotated[str, OneOf(*AXES)], _AxisEntry], Field(min_length=1)]
+    envelope: dict[str, Any]
+    alarm: dict[str, Any]
+    flights: tuple[TrainingFlight, ...]
+    arrays_sha256: str

@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-import inspect
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
@@ -14,16 +13,21 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, AnyFitted
-from quadpi_core.models.interval_rules import AnyRule, FlightErrors, HeldOutRule, calibrate, flights_peak
+from quadpi_core.models.axis_estimator import AxisEstimator, fit_of
+from quadpi_core.models.ensemble_kernel import CompiledEnsembles
+from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, FittedEnsemble
+from quadpi_core.models.interval_rules import AnyRule, FlightErrors, calibrate, flights_peak
+from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.training_table import Indices, Plan, Split, Table
+from quadpi_core.parallel import Progress, ReportProgress
 from quadpi_core.training.networks import Networks
 
 if TYPE_CHECKING:
     from quadpi_core.training.batches import Samples
-    from quadpi_core.training.train import Report, Schedule
+    from quadpi_core.training.train import Report, Schedule, TrainingState
 
 Calibration: TypeAlias = Literal["held-out", "none"]
 Self = TypeVar("Self", bound="Ensemble")
@@ -44,11 +48,10 @@ class Trained:
 
 
 @dataclass(eq=False)
-class Ensemble(ABC):
+class Ensemble(AxisEstimator):
     """Base of the ensembles: all but their losses, and what they make of the outputs of their members.
 
-    Works on plain arrays with the scikit-learn protocol (`fit`, `predict`, `score`, `get_params`,
-    `set_params`, fitted attributes with a trailing underscore). Training needs PyTorch, prediction does not.
+    Training needs PyTorch, prediction does not.
     Networks share their batches, so that all are trained at once: each takes its own samples of a batch.
 
     Args:
@@ -90,7 +93,7 @@ class Ensemble(ABC):
     seed: int = 0
     device: str = "cpu"
 
-    fitted_: AnyFitted = field(init=False, repr=False)
+    fitted_: FittedEnsemble = field(init=False, repr=False)
     held_out_: list[FlightErrors] | None = field(init=False, repr=False)
     rejected_: int = field(init=False, repr=False)
     n_features_in_: int = field(init=False, repr=False)
@@ -108,25 +111,6 @@ class Ensemble(ABC):
     def paper(cls: type[Self], inputs: Sequence[Regressor] | None = None, **changes: Any) -> Self:
         """The settings of the paper, for reproducing its tables."""
         return cls(inputs, **cls.PAPER | changes)
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002 - scikit-learn's signature
-        """Constructor arguments by name."""
-        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
-
-    def set_params(self: Self, **params: Any) -> Self:
-        """Change constructor arguments by name."""
-        known = self.get_params()
-        for name, value in params.items():
-            if name not in known:
-                raise ValueError(f"unknown parameter {name!r}; known: {', '.join(known)}")
-            setattr(self, name, value)
-        return self
-
-    def __sklearn_tags__(self) -> Any:
-        """What scikit-learn wants to know; only scikit-learn asks, so it is imported here."""
-        from sklearn.utils import RegressorTags, Tags, TargetTags
-
-        return Tags("regressor", TargetTags(required=True), regressor_tags=RegressorTags())
 
     def fit(
         self: Self, X: Array, y: Array, groups: npt.ArrayLike | None = None, report: Report | None = None
@@ -153,41 +137,13 @@ class Ensemble(ABC):
         fit_axes({"": self}, X, y[:, None], groups, report)
         return self
 
-    def predict(self, X: Array) -> Array:
-        """Predictions (N,): the centre of the interval.
+    def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
+        """Centre and spread (N,) for input vectors (N, 19), or for a table like that of the fit.
 
         Raises:
             ModelError: before `fit`, or naming the sample that is not finite.
         """
-        return self._centre_and_spread(X)[0]
-
-    def predict_interval(self, X: Array, confidence: float = 0.95) -> tuple[Array, Array]:
-        """Lower and upper bounds (N,), between which one new measurement lies with `confidence`.
-
-        Raises:
-            ModelError: for a confidence that the interval's rule cannot support.
-        """
-        centre, spread = self._centre_and_spread(X)
-        half = self.fitted_.rule.factor(confidence) * spread
-        return centre - half, centre + half
-
-    def score(self, X: Array, y: Array) -> float:
-        """Coefficient of determination R² of the predictions."""
-        residual = y - self.predict(X)
-        return float(1.0 - residual @ residual / np.sum((y - np.mean(y)) ** 2))
-
-    def held_out_coverage(self, confidence: float = 0.95) -> Array | None:
-        """Coverage (F,) of each flight by model and intervals of the others; None without calibration."""
-        if not hasattr(self, "fitted_"):
-            raise ModelError("the model is not fitted: call fit first")
-        rule = self.fitted_.rule
-        if not isinstance(rule, HeldOutRule) or self.held_out_ is None:
-            return None
-        return rule.held_out_coverage(self.held_out_, confidence)
-
-    def _centre_and_spread(self, X: Array) -> tuple[Array, Array]:
-        if not hasattr(self, "fitted_"):
-            raise ModelError("the model is not fitted: call fit first")
+        self.require_fitted()
         X = np.ascontiguousarray(X, dtype=float)
         if X.ndim != 2 or X.shape[1] != self.n_features_in_:
             raise ModelError(f"inputs have shape {X.shape}, expected (N, {self.n_features_in_})")
@@ -248,7 +204,7 @@ class Ensemble(ABC):
         """The rule of intervals that are not calibrated."""
 
     @abstractmethod
-    def _finish(self, **parts: Any) -> AnyFitted:
+    def _finish(self, **parts: Any) -> FittedEnsemble:
         """The fitted axis."""
 
 
@@ -364,3 +320,56 @@ def mean_over(predictions: npt.NDArray[np.float32], chosen: npt.NDArray[np.bool_
     with np.errstate(invalid="ignore"):
         mean: npt.NDArray[np.float32] = np.einsum("abn,bn->an", predictions, weights) / weights.sum(axis=0)
     return mean
+
+
+class EnsembleKind(Kind):
+    """What both kinds of ensemble have in common: the networks of all axes are trained together.
+
+    Attributes:
+        estimator: of one axis.
+    """
+
+    estimator: ClassVar[type[Ensemble]]
+    has_paper_settings = True
+
+    def check(self, options: IdentifyOptions, pools: Pools) -> None:
+        """Refuse candidates without inputs for networks, and what PyTorch cannot train on.
+
+        Raises:
+            ModelError: naming the axis, or what is missing.
+        """
+        super().check(options, pools)
+        for axis in AXES:
+            if axis in pools and not pools[axis].inputs:
+                raise ModelError(f"{axis}: the candidate file lists no `inputs` for networks")
+        require_training(options.device)
+
+    def configured(self, inputs: Sequence[Regressor], options: IdentifyOptions) -> Ensemble:
+        """The estimator of one axis, not yet fitted."""
+        make = self.estimator.paper if options.settings == "paper" else self.estimator
+        return make(inputs).set_params(seed=options.seed, device=options.device)
+
+    def fit(
+        self, samples: TrainingSamples, pools: Pools, options: IdentifyOptions, progress: ReportProgress
+    ) -> Fit:
+        """Train all axes as one batch, reported after each epoch."""
+        ensembles = {axis: self.configured(pool.inputs, options) for axis, pool in pools.items()}
+        targets = np.column_stack([samples.target(axis) for axis in pools])
+
+        def report(state: TrainingState) -> None:
+            progress(training_progress(state))
+
+        fit_axes(ensembles, samples.inputs, targets, samples.flight, report)
+        return fit_of(ensembles)
+
+    def compile(self, fitted: Mapping[str, Any]) -> CompiledEnsembles:
+        """Pack the axes."""
+        return CompiledEnsembles.pack(fitted)
+
+
+def training_progress(state: TrainingState) -> Progress:
+    """The progress of an identification after an epoch of training."""
+    note = f"loss {state.loss:.3g}"
+    if state.coverage is not None:
+        note += f" · coverage {state.coverage:.1%}"
+    return Progress(f"Training {state.stage}", state.epoch, state.epochs, "epochs", note)

@@ -22,7 +22,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven, Scaling
+from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.regressors import BASE_ROWS, Records, RegressorProgram, check_inputs, rows_kernel
 from quadpi_core.models.simd import LANES, element, filled, fused, load, rectified, store
@@ -43,7 +43,7 @@ _BANK = np.dtype(
     [("inputs", np.int64), ("units", np.int64), ("networks", np.int64), ("outputs", np.int64)], align=True
 )
 # One axis: its banks; scale of the target; least noise or spread, in the target's own unit; weight of the
-# members' deviation, `model_share` or `outward`; `rms_spread`.
+# members' disagreement; `rms_spread`.
 _AXIS = np.dtype(
     [
         ("banks", _BANK, (_BANKS,)),
@@ -77,7 +77,7 @@ class CompiledEnsembles:
     output: Array
 
     @classmethod
-    def pack(cls, ensembles: Mapping[str, AnyFitted]) -> CompiledEnsembles:
+    def pack(cls, ensembles: Mapping[str, FittedEnsemble]) -> CompiledEnsembles:
         """Pack the axes held.
 
         Raises:
@@ -110,9 +110,7 @@ class CompiledEnsembles:
             record = packed.axes[k]
             record["scale"] = ensemble.scaling.target_scale
             record["floor"] = ensemble.scaling.target_scale * ensemble.floor
-            record["share"] = (
-                ensemble.model_share if isinstance(ensemble, FittedBootstrap) else ensemble.outward
-            )
+            record["share"] = ensemble.deviation_weight
             record["rms_spread"] = ensemble.rms_spread
         return packed
 
@@ -138,13 +136,13 @@ class CompiledEnsembles:
         return Evaluation(out[0], out[1], out[2], out[3], out[4])
 
 
-def _banks(ensemble: AnyFitted) -> tuple[Networks, ...]:
+def _banks(ensemble: FittedEnsemble) -> tuple[Networks, ...]:
     """Members, and noise network if there is one, as the kernel takes them."""
     scaling = ensemble.scaling
     members = _prepared(ensemble.members, scaling, scaling.target_mean, scaling.target_scale)
-    if isinstance(ensemble, FittedQualityDriven):
+    if ensemble.noise_network is None:
         return (members,)
-    return members, _prepared(ensemble.noise, scaling, 0.0, 1.0)
+    return members, _prepared(ensemble.noise_network, scaling, 0.0, 1.0)
 
 
 def _prepared(networks: Networks, scaling: Scaling, mean: float, scale: float) -> Networks:

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,7 +22,7 @@ NOISE_FLOOR = 1e-3
 
 
 @dataclass(frozen=True)
-class FittedEnsemble:
+class FittedEnsemble(ABC):
     """What both kinds of ensemble have.
 
     Attributes:
@@ -53,6 +54,37 @@ class FittedEnsemble:
         size = self.members.hidden_weights.shape
         names = [f"column {k}" for k in range(size[2])] if self.inputs is None else map(str, self.inputs)
         return [f"{size[0]} networks of {size[1]} hidden units over", *names]
+
+    @property
+    @abstractmethod
+    def deviation_weight(self) -> float:
+        """Weight of the members' disagreement in the spread."""
+
+    @property
+    def noise_network(self) -> Networks | None:
+        """A network for the noise; None where the members themselves give the spread."""
+        return None
+
+    @abstractmethod
+    def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
+        """Centre and spread (N,) in numpy: the reference for the compiled kernels."""
+
+    @abstractmethod
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+
+    @classmethod
+    @abstractmethod
+    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedEnsemble:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives.
+        """
 
     def features(self, X: Array) -> Array:
         """Standardised inputs (N, D) of the networks from input vectors (N, 19), or from a table (N, D)."""
@@ -90,109 +122,6 @@ def read_common(data: dict[str, Any], members: Networks) -> dict[str, Any]:
         "rms_spread": rms_spread,
         "floor": floor,
     }
-
-
-@dataclass(frozen=True)
-class FittedBootstrap(FittedEnsemble):
-    """Members that predict the target, and one network that predicts the variance of the noise.
-
-    centre = mean of the members, spread² = model_share · their variance (B − 1) + noise² (van Beers and de
-    Visser, Eq. 18 to 20).
-
-    Attributes:
-        noise: one network; noise = softplus(output) + floor, as a share of the target's scale.
-        model_share: 1 in the paper; more in the default, for there are few members (see `BootstrapEnsemble`).
-    """
-
-    method: ClassVar[str] = "bootstrap"
-    noise: Networks
-    model_share: float
-
-    def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
-        """Centre and spread (N,) in numpy: the reference for the compiled kernels."""
-        features = self.features(X)
-        predictions = self.members.outputs(features)[:, :, 0]
-        noise = np.logaddexp(0.0, self.noise.outputs(features)[0, :, 0]) + self.floor
-        variance = self.model_share * predictions.var(axis=0, ddof=1) + noise**2
-        scale = self.scaling.target_scale
-        return self.scaling.target_mean + scale * predictions.mean(axis=0), scale * np.sqrt(variance)
-
-    def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps as arrays, by name."""
-        return self.members.arrays("members") | self.noise.arrays("noise")
-
-    def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps beside the arrays."""
-        return self._json() | {"model_share": self.model_share}
-
-    @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedBootstrap:
-        """Read what `to_json` and `arrays` gave.
-
-        Raises:
-            ModelError: for numbers that no fit gives.
-        """
-        members, noise = Networks.stored(arrays, "members"), Networks.stored(arrays, "noise")
-        common = read_common(data, members)
-        shapes = (members.output_biases.shape[1], noise.output_biases.shape, noise.hidden_weights.shape[2])
-        if shapes != (1, (1, 1), members.hidden_weights.shape[2]) or len(members) < 2:
-            raise ModelError("members and noise network do not fit together")
-        model_share = float(data["model_share"])
-        if not 0.0 < model_share < np.inf:
-            raise ModelError(f"model_share {model_share} is not positive")
-        return cls(**common, noise=noise, model_share=model_share)
-
-
-@dataclass(frozen=True)
-class FittedQualityDriven(FittedEnsemble):
-    """Members that predict a lower and an upper bound.
-
-    Each bound of the ensemble is the mean of the members', moved outward by `outward` standard deviations
-    (B − 1), for both the mean of the two bounds': a member astray on one side would else pull the middle
-    after it. Centre and spread are the middle of the two and half their distance, but no less than the floor.
-
-    Attributes:
-        outward: 1.96 with the standard deviation, 1.96/√B with the standard error of the mean.
-    """
-
-    method: ClassVar[str] = "quality-driven"
-    outward: float
-
-    def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
-        """Centre and spread (N,) in numpy: the reference for the compiled kernels."""
-        bounds = self.members.outputs(self.features(X))
-        mean, deviation = bounds.mean(axis=0), bounds.std(axis=0, ddof=1)
-        half = 0.5 * (mean[:, 1] - mean[:, 0]) + self.outward * deviation.mean(axis=1)
-        spread = np.maximum(np.abs(half), self.floor)
-        scale = self.scaling.target_scale
-        return self.scaling.target_mean + scale * mean.mean(axis=1), scale * spread
-
-    def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps as arrays, by name."""
-        return self.members.arrays("members")
-
-    def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps beside the arrays."""
-        return self._json() | {"outward": self.outward}
-
-    @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedQualityDriven:
-        """Read what `to_json` and `arrays` gave.
-
-        Raises:
-            ModelError: for numbers that no fit gives.
-        """
-        members = Networks.stored(arrays, "members")
-        common = read_common(data, members)
-        if members.output_biases.shape[1] != 2 or len(members) < 2:
-            raise ModelError("members do not give two bounds each")
-        outward = float(data["outward"])
-        if not 0.0 <= outward < np.inf:
-            raise ModelError(f"outward {outward} is negative or not finite")
-        return cls(**common, outward=outward)
-
-
-AnyFitted: TypeAlias = FittedBootstrap | FittedQualityDriven
 
 
 @dataclass(frozen=True)

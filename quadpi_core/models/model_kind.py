@@ -1,18 +1,37 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The methods that a model can be identified with, and what each has to provide."""
+"""What a kind of model is: how it is fitted, stored and evaluated, and how its results are shown.
+
+Each kind is one file of the folder `kinds`, or of a package that someone else installs (see
+:mod:`.kind_registry`). Nothing else in the code knows any of them by name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
+from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.interval_rules import AnyRule
+from quadpi_core.models.alarm_limits import RATE_PER_HOUR
+from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.interval_rules import AnyRule, FlightErrors
+from quadpi_core.models.selection import StopRule
+from quadpi_core.parallel import ReportProgress
+from quadpi_core.vehicle import Vehicle
+
+Settings: TypeAlias = Literal["default", "paper"]
+Pools: TypeAlias = Mapping[str, CandidatePool]
+
+# Cut-off of the low-pass over all signals [Hz], by settings. The default keeps the band in which rotor speeds
+# and measured moments are coherent (above about 25 Hz they are not, on two data sets).
+CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
 
 
 class Evaluation(NamedTuple):
@@ -20,7 +39,7 @@ class Evaluation(NamedTuple):
 
     Attributes:
         predicted, lower, upper: (N, 6) N and Nm, body forward-right-down.
-        leverage: (N, 6) h = z (ZᵀZ)⁻¹ zᵀ.
+        leverage: (N, 6) h = z (ZᵀZ)⁻¹ zᵀ; 0 for a kind without it.
         relative_width: (N, 6) interval width over its root mean square on the training flights.
     """
 
@@ -32,11 +51,12 @@ class Evaluation(NamedTuple):
 
 
 class FittedAxis(Protocol):
-    """One fitted axis: numbers that a compiled kernel can evaluate, and that can be stored.
+    """One fitted axis, a frozen dataclass: numbers that can be stored, and that a kernel evaluates.
 
-    Its interval is centre ± rule.factor(confidence) · spread (see `interval_rules`).
+    Its interval is centre ± rule.factor(confidence) · spread (see :mod:`.interval_rules`).
     """
 
+    __dataclass_fields__: ClassVar[dict[str, Any]]
     method: ClassVar[str]
 
     @property
@@ -53,12 +73,23 @@ class FittedAxis(Protocol):
     def to_json(self) -> dict[str, Any]:
         """What a stored model keeps beside the arrays."""
 
+    @classmethod
+    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedAxis:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives.
+        """
+
 
 class CompiledAxes(Protocol):
     """The fitted axes of a model packed for compiled evaluation."""
 
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
-        """Evaluate input vectors (N, 19) with what :func:`interval_factors` gave."""
+        """Evaluate input vectors (N, 19) with what :func:`interval_factors` gave.
+
+        The bits of a sample must not depend on the samples beside it: live they come one by one.
+        """
 
 
 def interval_factors(fitted: Mapping[str, FittedAxis], confidence: float) -> Array:
@@ -73,14 +104,148 @@ def interval_factors(fitted: Mapping[str, FittedAxis], confidence: float) -> Arr
     return factors
 
 
-@dataclass(frozen=True)
-class Method:
-    """How a method's axes are read from a stored model, and packed for evaluation.
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions:
+    """How a model is identified.
 
     Attributes:
-        stored: gives a fitted axis from what its `to_json` and `arrays` gave.
-        compile: packs the axes of a model, by name.
+        cutoff_hz: of the low-pass that the flights passed; kept with the model.
+        method: name of the kind of model.
+        settings: "paper" for the paper's rules.
+        stop: rule that ends the selection of terms, other than that of the settings.
+        confidence: nominal coverage that the monitor will use.
+        seed: of random numbers, where the kind takes any.
+        device: that trains networks, "cpu" or "cuda".
+        false_alarms_per_hour: rate that the limits of the alarm are calibrated to, on held-out flights.
     """
 
-    stored: Callable[[dict[str, Any], dict[str, Array]], FittedAxis]
-    compile: Callable[[Mapping[str, Any]], CompiledAxes]
+    cutoff_hz: float = CUTOFF_HZ["default"]
+    method: str = "polynomial"
+    settings: Settings = "default"
+    stop: StopRule | None = None
+    confidence: float = 0.95
+    seed: int = 0
+    device: str = "cpu"
+    false_alarms_per_hour: float = RATE_PER_HOUR
+
+
+@dataclass(frozen=True)
+class TrainingSamples:
+    """Samples of all flights that a model is fitted to.
+
+    Attributes:
+        vehicle: that flew.
+        time: (N,) s, rises within a flight.
+        inputs: (N, 19) input vectors, columns as `quadpi_core.inputs.INPUT_NAMES`.
+        wrench: (N, 6) measured, N and Nm.
+        flight: (N,) number of the flight, from 0; samples of a flight lie together.
+    """
+
+    vehicle: Vehicle
+    time: Array
+    inputs: Array
+    wrench: Array
+    flight: npt.NDArray[np.int64]
+
+    def target(self, axis: str) -> Array:
+        """Measured force or moment (N,) of one axis."""
+        return self.wrench[:, AXES.index(axis)]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit gives, by axis.
+
+    Attributes:
+        axes: the fitted axes.
+        held_out: errors on each flight, in order, of a model fitted without it; empty where the intervals are
+            not calibrated on flights. Of a flight they may be every k-th sample.
+        log: the steps of a selection of terms, see `kinds.polynomial`; empty for a kind that selects none.
+    """
+
+    axes: Mapping[str, FittedAxis]
+    held_out: Mapping[str, list[FlightErrors]] = field(default_factory=dict)
+    log: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StoredAxes:
+    """What a model folder keeps of the fitted axes.
+
+    Attributes:
+        entries: plain numbers and text, by axis.
+        arrays: by name, such as "Fx.coefficients".
+        files: content of further files of the folder, by name, such as a table for people.
+    """
+
+    entries: Mapping[str, Mapping[str, Any]]
+    arrays: Mapping[str, Array]
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+
+class Kind(ABC):
+    """A kind of model.
+
+    Attributes:
+        name: as in `--method` and in a stored model.
+        label: in headings of pages, such as "bootstrap ensemble".
+        colour: in figures, #rrggbb; empty for one that is left.
+        normal_errors: whether an interval is that of a normal distribution, so that CRPS is defined.
+        has_stop_rules: whether it selects terms until a rule says stop.
+        has_paper_settings: whether it can be fitted by the paper's rules.
+        axis_type: of the fitted axes.
+    """
+
+    name: ClassVar[str]
+    label: ClassVar[str]
+    colour: ClassVar[str] = ""
+    normal_errors: ClassVar[bool] = False
+    has_stop_rules: ClassVar[bool] = False
+    has_paper_settings: ClassVar[bool] = False
+    axis_type: ClassVar[type[FittedAxis]]
+
+    def check(self, options: IdentifyOptions, pools: Pools) -> None:  # noqa: ARG002 - for kinds that need more of them
+        """Refuse options that no flights can satisfy; cheap, so that it can come before flights are read.
+
+        Raises:
+            ModelError: saying what this kind does not have.
+        """
+        if options.stop is not None and not self.has_stop_rules:
+            raise ModelError(f"a stop rule is for polynomials: the {self.name} method has none")
+        if options.settings == "paper" and not self.has_paper_settings:
+            raise ModelError(f"the paper knows no {self.name} method: it has no settings paper")
+
+    @abstractmethod
+    def fit(
+        self, samples: TrainingSamples, pools: Pools, options: IdentifyOptions, progress: ReportProgress
+    ) -> Fit:
+        """Fit the axes of `pools`, each by itself or all together.
+
+        Raises:
+            ModelError: naming the axis, for what cannot be identified.
+        """
+
+    @abstractmethod
+    def compile(self, fitted: Mapping[str, Any]) -> CompiledAxes:
+        """Pack the fitted axes of a model for evaluation."""
+
+    def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
+        """What a model folder keeps; unless overridden, each axis by itself."""
+        return StoredAxes(
+            {axis: own.to_json() for axis, own in fitted.items()},
+            {f"{axis}.{name}": a for axis, own in fitted.items() for name, a in own.arrays().items()},
+        )
+
+    def read(self, stored: StoredAxes) -> dict[str, FittedAxis]:
+        """The fitted axes of what :meth:`store` gave.
+
+        Raises:
+            ModelError: naming the axis, for numbers that no fit gives.
+        """
+        fitted = {}
+        for axis, entry in stored.entries.items():
+            start = f"{axis}."
+            own = {n.removeprefix(start): a for n, a in stored.arrays.items() if n.startswith(start)}
+            with named_in(axis):
+                fitted[axis] = self.axis_type.stored(dict(entry), own)
+        return fitted

@@ -12,10 +12,11 @@ from pathlib import Path
 
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.errors import ModelError
-from quadpi_core.identification.identify import IdentifyOptions, identify
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.paths import write_json
 from quadpi_core.vehicle import Vehicle

@@ -18,10 +18,10 @@ from pathlib import Path
 from quadpi_core.evaluation.compare import ComparisonCase
 from quadpi_core.evaluation.evaluation_result import PublishedMetrics
 from quadpi_core.flight import Flight
-from quadpi_core.identification.identify import CUTOFF_HZ, IdentifyOptions, MethodName, Settings
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions, Settings
 from quadpi_core.paper.model_cache import ModelCache
 from quadpi_core.paper.realisations import noise_seed
 from quadpi_core.paper.validation_case import ValidationCase, flight_hash, simulated_flights
@@ -34,9 +34,6 @@ from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise, contaminate
 from quadpi_core.simulation.truth import LOG_HZ
 from quadpi_core.vehicle import Vehicle
-
-# In the order of the paper's tables.
-METHODS: tuple[MethodName, ...] = ("bootstrap", "quality-driven", "polynomial")
 
 TRAINING, VALIDATION, CANDIDATES = "training", "validation", "bebop2_simulation"
 # The paper does not filter its simulated flights: a cut-off at half the sample rate leaves them as they are.
@@ -83,6 +80,27 @@ My polynomial      97.15 97.31  98.92 0.02 0.02 0.02
 """
 
 
+def _rows(table: str) -> Iterator[tuple[str, str, list[float], list[float]]]:
+    """Method, axis, three coverages as fractions and three widths of each line."""
+    for line in table.split("\n")[1:-1]:
+        axis, method, *cells = line.split()
+        yield (
+            method,
+            axis,
+            [_fraction(float(cell)) for cell in cells[:3]],
+            [float(cell) for cell in cells[3:]],
+        )
+
+
+def _fraction(percent: float) -> float:
+    """Rounded to the digits that the paper states."""
+    return round(percent / 100.0, 4)
+
+
+# In the order of the tables.
+METHODS = tuple(dict.fromkeys(method for method, *_ in _rows(_TUNNEL_TABLE)))
+
+
 def published_tables() -> dict[str, dict[str, PublishedAxis]]:
     """What the paper found under noise, by method and axis."""
     tables: dict[str, dict[str, PublishedAxis]] = {method: {} for method in METHODS}
@@ -106,23 +124,6 @@ def published_table() -> dict[str, dict[str, dict[str, PublishedMetrics]]]:
     return table
 
 
-def _rows(table: str) -> Iterator[tuple[str, str, list[float], list[float]]]:
-    """Method, axis, three coverages as fractions and three widths of each line."""
-    for line in table.split("\n")[1:-1]:
-        axis, method, *cells = line.split()
-        yield (
-            method,
-            axis,
-            [_fraction(float(cell)) for cell in cells[:3]],
-            [float(cell) for cell in cells[3:]],
-        )
-
-
-def _fraction(percent: float) -> float:
-    """Rounded to the digits that the paper states."""
-    return round(percent / 100.0, 4)
-
-
 @dataclass(frozen=True)
 class PublishedCase:
     """The paper's validation, and the noisy flights that its models were identified on."""
@@ -133,7 +134,7 @@ class PublishedCase:
 
 def published_case(
     *,
-    methods: Sequence[MethodName] = METHODS,
+    methods: Sequence[str] = METHODS,
     settings: Settings = "paper",
     noise: str = "paper",
     confidence: float = 0.95,
@@ -188,7 +189,7 @@ def _noisy(clean: Flight, vehicle: Vehicle, noise: StateNoise, seed: int) -> Pre
 
 def wind_tunnel(
     *,
-    methods: Sequence[MethodName] = METHODS,
+    methods: Sequence[str] = METHODS,
     confidence: float = 0.95,
     device: str = "cpu",
     folder: Path | None = None,

@@ -295,7 +295,7 @@ def _terms(model: AerodynamicModel) -> dict[str, Table | str]:
         if log := model.selection[axis]:
             terms[f"{axis}: {len(names)} terms"] = selection_table(log)
         else:
-            terms[f"{axis}: {model.method} ensemble"] = ", ".join(names)
+            terms[f"{axis}: {model.kind.label}"] = ", ".join(names)
     return terms
 
 

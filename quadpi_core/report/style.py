@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from itertools import cycle
 from typing import Any
 
+from quadpi_core.models.kind_registry import kind_named, kind_names
+
 MEASURED = "#7a7f87"
 GROUPS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LEVELS = {"ok": "#009E73", "warning": "#E69F00", "alarm": "#D55E00"}
-# As in the paper; other models take the colours that are left.
-METHODS = {"polynomial": "#D55E00", "bootstrap": "#56B4E9", "quality-driven": "#0072B2"}
 PREDICTED = "#CC79A7"
 INK = "#1f2933"
 RULE = "#e4e7eb"
@@ -48,11 +48,13 @@ def group_colours(groups: Iterable[str]) -> dict[str, str]:
 
 
 def method_colours(names: Iterable[str]) -> dict[str, str]:
-    """A colour per model, by method where it is named after one; colours come again when all are taken."""
+    """A colour per model, that of its kind where it is named after one; the others share what is left."""
     distinct = dict.fromkeys(names)
-    taken = {PREDICTED, *(METHODS[name] for name in distinct if name in METHODS)}
+    known = kind_names()
+    own = {name: kind_named(name).colour for name in distinct if name in known}
+    taken = {PREDICTED, *own.values()}
     left = cycle(colour for colour in GROUPS if colour not in taken)
-    return {name: METHODS.get(name) or next(left) for name in distinct}
+    return {name: own.get(name) or next(left) for name in distinct}
 
 
 def translucent(colour: str, opacity: float) -> str:

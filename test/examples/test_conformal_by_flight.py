@@ -10,7 +10,7 @@ import pytest
 from examples.conformal_by_flight import ConformalByFlight, main
 from quadpi_core.errors import ModelError
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.polynomial import StepwisePolynomial
+from quadpi_core.models.kinds.polynomial import StepwisePolynomial
 
 SAMPLES = 150
 

@@ -15,12 +15,14 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.errors import QuadpiError
 from quadpi_core.estimator.filter_state import EstimatorStatus
 from quadpi_core.flight import OdometryStream, WindStream
-from quadpi_core.identification.identify import IdentifyOptions, identify
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.kind_registry import own_kind_names
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.failures import Fault
@@ -61,7 +63,7 @@ def model(bags, pool, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="session", params=METHODS)
+@pytest.fixture(scope="session", params=own_kind_names())
 def each_model(request, model, bags, tmp_path_factory):
     """The folder of a good model of each method; ensembles have random weights."""
     if request.param == "polynomial":

@@ -11,19 +11,20 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import OdometryStream
-from quadpi_core.identification.identify import IdentifyOptions, identify
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models.aerodynamic import METHODS
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.kind_registry import own_kind_names
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.vehicle import Vehicle
 from test.conftest import run_without_torch
 
-ENSEMBLES = [method for method in METHODS if method != "polynomial"]
+ENSEMBLES = [method for method in own_kind_names() if method != "polynomial"]
 
 
-@pytest.fixture(params=METHODS)
+@pytest.fixture(params=own_kind_names())
 def method(request):
     """Each method that can be identified here."""
     if request.param in ENSEMBLES:

@@ -10,7 +10,7 @@ from functools import cache
 import pytest
 
 from quadpi_core.estimator.fusion import fuse_airborne
-from quadpi_core.identification.identify import CUTOFF_HZ
+from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario, parse_effects

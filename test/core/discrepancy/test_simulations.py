@@ -23,11 +23,12 @@ from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError, VehicleError
 from quadpi_core.estimator.fusion import fuse, fuse_airborne
 from quadpi_core.flight import WrenchStream
-from quadpi_core.identification.identify import IdentifyOptions, identify
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects

@@ -14,11 +14,12 @@ from quadpi_core.errors import LogError, ModelError
 from quadpi_core.estimator.fusion import airborne, fuse
 from quadpi_core.evaluation.evaluate import judge, predict_flight
 from quadpi_core.flight import AXES
-from quadpi_core.identification.identify import IdentifyOptions, identify
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.candidate_pool import CandidatePool, load_pools
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.vehicle import Vehicle
 

@@ -10,19 +10,20 @@ import pytest
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.frames import Array
-from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel, TrainingFlight
+from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_ensemble import AnyFitted
+from quadpi_core.models.fitted_ensemble import FittedEnsemble
+from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "neurobem"
 METHOD_NAMES = ("bootstrap", "quality-driven")
 
 
-def model_of(fitted: dict[str, AnyFitted], X: Array) -> AerodynamicModel:
+def model_of(fitted: dict[str, FittedEnsemble], X: Array) -> AerodynamicModel:
     """A model of axes that were fitted to X (N, 19)."""
     method = next(iter(fitted.values())).method
-    evidence = METHODS[method].compile(fitted).evaluate(X, np.ones(6))
+    evidence = kind_named(method).compile(fitted).evaluate(X, np.ones(6))
     return AerodynamicModel(
         name="model",
         vehicle=VEHICLE,
@@ -46,11 +47,11 @@ def input_vectors() -> Array:
 
 
 @pytest.fixture(scope="session", params=METHOD_NAMES)
-def fitted(request: pytest.FixtureRequest, X: Array) -> dict[str, AnyFitted]:
+def fitted(request: pytest.FixtureRequest, X: Array) -> dict[str, FittedEnsemble]:
     """All six axes by each method."""
     return random_ensembles(request.param, X, simulation_inputs())
 
 
 @pytest.fixture(scope="session")
-def model(fitted: dict[str, AnyFitted], X: Array) -> AerodynamicModel:
+def model(fitted: dict[str, FittedEnsemble], X: Array) -> AerodynamicModel:
     return model_of(fitted, X)

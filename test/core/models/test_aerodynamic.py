@@ -18,9 +18,9 @@ from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.candidate_pool import CandidatePool, load_pools
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.kinds.polynomial import StepwisePolynomial
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.models.model_kind import Evaluation
-from quadpi_core.models.polynomial import StepwisePolynomial
 from quadpi_core.vehicle import Vehicle
 
 POOLS = {

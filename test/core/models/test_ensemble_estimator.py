@@ -12,8 +12,9 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_estimator import Ensemble, fit_axes
-from quadpi_core.models.ensembles import BootstrapEnsemble, QualityDrivenEnsemble
 from quadpi_core.models.interval_rules import HeldOutRule, NormalRule, TrainedRule
+from quadpi_core.models.kinds.bootstrap import BootstrapEnsemble
+from quadpi_core.models.kinds.quality_driven import QualityDrivenEnsemble
 from quadpi_core.models.training_table import Plan
 
 pytest.importorskip("torch")

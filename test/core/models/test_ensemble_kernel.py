@@ -13,8 +13,9 @@ from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
-from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap
+from quadpi_core.models.fitted_ensemble import FittedEnsemble
 from quadpi_core.models.interval_rules import NormalRule, TrainedRule
+from quadpi_core.models.kinds.bootstrap import FittedBootstrap
 from quadpi_core.models.model_kind import Evaluation, interval_factors
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.training.networks import Networks
@@ -22,12 +23,12 @@ from quadpi_core.training.networks import Networks
 REGRESSORS = tuple(map(Regressor.parse, ("u", "|v|", "mu_z^2", "omega_avg*q", "U_r - U_q", "cos_theta")))
 
 
-def evaluate(fitted: dict[str, AnyFitted], X: Array, confidence: float = 0.95) -> Evaluation:
+def evaluate(fitted: dict[str, FittedEnsemble], X: Array, confidence: float = 0.95) -> Evaluation:
     compiled = CompiledEnsembles.pack(fitted)
     return compiled.evaluate(X, interval_factors(fitted, confidence))
 
 
-def assert_equals_reference(fitted: dict[str, AnyFitted], X: Array) -> None:
+def assert_equals_reference(fitted: dict[str, FittedEnsemble], X: Array) -> None:
     evaluation = evaluate(fitted, X)
     factor = NormalRule().factor(0.95)
     for axis, ensemble in fitted.items():
@@ -51,7 +52,7 @@ def assert_same(one: Evaluation, other: Evaluation) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_equals_numpy(fitted: dict[str, AnyFitted], X: Array) -> None:
+def test_equals_numpy(fitted: dict[str, FittedEnsemble], X: Array) -> None:
     assert_equals_reference(fitted, X)
 
 
@@ -68,7 +69,7 @@ def test_axes_need_not_be_of_one_size(method: str, X: Array) -> None:
         assert np.all(getattr(evaluation, name)[:, [0, 4]] == 0.0)
 
 
-def test_equals_torch(fitted: dict[str, AnyFitted], X: Array) -> None:
+def test_equals_torch(fitted: dict[str, FittedEnsemble], X: Array) -> None:
     """Prediction and bounds from members that are torch networks of double precision, one each."""
     torch = pytest.importorskip("torch")
     evaluation = evaluate(fitted, X)
@@ -114,7 +115,9 @@ def test_equals_torch(fitted: dict[str, AnyFitted], X: Array) -> None:
 
 
 @pytest.mark.parametrize("block", [1, 2, 15, 16, 17, 255, 256, 257])
-def test_blocks_give_the_same_bits_as_the_whole(fitted: dict[str, AnyFitted], X: Array, block: int) -> None:
+def test_blocks_give_the_same_bits_as_the_whole(
+    fitted: dict[str, FittedEnsemble], X: Array, block: int
+) -> None:
     compiled = CompiledEnsembles.pack(fitted)
     factors = interval_factors(fitted, 0.95)
     parts = [compiled.evaluate(X[start : start + block], factors) for start in range(0, len(X), block)]
@@ -127,7 +130,7 @@ def test_blocks_give_the_same_bits_as_the_whole(fitted: dict[str, AnyFitted], X:
 @pytest.mark.parametrize("broken", [np.nan, np.inf])
 @pytest.mark.parametrize("samples", [1, 40])
 def test_what_is_not_finite_shows_and_stays_where_it_is(
-    fitted: dict[str, AnyFitted], X: Array, broken: float, samples: int
+    fitted: dict[str, FittedEnsemble], X: Array, broken: float, samples: int
 ) -> None:
     inputs = X[:samples].copy()
     inputs[samples // 2] = broken
@@ -157,11 +160,11 @@ def test_extreme_noise_is_finite(X: Array, output: float) -> None:
     assert_equals_reference({"Fx": replace(ensemble, noise=noise)}, X)
 
 
-def test_samples_of_no_number_give_none(fitted: dict[str, AnyFitted], X: Array) -> None:
+def test_samples_of_no_number_give_none(fitted: dict[str, FittedEnsemble], X: Array) -> None:
     assert evaluate(fitted, X[:0]).predicted.shape == (0, 6)
 
 
-def test_inputs_of_another_shape_are_refused(fitted: dict[str, AnyFitted], X: Array) -> None:
+def test_inputs_of_another_shape_are_refused(fitted: dict[str, FittedEnsemble], X: Array) -> None:
     with pytest.raises(ModelError, match="shape"):
         evaluate(fitted, X[:, :18])
 

@@ -17,8 +17,10 @@ from safetensors.numpy import load_file, save_file
 from benchmarks.random_ensembles import random_ensemble
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel
-from quadpi_core.models.fitted_ensemble import AnyFitted, FittedBootstrap, FittedQualityDriven, Scaling
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
+from quadpi_core.models.kinds.bootstrap import FittedBootstrap
+from quadpi_core.models.kinds.quality_driven import FittedQualityDriven
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.regressors import Regressor
@@ -29,7 +31,7 @@ KINDS = {"bootstrap": FittedBootstrap, "quality-driven": FittedQualityDriven}
 
 
 @pytest.fixture(params=KINDS)
-def ensemble(request: pytest.FixtureRequest, X: Array) -> AnyFitted:
+def ensemble(request: pytest.FixtureRequest, X: Array) -> FittedEnsemble:
     return random_ensemble(request.param, X, REGRESSORS, members=4, units=5)
 
 
@@ -90,12 +92,12 @@ def test_bounds_that_cross_or_meet_still_hold_an_interval(X: Array, distance: fl
     np.testing.assert_allclose(spread, 0.3 * max(0.5 * abs(distance), ensemble.floor))
 
 
-def test_says_what_it_is_made_of(ensemble: AnyFitted) -> None:
+def test_says_what_it_is_made_of(ensemble: FittedEnsemble) -> None:
     assert ensemble.terms == ["4 networks of 5 hidden units over", *map(str, REGRESSORS)]
     assert replace(ensemble, inputs=None).terms[1:] == ["column 0", "column 1"]
 
 
-def test_takes_a_table_as_it_is(ensemble: AnyFitted, X: Array) -> None:
+def test_takes_a_table_as_it_is(ensemble: FittedEnsemble, X: Array) -> None:
     table = np.column_stack((X[:, 0], np.abs(X[:, 1]) * X[:, 2]))
     for of_table, of_inputs in zip(
         replace(ensemble, inputs=None).centre_and_spread(table), ensemble.centre_and_spread(X), strict=True
@@ -103,9 +105,9 @@ def test_takes_a_table_as_it_is(ensemble: AnyFitted, X: Array) -> None:
         np.testing.assert_allclose(of_table, of_inputs, rtol=1e-12)
 
 
-def test_stored_numbers_are_the_same(ensemble: AnyFitted, X: Array) -> None:
+def test_stored_numbers_are_the_same(ensemble: FittedEnsemble, X: Array) -> None:
     data = json.loads(json.dumps(ensemble.to_json()))
-    again = METHODS[ensemble.method].stored(data, ensemble.arrays())
+    again = type(ensemble).stored(data, ensemble.arrays())
     assert type(again) is type(ensemble)
     for one, other in zip(again.centre_and_spread(X), ensemble.centre_and_spread(X), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -123,7 +125,7 @@ def test_stored_numbers_are_the_same(ensemble: AnyFitted, X: Array) -> None:
         {"rule": {"kind": "magic"}},
     ],
 )
-def test_numbers_that_no_fit_gives_are_refused(ensemble: AnyFitted, changes: dict[str, Any]) -> None:
+def test_numbers_that_no_fit_gives_are_refused(ensemble: FittedEnsemble, changes: dict[str, Any]) -> None:
     with pytest.raises(ModelError):
         type(ensemble).stored(ensemble.to_json() | changes, ensemble.arrays())
 
@@ -154,7 +156,7 @@ def test_members_of_the_other_kind_are_refused(X: Array) -> None:
         FittedQualityDriven.stored(bounds.to_json(), bootstrap.arrays())
 
 
-def test_a_single_member_has_no_deviation(ensemble: AnyFitted) -> None:
+def test_a_single_member_has_no_deviation(ensemble: FittedEnsemble) -> None:
     single = replace(ensemble, members=ensemble.members[:1])
     with pytest.raises(ModelError):
         type(ensemble).stored(single.to_json(), single.arrays())

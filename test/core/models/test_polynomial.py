@@ -14,7 +14,7 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.polynomial import StepwisePolynomial
+from quadpi_core.models.kinds.polynomial import StepwisePolynomial
 from quadpi_core.models.regressors import RegressorProgram
 
 POOL = CandidatePool.parse(["u"], ["P^3(u, v, w)"])

@@ -14,11 +14,12 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.aerodynamic import METHODS, AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_polynomial import FittedPolynomial
 from quadpi_core.models.interval_rules import ResidualRule
+from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import FittedAxis
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.models.spread import SpreadShape
@@ -106,8 +107,8 @@ def each_model(request, model, vehicle, training_inputs) -> AerodynamicModel:
 
 
 def model_of(fitted: Mapping[str, FittedAxis], vehicle: Vehicle, inputs: Array) -> AerodynamicModel:
-    method = METHODS[next(iter(fitted.values())).method]
-    evidence = method.compile(fitted).evaluate(inputs, np.ones(len(AXES)))
+    kind = kind_named(next(iter(fitted.values())).method)
+    evidence = kind.compile(fitted).evaluate(inputs, np.ones(len(AXES)))
     return AerodynamicModel(
         name="swings",
         vehicle=vehicle.name,

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import Flight
-from quadpi_core.identification.identify import IdentifyOptions, identify
+from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import flight_inputs
 from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paper.validation_case import ValidationCase, simulated_flights
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.scenario import load_scenario

@@ -32,6 +32,6 @@ def test_models_are_kept_when_only_the_presentation_changes(name, copied):
     assert fingerprint_with_a_comment_in(copied / name) == code_fingerprint()
 
 
-@pytest.mark.parametrize("name", ["models/polynomial.py", "identification/identify.py"])
+@pytest.mark.parametrize("name", ["models/kinds/polynomial.py", "identification/identify.py"])
 def test_models_are_identified_again_when_the_mathematics_change(name, copied):
     assert fingerprint_with_a_comment_in(copied / name) != code_fingerprint()

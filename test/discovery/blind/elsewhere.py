@@ -19,7 +19,7 @@ from quadpi_core.discrepancy import CallableSimulation
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.identification.identify import CUTOFF_HZ
+from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import START_NS

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The two ensembles of the paper: bootstrap and quality-driven. Their common part is :class:`Ensemble`."""
+"""Bootstrap ensembles: members trained on different subsets, and a network for the noise."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -12,19 +12,79 @@ import numpy.typing as npt
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
-from quadpi_core.models.ensemble_estimator import Ensemble, Trained, mean_over
-from quadpi_core.models.fitted_ensemble import FittedBootstrap, FittedQualityDriven
-from quadpi_core.models.interval_rules import AnyRule, NormalRule, TrainedRule
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Trained, mean_over
+from quadpi_core.models.fitted_ensemble import FittedEnsemble, read_common
+from quadpi_core.models.interval_rules import AnyRule, NormalRule
 from quadpi_core.models.training_table import Plan, Table
+from quadpi_core.training.networks import Networks
 
 if TYPE_CHECKING:
-    from quadpi_core.training.losses import QualityDrivenForm
     from quadpi_core.training.train import Report, Training
 
 NoiseTarget: TypeAlias = Literal["error", "excess"]
-Aggregation: TypeAlias = Literal["sd", "sem"]
-# Of the normal distribution, for bounds of 95 %.
-_QUANTILE = float(norm.ppf(0.975))
+
+
+@dataclass(frozen=True)
+class FittedBootstrap(FittedEnsemble):
+    """Members that predict the target, and one network that predicts the variance of the noise.
+
+    centre = mean of the members, spread² = model_share · their variance (B − 1) + noise² (van Beers and de
+    Visser, Eq. 18 to 20).
+
+    Attributes:
+        noise: one network; noise = softplus(output) + floor, as a share of the target's scale.
+        model_share: 1 in the paper; more in the default, for there are few members (see `BootstrapEnsemble`).
+    """
+
+    method: ClassVar[str] = "bootstrap"
+    noise: Networks
+    model_share: float
+
+    def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
+        """Centre and spread (N,) in numpy: the reference for the compiled kernels."""
+        features = self.features(X)
+        predictions = self.members.outputs(features)[:, :, 0]
+        noise = np.logaddexp(0.0, self.noise.outputs(features)[0, :, 0]) + self.floor
+        variance = self.model_share * predictions.var(axis=0, ddof=1) + noise**2
+        scale = self.scaling.target_scale
+        return self.scaling.target_mean + scale * predictions.mean(axis=0), scale * np.sqrt(variance)
+
+    @property
+    def deviation_weight(self) -> float:
+        """Of the members' variance."""
+        return self.model_share
+
+    @property
+    def noise_network(self) -> Networks | None:
+        """That of the noise."""
+        return self.noise
+
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+        return self.members.arrays("members") | self.noise.arrays("noise")
+
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+        return self._json() | {"model_share": self.model_share}
+
+    @classmethod
+    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedBootstrap:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives.
+        """
+        members, noise = Networks.stored(arrays, "members"), Networks.stored(arrays, "noise")
+        common = read_common(data, members)
+        shapes = (members.output_biases.shape[1], noise.output_biases.shape, noise.hidden_weights.shape[2])
+        if shapes != (1, (1, 1), members.hidden_weights.shape[2]) or len(members) < 2:
+            raise ModelError("members and noise network do not fit together")
+        model_share = float(data["model_share"])
+        if not 0.0 < model_share < np.inf:
+            raise ModelError(f"model_share {model_share} is not positive")
+        return cls(**common, noise=noise, model_share=model_share)
 
 
 @dataclass(eq=False)
@@ -143,89 +203,15 @@ class BootstrapEnsemble(Ensemble):
         return FittedBootstrap(**parts)
 
 
-@dataclass(eq=False)
-class QualityDrivenEnsemble(Ensemble):
-    """Members trained to give a lower and an upper bound that cover the target and are narrow.
+class Bootstrap(EnsembleKind):
+    """Each axis a bootstrap ensemble."""
 
-    The paper's settings are given by :meth:`paper`, aggregated as the code of Pearce does. The defaults
-    deviate:
+    name = FittedBootstrap.method
+    label = "bootstrap ensemble"
+    colour = "#56B4E9"  # as in the paper
+    normal_errors = True
+    axis_type = FittedBootstrap
+    estimator = BootstrapEnsemble
 
-    - members start as trained regressors, with bounds at 1.96 times their error: from random weights, the
-      loss has a gradient only at samples beside a bound, and the middle stays far from the target;
-    - bounds that cross are penalised;
-    - a member leaves out whole flights instead of single samples, whose neighbours in time it would have
-      seen; with too few flights, contiguous parts. It keeps the weights of the epoch with the best interval
-      score on them. The ensemble's half distance is at least 1.96 times the typical offset of a whole flight;
-    - intervals are calibrated on flights left out in turn, with ensembles of their own, for any confidence.
 
-    Args:
-        warm_up: epochs as regressors, before `epochs` with the quality-driven loss.
-        confidence: that the bounds are trained for.
-        form, factor, softening, crossing: of the loss, see
-            :class:`~quadpi_core.training.losses.QualityDriven`; factor is its λ.
-        aggregation: the members' bounds are moved outward by 1.96 standard deviations, "sd", or standard
-            errors of the mean, "sem".
-
-    The other arguments are those of :class:`.ensemble_estimator.Ensemble`.
-    """
-
-    warm_up: int = 25
-    confidence: float = 0.95
-    form: QualityDrivenForm = "sqrt-n"
-    factor: float = 15.0
-    softening: float = 160.0
-    crossing: float = 10.0
-    aggregation: Aggregation = "sd"
-
-    PAPER: ClassVar[dict[str, Any]] = Ensemble.PAPER | {
-        "warm_up": 0,
-        "form": "paper",
-        "factor": 1.0,
-        "crossing": 0.0,
-        "aggregation": "sem",
-    }
-
-    @property
-    def _outward(self) -> float:
-        return _QUANTILE / (float(np.sqrt(self.members)) if self.aggregation == "sem" else 1.0)
-
-    def _train(self, table: Table, plan: Plan, report: Report | None) -> Trained:
-        from quadpi_core.training.losses import QualityDriven, SquaredError
-        from quadpi_core.training.train import train
-
-        samples = self._samples(table, plan)
-        schedule = self._schedule()
-        start = None
-        if self.warm_up:
-            start = train(samples, SquaredError(), replace(schedule, epochs=self.warm_up), "warm-up", report)
-        loss = QualityDriven(
-            self.confidence, self.batch, self.form, self.factor, self.softening, self.crossing
-        )
-        members = train(samples, loss, schedule, "bounds", report, start)
-        outcomes = [self._outcome(members, table, plan, k) for k in range(len(plan))]
-        centre, half, errors = (np.stack(parts) for parts in zip(*outcomes, strict=True))
-        floors = _QUANTILE * self._floors(table, plan, errors)
-        parts = [
-            {"members": own[plan.networks(0)], "outward": self._outward, "floor": float(floors[0, axis])}
-            for axis, own in enumerate(members.networks())
-        ]
-        return Trained(parts, centre, np.maximum(half, floors[..., None]))
-
-    def _outcome(
-        self, members: Training, table: Table, plan: Plan, ensemble: int
-    ) -> tuple[npt.NDArray[np.float32], ...]:
-        """Middle, half distance and errors (A, N) of an ensemble's bounds.
-
-        Errors are those of the members that left a sample out; NaN where there is none.
-        """
-        bounds = members.predictions(plan.networks(ensemble))
-        mean, deviation = bounds.mean(axis=1), bounds.std(axis=1, ddof=1)
-        half = 0.5 * (mean[:, 1] - mean[:, 0]) + self._outward * deviation.mean(axis=1)
-        errors = table.targets - mean_over(bounds.mean(axis=2), plan.unseen(ensemble))
-        return mean.mean(axis=1), np.abs(half), errors
-
-    def _uncalibrated(self) -> AnyRule:
-        return TrainedRule(self.confidence)
-
-    def _finish(self, **parts: Any) -> FittedQualityDriven:
-        return FittedQualityDriven(**parts)
+KIND = Bootstrap()
