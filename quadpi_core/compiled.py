@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled kernels: numba's `njit`, with a cache on disk that a change of all that a kernel rests on renews.
+"""Compiled kernels: numba's `njit`, with a cache on disk that is renewed when anything a kernel uses changes.
 
-Numba renews a cached kernel when the kernel's own file changes, not when another file does whose kernels or
-constants it uses. So each file with kernels has a cache folder of its own, named after the content of the
-file and of all files of this package that it imports, directly or through others. Files that
-:func:`modules_in` imports count.
+Numba renews a cached kernel when the kernel's own file changes, but not when another file changes whose
+kernels or constants it uses. So each file with kernels has a cache folder of its own, named after the content
+of the file and of the files that it imports, directly or through others: those of this package, of the file's
+own package or folder, and of any package with kernels, and what :func:`modules_in` imports.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from __future__ import annotations
 import atexit
 import functools
 import hashlib
-import importlib
+import importlib.util
 import os
 import re
 import shutil
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -36,11 +37,10 @@ _compiling = threading.RLock()
 
 _KEEP_DAYS = 30.0
 _PACKAGE = Path(__file__).resolve().parent
-# Imports in a function or for type checking alone are indented: no kernel rests on them.
-_IMPORT = re.compile(
-    rf"^(?:from ({_PACKAGE.name}[\w.]*) import (\([^)]*\)|.*)|import ({_PACKAGE.name}[\w.]*))", re.M
-)
-
+# Imports in a function or for type checking alone are indented: no kernel depends on them.
+_IMPORT = re.compile(r"^(?:from ([\w.]+) import (\([^)]*\)|.*)|import (.+))", re.M)
+# Folders of installed packages.
+_INSTALLED = frozenset({"site-packages", "dist-packages"})
 _FOLDER = re.compile(r"modules_in\(__file__, \"(\w+)\"\)")
 
 
@@ -129,26 +129,77 @@ def _forget_old(parent: Path) -> None:
 
 
 def _digest(source: Path) -> str:
-    rests_on, found = {source}, [source]
+    used, found = {source}, [source]
     while found:
-        new = _read(found.pop())[1] - rests_on
-        rests_on |= new
+        new = _read(found.pop())[1] - used
+        used |= new
         found.extend(new)
     digest = hashlib.sha256()
-    for path in sorted(rests_on):
+    for path in sorted(used):
         digest.update(path.name.encode() + b"\0" + _read(path)[0])
     return digest.hexdigest()[:16]
 
 
 @functools.cache
 def _read(path: Path) -> tuple[bytes, frozenset[Path]]:
-    """Hash of the content of a file, and the files that it imports."""
+    """Hash of the content of a file, and the files that it imports and that count."""
     content = path.read_bytes()
     imported = set()
-    for package, names, module in _IMPORT.findall(content.decode()):
-        dotted = [module or package, *(f"{package}.{name}" for name in re.findall(r"\w+", names))]
-        for place in (_PACKAGE.parent.joinpath(*name.split(".")) for name in dotted):
-            imported |= {place.with_suffix(".py"), place / "__init__.py"}
+    for package, names, modules in _IMPORT.findall(content.decode()):
+        if package:
+            between = "" if package.endswith(".") else "."
+            dotted = [package, *(f"{package}{between}{name}" for name in re.findall(r"\w+", names))]
+        else:
+            dotted = [module.split()[0] for module in modules.split(",") if module.strip()]
+        for name in dotted:
+            imported |= set(_files(path, name))
     for folder in _FOLDER.findall(content.decode()):
         imported |= set((path.parent / folder).glob("*.py"))
-    return hashlib.sha256(content).digest(), frozenset(path for path in imported if path.is_file())
+    return hashlib.sha256(content).digest(), frozenset(imported)
+
+
+def _files(path: Path, dotted: str) -> list[Path]:
+    """Files of a module, by the name that a file imports it by, if they count."""
+    absolute = dotted.lstrip(".")
+    top = absolute.partition(".")[0]
+    if dotted != absolute:
+        return _in(path.parents[len(dotted) - len(absolute) - 1], absolute)
+    if top in sys.stdlib_module_names:
+        return []
+    root = _root(path.parent, top)
+    return _with_kernels(absolute) if root is None else _in(root, absolute)
+
+
+def _in(folder: Path, dotted: str) -> list[Path]:
+    place = folder.joinpath(*dotted.split("."))
+    return [file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()]
+
+
+@functools.cache
+def _with_kernels(dotted: str) -> list[Path]:
+    """Files of a module of another package, if they use this one."""
+    root = _installed(dotted.partition(".")[0])
+    files = [] if root is None else _in(root, dotted)
+    return [file for file in files if _PACKAGE.name.encode() in file.read_bytes()]
+
+
+@functools.cache
+def _installed(top: str) -> Path | None:
+    """Folder that holds a package or module; None for one that is not written in Python."""
+    spec = importlib.util.find_spec(top)
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return None
+    return Path(spec.origin).resolve().parents[1 if spec.submodule_search_locations else 0]
+
+
+@functools.cache
+def _root(importing: Path, top: str) -> Path | None:
+    """Folder that holds this package, or a package or module of the user beside the importing one's."""
+    if top == _PACKAGE.name:
+        return _PACKAGE.parent
+    root = importing
+    while (root / "__init__.py").is_file():
+        root = root.parent
+    own = root != importing and top == importing.relative_to(root).parts[0]
+    beside = _INSTALLED.isdisjoint(root.parts) and ((root / top).is_dir() or (root / f"{top}.py").is_file())
+    return root if own or beside else None

@@ -11,8 +11,8 @@ import pytest
 import quadpi_core
 
 _PRINT = """
-from quadpi_core import kernel
-print(kernel.f.stats.cache_path)
+import importlib, sys
+print(importlib.import_module(sys.argv[1]).f.stats.cache_path)
 """
 _KERNEL = """
 from quadpi_core.compiled import njit
@@ -25,12 +25,29 @@ def f():
     return LIMIT
 """
 
+_SHARED = """
+import numpy as np
+from quadpi_core.compiled import njit
+from {}.limits import LIMIT
 
-def cache_folder(source, home):
+@njit(cache=True)
+def g():
+    return np.float64(LIMIT)
+"""
+_CALLING = """
+from quadpi_core.compiled import njit
+
+@njit(cache=True)
+def f():
+    return g()
+"""
+
+
+def cache_folder(source, home, module="quadpi_core.kernel"):
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     environment |= {"PYTHONPATH": str(source), "XDG_CACHE_HOME": str(home)}
     run = subprocess.run(
-        [sys.executable, "-c", _PRINT],
+        [sys.executable, "-c", _PRINT, module],
         env=environment,
         cwd=source,
         capture_output=True,
@@ -67,6 +84,32 @@ def test_so_does_one_that_rests_on_what_changed_and_no_other(copy, tmp_path):
     assert cache_folder(copy, tmp_path / "home") == first
     (copy / "quadpi_core" / "deeper.py").write_text("LIMIT = 2\n")
     assert cache_folder(copy, tmp_path / "home") != first
+
+
+@pytest.mark.parametrize(
+    "imported",
+    [
+        "from kernels_of_mine.shared import g",
+        "from . import shared; g = shared.g",
+        "import sys, kernels_of_others.shared as shared; g = shared.g",
+        "from beside import g",
+    ],
+)
+def test_so_does_a_kernel_of_another_package(copy, tmp_path, imported):
+    """The file that it imports from uses a constant of yet another file of its package."""
+    for package in ("kernels_of_mine", "kernels_of_others"):
+        (copy / package).mkdir()
+        (copy / package / "__init__.py").write_text("")
+        (copy / package / "limits.py").write_text("LIMIT = 1\n")
+        (copy / package / "shared.py").write_text(_SHARED.format(package))
+    (copy / "beside.py").write_text("from kernels_of_others.shared import g\n")
+    (copy / "kernels_of_mine" / "kernel.py").write_text(f"{imported}\n{_CALLING}")
+    folder = "kernels_of_others" if "others" in imported or "beside" in imported else "kernels_of_mine"
+    first = cache_folder(copy, tmp_path / "home", "kernels_of_mine.kernel")
+    (copy / "quadpi_core" / "constants.py").write_text("LIMIT = 3\n")
+    assert cache_folder(copy, tmp_path / "home", "kernels_of_mine.kernel") == first
+    (copy / folder / "limits.py").write_text("LIMIT = 2\n")
+    assert cache_folder(copy, tmp_path / "home", "kernels_of_mine.kernel") != first
 
 
 def test_old_caches_are_forgotten(copy, tmp_path):
