@@ -277,7 +277,8 @@ def group_figure(comparison: Comparison) -> go.Figure:
             )
     nominal = 100.0 * comparison.confidence
     figure.add_hline(y=nominal, line={"color": INK, "width": 1, "dash": "dash"}, row=1, col="all")
-    figure.update_xaxes(tickvals=list(range(len(groups))), ticktext=groups, showgrid=False)
+    # Slanted, or names of one column would touch those of the next.
+    figure.update_xaxes(tickvals=list(range(len(groups))), ticktext=groups, tickangle=-30, showgrid=False)
     figure.update_yaxes(title_text="PICP [%]", row=1, col=1)
     figure.update_yaxes(title_text=f"MPIW over {groups[0]}", row=2, col=1, rangemode="tozero")
     return _with_legend_below(figure, height=620)

@@ -119,7 +119,7 @@ def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Ar
 
 def gap_figure(gap: Gap) -> go.Figure:
     """Root mean square difference before and after, with the floor that noise sets."""
-    figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.1)
+    figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.17)
     for column in (1, 2):
         own = slice(3 * column - 3, 3 * column)
         axes = list(AXES[own])
@@ -151,7 +151,8 @@ def gap_figure(gap: Gap) -> go.Figure:
             row=1,
             col=column,
         )
-        figure.update_yaxes(title_text=f"RMSE [{unit(axes[0])}]", row=1, col=column)
+        title = f"RMSE [{unit(axes[0])}]"
+        figure.update_yaxes(title_text=title, rangemode="nonnegative", row=1, col=column)
     return styled(figure, height=330).update_layout(bargap=0.35, bargroupgap=0.05)
 
 

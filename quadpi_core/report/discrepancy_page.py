@@ -71,7 +71,9 @@ def discrepancy_summary(study: Study) -> Group:
     parts.append(terminal_table(_judgement_table(_decisive_judgements(discovery))))
     parts.append(terminal_table(_gap_table(discovery)))
     if study.flown_again:
-        parts += [terminal_table(_flown_again_table(study)), Text(flown_again_note(study), style="dim")]
+        parts.append(terminal_table(_flown_again_table(study)))
+        if note := flown_again_note(study):
+            parts.append(Text(note, style="dim"))
     parts += [Text(ambiguity_sentence(effect)) for effect in discovery.effects if effect.rivals]
     if discovery.verdict != "none":
         parts.append(Text(unexplained_sentence(discovery)))
@@ -269,14 +271,14 @@ def _gap_table(discovery: Discovery) -> Table:
 def _flown_again_table(study: Study) -> Table:
     """Errors of flights that were flown again."""
     columns = [
-        Column("", is_text=True),
-        Column("", is_text=True),
+        Column("test", is_text=True, once=True),
+        Column("error, RMS", is_text=True),
         *(Column(when, number) for when in ("before", "after", "floor")),
     ]
     rows: list[Row] = [
         [kind, name, error.before, error.after, error.floor] for kind, name, error in flown_again_rows(study)
     ]
-    return Table(columns, rows, title="Flown again, error RMS")
+    return Table(columns, rows, title="Flown again")
 
 
 def _segment_table(study: Study) -> Table:
@@ -352,7 +354,7 @@ def ambiguity_sentence(effect: FoundEffect) -> str:
 def unexplained_sentence(discovery: Discovery) -> str:
     """What is left once the effects are there."""
     if not discovery.unexplained_by:
-        return "Nothing that one flight tells of another is left: the rest is noise."
+        return "No residual is left that other flights predict: the rest is noise."
     axes = "; ".join(f"{axis} with {', '.join(by)}" for axis, by in discovery.unexplained_by.items())
     share = percent(discovery.unexplained)
     return f"{share} of the discrepancy that can be predicted is left, and goes with: {axes}."

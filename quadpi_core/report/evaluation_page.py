@@ -62,7 +62,7 @@ def metrics_table(
         kind: what the parts are, as the heading of their column.
     """
     columns = [
-        Column(kind, is_text=True),
+        Column(kind, is_text=True, once=True),
         Column("axis", is_text=True),
         Column("PICP", percent),
         Column("95 % CI", is_soft=True),
@@ -130,25 +130,30 @@ def alarm_sentence(alarm: AlarmAssessment) -> str:
     parts = []
     if alarm.hours_inside > 0.0:
         rate = alarm.false_alarms_per_hour
-        stated = "–, too short to state a rate" if rate is None else f"{number(rate)} per hour"
-        minutes = _minutes(alarm.hours_inside)
-        parts.append(f"{alarm.false_alarms} false in {minutes} inside the envelope ({stated})")
+        stated = "too short for a rate" if rate is None else f"{number(rate)} per hour"
+        false = _count(alarm.false_alarms, "false alarm")
+        parts.append(f"{false} in {_duration(alarm.hours_inside)} inside the envelope ({stated})")
     if alarm.hours_outside > 0.0:
-        plural = "" if alarm.alarms_outside == 1 else "s"
-        minutes = _minutes(alarm.hours_outside)
-        parts.append(f"{alarm.alarms_outside} alarm{plural} in {minutes} outside the envelope")
+        outside = _count(alarm.alarms_outside, "alarm")
+        parts.append(f"{outside} in {_duration(alarm.hours_outside)} outside the envelope")
     if alarm.flights_off:
         found = alarm.flights_off - alarm.flights_undetected
+        flights = _count(alarm.flights_off, "flight")
         late = "" if alarm.detection_delay_s is None else f", {alarm.detection_delay_s:.2f} s late"
-        parts.append(f"{found} of {alarm.flights_off} flights with the model off detected{late}")
+        parts.append(f"alarm on {found} of {flights} in which the model is off{late}")
     known = [f"{name} {area:.2f}" for name, area in alarm.auroc.items() if area is not None]
     if known:
         parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
     return "; ".join(parts)
 
 
-def _minutes(hours: float) -> str:
-    return f"{number(60.0 * hours)} min"
+def _count(value: int, what: str) -> str:
+    return f"{value} {what}" if value == 1 else f"{value} {what}s"
+
+
+def _duration(hours: float) -> str:
+    minutes = 60.0 * hours
+    return f"{number(60.0 * minutes)} s" if minutes < 2.0 else f"{number(minutes)} min"
 
 
 def evaluation_verdict(evaluation: Evaluation, training: Collection[str]) -> str:

@@ -17,10 +17,11 @@ from plotly.subplots import make_subplots
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.report.plots import extreme_samples, series, styled
-from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, LEVELS, count, percent
+from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, LEVELS, count, number, percent
 
 _SPEED_BINS = 800
 _EVIDENCE_FLOOR = 0.05
+_EVIDENCE_TICKS = [0.1, 1, 10, 100, 1000]
 _BAR_WIDTH = 12
 
 
@@ -57,8 +58,8 @@ class LiveReplay:
             "samples in": ("samples_in", count),
             "predictions out": ("predictions_out", count),
             "dropped": ("dropped", count),
-            "latency, median": ("latency_ms_p50", "{:.2f} ms".format),
-            "latency, 99 %": ("latency_ms_p99", "{:.2f} ms".format),
+            "latency, median": ("latency_ms_p50", _milliseconds),
+            "latency, 99 %": ("latency_ms_p99", _milliseconds),
         }
         tiles = {}
         for name, (key, text) in formats.items():
@@ -66,6 +67,10 @@ class LiveReplay:
             undefined = "none" if name.startswith("first") else "–"
             tiles[name] = undefined if value is None else text(value)
         return tiles
+
+
+def _milliseconds(value: float) -> str:
+    return f"{number(value)} ms"
 
 
 def alarm_figure(live: LiveReplay, result: FlightResult | None) -> go.Figure:
@@ -132,7 +137,9 @@ def _add_evidence(figure: go.Figure, live: LiveReplay, cell: dict[str, int]) -> 
         line = series(live.time, worst) | {"line": {"color": colour, "width": 1.5, "shape": "hv"}}
         figure.add_scatter(**line, name=f"{name}, worst axis", hovertemplate="%{y:.2f}", **cell)
     figure.add_hline(y=1.0, line={"color": INK, "width": 1, "dash": "dash"}, **cell)
-    figure.update_yaxes(title_text="over threshold", type="log", dtick=1, **cell)
+    # As text: plotly writes powers of ten in another size.
+    ticks = {"tickvals": _EVIDENCE_TICKS, "ticktext": [f"{value:g}" for value in _EVIDENCE_TICKS]}
+    figure.update_yaxes(title_text="over threshold", type="log", **ticks, **cell)
 
 
 def _add_bars(figure: go.Figure, time: Array, rows: Sequence[_Bar], cell: dict[str, int]) -> None:

@@ -111,4 +111,4 @@ def held_out_table(model: AerodynamicModel) -> Table | None:
         for k, flight in enumerate(model.flights)
     ]
     columns = [Column("flight", is_text=True, wraps=True), *(Column(axis, percent) for axis in model.axes)]
-    return Table(columns, rows, title="left out in turn: coverage")
+    return Table(columns, rows, title="Coverage of each flight by a model of the others")

@@ -153,5 +153,7 @@ def styled(figure: go.Figure, height: int, hovermode: str = "closest") -> go.Fig
     figure.update_xaxes(gridcolor=RULE, linecolor=RULE, title_font_size=13, zeroline=False, ticks="outside")
     figure.update_xaxes(tickcolor=RULE)
     figure.update_yaxes(gridcolor=RULE, linecolor=RULE, title_font_size=13, exponentformat="power")
+    # Without it plotly puts titles upon wide labels.
+    figure.update_yaxes(title_standoff=8)
     figure.update_yaxes(selector=lambda axis: axis.zeroline is None, zeroline=False)
     return figure

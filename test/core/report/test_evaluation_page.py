@@ -5,7 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from quadpi_core.report.evaluation_page import evaluation_summary, evaluation_verdict, write_evaluation_page
+from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
+from quadpi_core.report.evaluation_page import (
+    alarm_sentence,
+    evaluation_summary,
+    evaluation_verdict,
+    write_evaluation_page,
+)
 from quadpi_core.report.style import percent
 
 
@@ -110,3 +116,38 @@ def test_summary_fits_a_narrow_terminal(case, rendered):
     }
     evaluation = replace(case.evaluation, groups=groups)
     assert "…" not in rendered(evaluation_summary(evaluation), width=80)
+
+
+def test_alarms_are_counted_in_words():
+    quiet = AlarmAssessment(
+        false_alarms=0,
+        hours_inside=0.005,
+        false_alarms_per_hour=None,
+        alarms_outside=0,
+        hours_outside=0.0,
+        hours_monitored=0.005,
+        flights_off=0,
+        flights_undetected=0,
+        detection_delay_s=None,
+        auroc={"inputs": None, "width": 0.75},
+    )
+    assert alarm_sentence(quiet) == (
+        "0 false alarms in 18.0 s inside the envelope (too short for a rate); "
+        "area under the ROC curve for misses: width 0.75"
+    )
+    loud = replace(
+        quiet,
+        false_alarms=1,
+        hours_inside=0.5,
+        false_alarms_per_hour=2.0,
+        alarms_outside=3,
+        hours_outside=0.25,
+        flights_off=1,
+        detection_delay_s=0.474,
+        auroc={},
+    )
+    assert alarm_sentence(loud) == (
+        "1 false alarm in 30.0 min inside the envelope (2.00 per hour); "
+        "3 alarms in 15.0 min outside the envelope; "
+        "alarm on 1 of 1 flight in which the model is off, 0.47 s late"
+    )
