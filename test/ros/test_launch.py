@@ -142,7 +142,7 @@ def test_lines_of_the_documents(line: str, place: Path, launch: Launch) -> None:
         elif file == "replay.launch.py":
             listener.spin_until(lambda: launched.ended, START_S)
             assert launched.wait() == 0, launched.said
-            # Not silence; how many it must be is for test_live.py, on whatever a busy machine leaves.
+            # Not silence; how many it must be is for test_live_session.py, on whatever a busy machine leaves.
             assert len(predicted) > 100
         else:
             launched.wait_until(lambda: listener.connected)
