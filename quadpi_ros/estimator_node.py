@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,10 +16,12 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.output import FusedSamples, fill_odometry, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.frame_ids import BodyFrames, Framed
+from quadpi_core.messages.frame_ids import BodyFrames
+from quadpi_core.messages.one_by_one import IncomingMessage, OutgoingMessage
+from quadpi_core.messages.values import ODOMETRY_VALUES
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.input_sources import AdaptedSources, Source
@@ -70,7 +71,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         """Load the vehicle and every compiled kernel."""
         parameters = self.parameters
         vehicle = Vehicle.load(parameters.vehicle)
-        self._frames = (parameters.world_frame, parameters.body_frame)
+        self._odometry = OutgoingMessage(
+            sensor_messages.ODOMETRY,
+            sensor_messages.odometry_constants(parameters.world_frame, parameters.body_frame),
+        )
         adapted = AdaptedSources(self.get_name(), parameters.adapters, vehicle)
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
         self._imu = adapted.instead_of(framed_imu(self._body), "imu")
@@ -95,14 +99,14 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         """The motion capture of the parameter `mocap_topic`, and the method that takes its samples."""
         topic = self.parameters.mocap_topic
         if topic == "mocap/pose":
-            pose = Framed(sensor_messages.unpack_pose, self._body.world, self._body)
+            pose = IncomingMessage(sensor_messages.POSE_SAMPLES, self._body.world, self._body)
             return Source(PoseStamped, topic, pose), self._take_pose
         if topic == "mocap/odometry":
-            odometry = Framed(sensor_messages.unpack_odometry, self._body.world, self._body, texts=2)
+            odometry = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, self._body.world, self._body)
             return Source(Odometry, topic, odometry), self._take_odometry
         if topic == "mocap/twist":
-            unpack = partial(sensor_messages.unpack_twist, body_frame=self.parameters.body_frame)
-            twist = Framed(unpack, self._body.world, self._body)
+            kind = sensor_messages.twist_samples(self.parameters.body_frame)
+            twist = IncomingMessage(kind, self._body.world, self._body)
             return Source(TwistStamped, topic, twist), self._take_twist
         return adapted.named(topic), self._take_pose
 
@@ -161,10 +165,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
     def _take_imu(self, imu: ImuStream) -> None:
         if not self._consistency.complete:
-            self._consistency.take(imu)
-        outcome, status, sample = self._ekf.step(
-            int(imu.time_ns[0]), imu.angular_velocity[0], imu.specific_force[0]
-        )
+            self._consistency.take_copy(imu)
+        time_ns = int(imu.time_ns[0])
+        outcome, status, sample = self._ekf.step(time_ns, imu.angular_velocity[0], imu.specific_force[0])
         if outcome not in (Outcome.USED, Outcome.COLLECTED):
             reason = _reason(outcome)
             self._imu_health.refuse(reason)
@@ -179,18 +182,15 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             return
         if self.listener:
             self.listener.take_estimate(sample)
-        world_frame, body_frame = self._frames
-        for odometry in sensor_messages.pack_odometry(
-            sample.odometry, sample.pose_covariance, sample.twist_covariance, world_frame, body_frame
-        ):
-            self._publish(odometry)
+        fill_odometry(sample.rows, self._odometry.values)
+        self._publish(self._odometry.stamped(time_ns))
 
     def _take_pose(self, pose: PoseStream) -> None:
-        self._consistency.take(pose)
+        self._consistency.take_copy(pose)
         self._ekf.update_pose(int(pose.time_ns[0]), pose.position[0], pose.attitude[0])
 
     def _take_odometry(self, odometry: OdometryStream) -> None:
-        self._consistency.take(odometry)
+        self._consistency.take_copy(odometry)
         time_ns = int(odometry.time_ns[0])
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0])
         self._ekf.update_velocity(time_ns, odometry.velocity[0], True)
@@ -201,7 +201,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
 def framed_imu(frames: BodyFrames) -> Source:
     """The topic imu, its samples transformed to the body frame."""
-    return Source(Imu, IMU_TOPIC, Framed(sensor_messages.unpack_imu, frames.imu, frames))
+    return Source(Imu, IMU_TOPIC, IncomingMessage(sensor_messages.IMU_SAMPLES, frames.imu, frames))
 
 
 def _reason(outcome: Outcome) -> str:
@@ -216,13 +216,13 @@ def _warm_up(vehicle: Vehicle) -> None:
     still = np.zeros((1, 3))
     for time_ns in np.arange(0.0, _WARM_UP_S * 1e9, 1e9 / _WARM_UP_RATE_HZ).astype(np.int64):
         stamp = np.array([time_ns])
-        pose = sensor_messages.unpack_pose(sensor_messages.pack_pose(PoseStream(stamp, still, level))[0])
-        imu = sensor_messages.unpack_imu(sensor_messages.pack_imu(ImuStream(stamp, still, hover))[0])
+        pose = sensor_messages.unpack_pose(sensor_messages.pack_pose(PoseStream(stamp, still, level)))
+        imu = sensor_messages.unpack_imu(sensor_messages.pack_imu(ImuStream(stamp, still, hover)))
         ekf.update_pose(int(stamp[0]), pose.position[0], pose.attitude[0])
         ekf.update_velocity(int(stamp[0]), pose.position[0], True)
         sample = ekf.step(int(stamp[0]), imu.angular_velocity[0], imu.specific_force[0]).fused
     assert sample is not None  # the filter has started
-    sensor_messages.pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
+    fill_odometry(sample.rows, np.empty((1, ODOMETRY_VALUES)))
 
 
 def main() -> int:

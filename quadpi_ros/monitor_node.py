@@ -9,10 +9,8 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
@@ -33,13 +31,13 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.frame_ids import Framed
+from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import WATCH_S, Latency, Silence
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.paths import resolved_below
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import SlowService, guarded
 from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, framed_imu
@@ -83,7 +81,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
         if self._estimator is None:
             self._imu = adapted.instead_of(framed_imu(self._body), "imu")
-            odometry = Framed(sensor_messages.unpack_odometry, self._body.world, self._body, texts=2)
+            odometry = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, self._body.world, self._body)
             self._odometry = adapted.instead_of(Source(Odometry, "odometry", odometry), "odometry")
         monitors = named(self._load(path) for path in parameters.model)
         self._results = Results(self, monitors, parameters.body_frame)
@@ -98,7 +96,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self.listen(*self._odometry, self.take_odometry)
         else:
             self._estimator.listener = self
-        wind = Framed(sensor_messages.unpack_wind, self._body.world, self._body)
+        wind = IncomingMessage(sensor_messages.WIND_SAMPLES, self._body.world, self._body)
         self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds)
         self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
@@ -209,10 +207,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if samples is None or self._rate_begins:
             return
         if not self._consistency.complete:
-            self._consistency.take(
-                RotorSpeedStream(samples.time_ns, samples.rotor_speeds),
-                ImuStream(samples.time_ns, samples.rates, samples.specific_force),
-            )
+            self._consistency.take(RotorSpeedStream, samples.time_ns, samples.rotor_speeds)
+            self._consistency.take(ImuStream, samples.time_ns, samples.rates, samples.specific_force)
         predicted_ns = self._results.publish(samples)
         now_ns = time.monotonic_ns()
         for time_ns in predicted_ns.tolist():
@@ -258,12 +254,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _rotor_source(self, adapted: AdaptedSources) -> Source:
         """The topic that the parameters name."""
-        topic, vehicle = self.parameters.rotor_topic, self._vehicle
+        topic = self.parameters.rotor_topic
         if topic == "rotor_speeds":
-            return Source(RotorSpeeds, topic, sensor_messages.unpack_rotor_speeds)
+            return Source(RotorSpeeds, topic, IncomingMessage(sensor_messages.ROTOR_SPEED_SAMPLES))
         if topic == "erpm":
-            vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
-            return Source(Erpm, topic, partial(sensor_messages.unpack_erpm, vehicle=vehicle))
+            return Source(Erpm, topic, IncomingMessage(sensor_messages.erpm_samples(self._vehicle)))
         return adapted.named(topic)
 
     def _load(self, path: str) -> Monitor:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from quadpi.msg import AlarmEvent, ExtrapolationAlarm, WrenchPrediction
@@ -14,8 +14,9 @@ from quadpi.srv import LoadModel
 
 from quadpi_core.errors import ModelError
 from quadpi_core.estimator.imu_rate import ImuRate
-from quadpi_core.flight import RotorSpeedStream, Stamps
+from quadpi_core.flight import Stamps
 from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.one_by_one import OutgoingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
@@ -31,15 +32,6 @@ _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
 _LEVELS = ("ok", "warning", "alarm")
 # Sample rate of the warm-up, in cut-offs of the low-pass.
 _WARM_UP_RATE = 10.0
-
-
-class _Labels(TypedDict):
-    """Fields that are the same in all predictions of a monitor."""
-
-    model: str
-    confidence: float
-    axes: tuple[str, ...]
-    frame_id: str
 
 
 def topic_name(model: AerodynamicModel) -> str:
@@ -79,7 +71,7 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
     monitor.retune(ImuRate(_WARM_UP_RATE * monitor.model.cutoff_hz))
     for samples in (hover, missing):
         predictions, alarms, _ = monitor.step(*samples)
-        result_messages.pack_predictions(predictions, **_labels(monitor, sensor_messages.BODY_FRAME))
+        result_messages.write_predictions(predictions, _message(monitor, sensor_messages.BODY_FRAME))
         result_messages.pack_alarms(alarms, reasons_by_row(alarms))
     pairing = Pairing()
     for time_ns in (0, 1):
@@ -89,8 +81,6 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
         pairing.add_estimate(time_ns + 2, np.zeros(13))
         pairing.add_rotor_speeds(time_ns, hover.rotor_speeds[0])
         pairing.take()
-    stream = RotorSpeedStream(hover.time_ns, hover.rotor_speeds)
-    sensor_messages.unpack_rotor_speeds(sensor_messages.pack_rotor_speeds(stream)[0])
     monitor.predict(monitor.preparation.step(*hover._replace(time_ns=np.full(1, 2))))
     monitor.retune(ImuRate())
     monitor.reset()
@@ -108,7 +98,7 @@ class Results:
     def __init__(self, node: SensorNode[Any], monitors: dict[str, Monitor], frame_id: str) -> None:
         self.monitors = Monitors(monitors)
         self._frame_id = frame_id
-        self._labels = {name: _labels(monitor, frame_id) for name, monitor in monitors.items()}
+        self._messages = {name: _message(monitor, frame_id) for name, monitor in monitors.items()}
         self._first, *others = monitors
         self._publish_first = node.announce(WrenchPrediction, "prediction")
         # Below the resolved topic of the first, as a remapping does not cover topics below the one it names.
@@ -121,7 +111,7 @@ class Results:
     def publish(self, samples: PairedSamples) -> Stamps:
         """Judge samples and publish the results; returns the stamps of the first model's predictions."""
         (predictions, alarms, events), others = self.monitors.step(samples)
-        for payload in result_messages.pack_predictions(predictions, **self._labels[self._first]):
+        for payload in result_messages.write_predictions(predictions, self._messages[self._first]):
             self._publish_first(payload)
         if len(alarms.time_ns):
             self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
@@ -131,7 +121,7 @@ class Results:
             for payload in result_messages.pack_events(events, self._frame_id):
                 self._publish_log(payload)
         for (name, publish), other in zip(self._publish_others, others, strict=True):
-            for payload in result_messages.pack_predictions(other, **self._labels[name]):
+            for payload in result_messages.write_predictions(other, self._messages[name]):
                 publish(payload)
         return predictions.time_ns
 
@@ -149,7 +139,7 @@ class Results:
             if monitor is None:
                 raise ModelError(error)
             self.monitors.replace(name, monitor)
-            self._labels[name] = _labels(monitor, self._frame_id)
+            self._messages[name] = _message(monitor, self._frame_id)
             response.success = True
             response.message = f"{monitor.model.identity} flies as {name}"
         except ModelError as refused:
@@ -165,11 +155,6 @@ class Results:
         return severity, _LEVELS[level], {"level": level, "causes": causes} | models
 
 
-def _labels(monitor: Monitor, frame_id: str) -> _Labels:
+def _message(monitor: Monitor, frame_id: str) -> OutgoingMessage:
     model = monitor.model
-    return {
-        "model": model.identity,
-        "confidence": monitor.confidence,
-        "axes": model.axes,
-        "frame_id": frame_id,
-    }
+    return result_messages.prediction_message(model.identity, monitor.confidence, model.axes, frame_id)

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
@@ -348,15 +349,20 @@ class ConsistencyWatch:
         self._found: dict[str, None] = {}
         self._judged = 0
 
-    def take(self, *streams: Stream) -> None:
-        """Collect samples; pass those of the IMU last, as they complete a stretch."""
+    def take(self, kind: type[Stream], *columns: NDArray[Any]) -> None:
+        """Collect samples, see :meth:`FirstSeconds.take`."""
         if self.complete:
             return
-        stretch = self._samples.take(*streams)
+        stretch = self._samples.take(kind, *columns)
         self.complete = self._samples.complete
         if stretch is not None:
             work = self._node.guard("consistency check", self._judge)
             threading.Thread(target=work, args=(stretch,), name="consistency", daemon=True).start()
+
+    def take_copy(self, stream: Stream) -> None:
+        """Collect the samples of a stream that the next message overwrites."""
+        if not self.complete:
+            self.take(type(stream), *(column.copy() for column in vars(stream).values()))
 
     def _judge(self, stretch: Recording) -> None:
         for problem in contradictions(stretch, self._vehicle):

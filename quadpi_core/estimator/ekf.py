@@ -122,7 +122,7 @@ class Step(NamedTuple):
     Attributes:
         outcome: what became of the sample.
         status: how far the estimate can be used; one that is LOST must not be published as odometry.
-        fused: the estimate at the stamp of the sample, a copy; None if there is none.
+        fused: the estimate at the stamp of the sample, which the next step overwrites; None if there is none.
     """
 
     outcome: Outcome
@@ -193,6 +193,7 @@ class Ekf:
         self._sample_ns = self._sample["time_ns"]
         self._rates, self._force = self._sample["rates"][0], self._sample["specific_force"][0]
         self._measurement = np.zeros(1, MEASUREMENT)
+        self._fused = FusedSamples.of(np.empty(1, FUSED))
 
     @property
     def initialised(self) -> bool:
@@ -272,15 +273,15 @@ class Ekf:
         self._sample_ns[0] = time_ns
         self._rates[:] = gyro
         self._force[:] = specific_force
-        fused, outcome = np.empty(1, FUSED), Outcome.COLLECTED
+        outcome = Outcome.COLLECTED
         if self._initial is not None:
-            outcome = _OUTCOMES[filter_run.step(*self._memory, self._sample, _NO_JOURNAL, fused)]
+            outcome = _OUTCOMES[filter_run.step(*self._memory, self._sample, _NO_JOURNAL, self._fused.rows)]
         if outcome is not Outcome.USED:
             outcome = self._take_unused(outcome)
             if outcome is not Outcome.COLLECTED or self._initial is None:
                 return Step(outcome, self.status, None)
-            filter_run.fill_newest(*self._memory, fused)
-        return Step(outcome, _STATUSES[self._memory.filter["status"][0]], FusedSamples.of(fused))
+            filter_run.fill_newest(*self._memory, self._fused.rows)
+        return Step(outcome, _STATUSES[self._memory.filter["status"][0]], self._fused)
 
     def update_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
         """Take one pose: position (3,) m in the world, attitude (4,) body to world, of either sign.

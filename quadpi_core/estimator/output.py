@@ -14,6 +14,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.estimator.filter_state import Estimate
 from quadpi_core.flight import ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.messages.values import odometry_row
 from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
 from quadpi_core.sample_limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 
@@ -137,6 +138,15 @@ def fill_fused(estimate: Estimate, gyro_variance: float, out: FusedSample) -> No
     _sandwich(twist, estimate.covariance, out.twist_covariance)
     for axis in range(3, 6):
         out.twist_covariance[axis, axis] += gyro_variance
+
+
+@njit(cache=True)
+def fill_odometry(samples: Records, values: Array) -> None:
+    """Fill the numbers (K, 85) of odometry messages from :class:`FusedSample` (K,)."""
+    for k in range(len(samples)):
+        sample, motion = samples[k], samples[k].motion
+        covariances = sample.pose_covariance, sample.twist_covariance
+        odometry_row(sample.position, motion.attitude, motion.velocity, motion.rates, covariances, values[k])
 
 
 @njit(cache=True)

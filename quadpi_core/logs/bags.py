@@ -233,14 +233,14 @@ class _Unpacking:
         self._path = path
         self._names = names
         self._unpackers: dict[str, Callable[[Payloads], Any]] = {
-            "imu": Framed(sensor_messages.unpack_imu, frames.imu, frames),
+            "imu": Framed(sensor_messages.unpack_imu, frames.imu),
             "rotor_speeds": sensor_messages.unpack_rotor_speeds,
             "erpm": lambda payloads: _unpack_erpm(payloads, vehicle),
-            "mocap/pose": Framed(sensor_messages.unpack_pose, frames.world, frames),
-            "mocap/twist": Framed(sensor_messages.unpack_twist, frames.world, frames),
-            "mocap/odometry": Framed(sensor_messages.unpack_mocap_odometry, frames.world, frames, texts=2),
-            "odometry": Framed(sensor_messages.unpack_odometry, frames.world, frames, texts=2),
-            "wind": Framed(sensor_messages.unpack_wind, frames.world, frames),
+            "mocap/pose": Framed(sensor_messages.unpack_pose, frames.world),
+            "mocap/twist": Framed(sensor_messages.unpack_twist, frames.world),
+            "mocap/odometry": Framed(sensor_messages.unpack_mocap_odometry, frames.world, texts=2),
+            "odometry": Framed(sensor_messages.unpack_odometry, frames.world, texts=2),
+            "wind": Framed(sensor_messages.unpack_wind, frames.world),
             "simulation/wrench": sensor_messages.unpack_simulated,
         }
         self._adapted = {

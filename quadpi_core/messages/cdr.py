@@ -20,15 +20,15 @@ import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import Stamps
-from quadpi_core.messages.payloads import FIRST, Bytes, Indices, Payloads
+from quadpi_core.messages.payloads import Bytes, Indices, Payloads
 
 Columns: TypeAlias = dict[str, npt.NDArray[Any]]
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
-_ORIGIN = len(_ENCAPSULATION)
+ORIGIN = len(_ENCAPSULATION)
 # A message that begins with a header begins with its stamp.
-_STAMP = struct.Struct("<iI")
-_NANOSECONDS = 1_000_000_000
+STAMP = struct.Struct("<iI")
+NANOSECONDS = 1_000_000_000
 _MICROSECOND = 1_000
 _LAST_US = np.iinfo(np.int64).max // _MICROSECOND
 _DOUBLE = "<f8"
@@ -121,9 +121,12 @@ class Stamped(NamedTuple):
 class Codec:
     """Encodes and decodes messages of one type, as a flat list of fields.
 
-    :meth:`decode` and :meth:`encode` know every field by its name. Messages that come by the thousand a
-    second, one by one, go through :meth:`decode_stamped` and :meth:`encode_stamped`, which move all doubles
-    at once.
+    :meth:`decode` and :meth:`encode` know every field by its name; :meth:`decode_stamped` and
+    :meth:`encode_stamped` move all doubles at once.
+
+    Attributes:
+        places: columns of the float64 fields that end a message, by name.
+        template: gives the layout for constants, and a message of them and zeros.
     """
 
     def __init__(self, type_name: str, fields: tuple[Field, ...]) -> None:
@@ -131,7 +134,7 @@ class Codec:
         self._fields = fields
         self._texts = tuple(field for field in fields if not field.is_number)
         self._layout = lru_cache(maxsize=256)(self._build_layout)
-        self._template = lru_cache(maxsize=256)(self._build_template)
+        self.template = lru_cache(maxsize=256)(self._build_template)
         self._latest: Layout | None = None
         self.places = _places_of_doubles(fields)
 
@@ -144,10 +147,10 @@ class Codec:
             SampleError: naming the sample whose bytes are no message of this type.
         """
         if isinstance(payloads, bytes):
-            layout = self._layout_of(payloads, 0)
+            layout = self.layout_of(payloads, 0)
             return self._columns(layout, np.frombuffer(payloads, layout.dtype, count=1))
         if len(payloads) == 0:
-            layout, _ = self._template(())
+            layout, _ = self.template(())
             return self._columns(layout, np.empty(0, layout.dtype))
         parts = [
             (order, self._columns(layout, rows.view(layout.dtype)[:, 0]))
@@ -164,24 +167,17 @@ class Codec:
             SampleError: naming the sample whose bytes are no message of this type, or whose stamp is none.
         """
         if isinstance(payloads, bytes):
-            layout = self._latest
-            if layout is None or not layout.describes(payloads):
-                layout = self._layout_of(payloads, 0)
-            seconds, nanoseconds = _STAMP.unpack_from(payloads, _ORIGIN)
-            if nanoseconds >= _NANOSECONDS:
-                raise _no_stamp(0, nanoseconds)
-            values = np.frombuffer(bytearray(payloads[layout.doubles])).reshape(1, -1)
-            return Stamped(np.array([seconds * _NANOSECONDS + nanoseconds]), values)
+            payloads = Payloads.join([payloads])
         time_ns = np.empty(len(payloads), dtype=np.int64)
         values = np.empty((len(payloads), _width(self.places)))
         for order, layout, rows in self._row_parts(payloads):
-            stamp = np.ascontiguousarray(rows[:, _ORIGIN : _ORIGIN + _STAMP.size])
+            stamp = np.ascontiguousarray(rows[:, ORIGIN : ORIGIN + STAMP.size])
             seconds, nanoseconds = stamp.view("<i4")[:, 0], stamp.view("<u4")[:, 1]
-            beyond = nanoseconds >= _NANOSECONDS
+            beyond = nanoseconds >= NANOSECONDS
             if beyond.any():
                 sample = int(np.argmax(beyond))
-                raise _no_stamp(int(order[sample]), int(nanoseconds[sample]))
-            time_ns[order] = seconds.astype(np.int64) * _NANOSECONDS + nanoseconds
+                raise no_stamp(int(order[sample]), int(nanoseconds[sample]))
+            time_ns[order] = seconds.astype(np.int64) * NANOSECONDS + nanoseconds
             values[order] = np.ascontiguousarray(rows[:, layout.doubles]).view(_DOUBLE)
         return Stamped(time_ns, values)
 
@@ -198,16 +194,11 @@ class Codec:
             values: see there.
             constants: other fields with their values, the same in all messages.
         """
-        layout, template = self._template(constants)
-        if len(time_ns) == 1:
-            row = template.copy()
-            _STAMP.pack_into(row.data, _ORIGIN, *divmod(int(time_ns[0]), _NANOSECONDS))
-            row[layout.doubles] = values.view(np.uint8)[0]
-            return Payloads(row, FIRST, np.array([row.size]))
+        layout, template = self.template(constants)
         rows = np.repeat(template[None], len(time_ns), axis=0)
-        seconds, nanoseconds = np.divmod(time_ns, _NANOSECONDS)
+        seconds, nanoseconds = np.divmod(time_ns, NANOSECONDS)
         stamps = np.stack((seconds, nanoseconds), axis=1).astype("<u4")
-        rows[:, _ORIGIN : _ORIGIN + _STAMP.size] = stamps.view(np.uint8)
+        rows[:, ORIGIN : ORIGIN + STAMP.size] = stamps.view(np.uint8)
         rows[:, layout.doubles] = values.view(np.uint8)
         return Payloads.from_rows(rows)
 
@@ -217,7 +208,7 @@ class Codec:
         Fields without a column are zero or empty.
         """
         texts = tuple((field.name, columns[field.name]) for field in self._texts if field.name in columns)
-        layout, template = self._template(texts)
+        layout, template = self.template(texts)
         rows = np.repeat(template[None], count, axis=0)
         table = rows.view(layout.dtype)[:, 0]
         for name, value in columns.items():
@@ -230,7 +221,7 @@ class Codec:
         remaining = np.arange(len(payloads))
         while len(remaining):
             first = int(remaining[0])
-            layout = self._layout_of(payloads[first], first)
+            layout = self.layout_of(payloads[first], first)
             alike = remaining[payloads.lengths[remaining] == payloads.lengths[first]]
             rows = payloads.rows(alike, int(payloads.lengths[first]))
             matching = (rows[:, layout.identifying] == layout.template[layout.identifying]).all(axis=1)
@@ -247,7 +238,7 @@ class Codec:
             columns[name] = column
         return columns
 
-    def _layout_of(self, message: bytes, sample: int) -> Layout:
+    def layout_of(self, message: bytes, sample: int) -> Layout:
         """The layout of one message, found from the string lengths that it holds."""
         if self._latest is not None and self._latest.describes(message):
             return self._latest
@@ -256,7 +247,7 @@ class Codec:
         lengths: list[int] = []
 
         def read_length(position: int) -> int:
-            (length,) = _LENGTH.unpack_from(message, _ORIGIN + position)
+            (length,) = _LENGTH.unpack_from(message, ORIGIN + position)
             if length > len(message):
                 raise struct.error
             lengths.append(length)
@@ -295,14 +286,14 @@ class Codec:
         remaining = iter(text_lengths)
         places = list(self._walk(lambda _: next(remaining)))
         last = places[-1]
-        size = _ORIGIN + last.position + last.dtype.itemsize
+        size = ORIGIN + last.position + last.dtype.itemsize
         template = np.zeros(size, dtype=np.uint8)
-        template[:_ORIGIN] = np.frombuffer(_ENCAPSULATION, dtype=np.uint8)
+        template[:ORIGIN] = np.frombuffer(_ENCAPSULATION, dtype=np.uint8)
         identifying = [0, 1]
         lengths = iter(text_lengths)
         for place in places:
             if place.is_length:
-                start = _ORIGIN + place.position
+                start = ORIGIN + place.position
                 template[start : start + _LENGTH.size] = np.frombuffer(
                     _LENGTH.pack(next(lengths)), dtype=np.uint8
                 )
@@ -313,7 +304,7 @@ class Codec:
             {
                 "names": names,
                 "formats": [place.dtype for place in values],
-                "offsets": [_ORIGIN + place.position for place in values],
+                "offsets": [ORIGIN + place.position for place in values],
                 "itemsize": size,
             }
         )
@@ -379,7 +370,8 @@ def _width(places: Mapping[str, slice]) -> int:
     return max((place.stop for place in places.values()), default=0)
 
 
-def _no_stamp(sample: int, nanoseconds: int) -> SampleError:
+def no_stamp(sample: int, nanoseconds: int) -> SampleError:
+    """The error of a stamp with that many nanoseconds."""
     return SampleError(sample, f"the stamp has {nanoseconds} ns beyond its second")
 
 
@@ -424,8 +416,8 @@ def header_stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:
         SampleError: naming the sample, for a stamp that is none.
     """
     nanoseconds = columns[f"{prefix}nanosec"]
-    _check_stamps(nanoseconds < _NANOSECONDS, nanoseconds, "ns beyond its second")
-    stamps: Stamps = columns[f"{prefix}sec"].astype(np.int64) * _NANOSECONDS + nanoseconds
+    _check_stamps(nanoseconds < NANOSECONDS, nanoseconds, "ns beyond its second")
+    stamps: Stamps = columns[f"{prefix}sec"].astype(np.int64) * NANOSECONDS + nanoseconds
     return stamps
 
 

@@ -134,32 +134,25 @@ class BodyFrames:
 class Framed(Generic[Content]):
     """Unpacks the messages of a topic, in their order, and does what their frames ask for.
 
-    The frames are judged where they change; of messages one by one a few bytes are compared.
+    The frames are judged where they change. See :class:`.one_by_one.IncomingMessage` for live messages.
 
     Args:
-        unpack: of N messages or one.
+        unpack: of N messages.
         judge: such as :meth:`BodyFrames.imu`.
-        frames: that it belongs to.
         texts: how many names follow the stamp: 2 where there is a child frame.
     """
 
     def __init__(
         self,
-        unpack: Callable[[Payloads | bytes], Content],
+        unpack: Callable[[Payloads], Content],
         judge: Judge | Callable[[tuple[str, ...]], None],
-        frames: BodyFrames,
         texts: int = 1,
     ) -> None:
         self._unpack = unpack
         self._judge = judge
-        self._transforms = frames.transforms
         self._texts = texts
-        self._known = b""
-        self._end = _TEXTS
-        self._judged_at = -1
-        self._mounting: Mounting | None = None
 
-    def __call__(self, payloads: Payloads | bytes) -> Content:
+    def __call__(self, payloads: Payloads) -> Content:
         """The samples.
 
         Raises:
@@ -167,39 +160,23 @@ class Framed(Generic[Content]):
             LogError: as `unpack` does.
         """
         content = self._unpack(payloads)
-        if isinstance(payloads, bytes):
-            if payloads[_TEXTS : self._end] != self._known or self._judged_at != self._transforms.changes:
-                self._meet(payloads, 0)
-            if self._mounting is not None:
-                self._move(content, slice(0, 1))
-            return content
         for run in self._runs(payloads):
-            self._meet(payloads[run.start], run.start)
-            if self._mounting is not None:
-                self._move(content, run)
+            names, _ = names_of(payloads[run.start], self._texts)
+            try:
+                mounting = self._judge(names)
+            except FrameRefusedError as refused:
+                raise SampleError(run.start, str(refused)) from refused
+            if mounting is not None:
+                assert isinstance(content, ImuStream)
+                rates, force = content.angular_velocity[run], content.specific_force[run]
+                mounting.move(content.time_ns[run], rates, force)
         return content
-
-    def _meet(self, message: bytes, sample: int) -> None:
-        """Judge the frames of a message; those of messages one by one only where they change."""
-        names, end = _names(message, self._texts)
-        try:
-            self._mounting = self._judge(names)
-        except FrameRefusedError as refused:
-            self._judged_at = -1
-            raise SampleError(sample, str(refused)) from refused
-        self._known, self._end, self._judged_at = message[_TEXTS:end], end, self._transforms.changes
-
-    def _move(self, content: Content, run: slice) -> None:
-        assert isinstance(content, ImuStream)
-        assert self._mounting is not None
-        rates, force = content.angular_velocity[run], content.specific_force[run]
-        self._mounting.move(content.time_ns[run], rates, force)
 
     def _runs(self, payloads: Payloads) -> Iterator[slice]:
         """Runs of messages with the same frames; looked for in windows that grow with a run."""
         start = 0
         while start < len(payloads):
-            end = _names(payloads[start], self._texts)[1]
+            end = names_of(payloads[start], self._texts)[1]
             head = np.frombuffer(payloads[start], dtype=np.uint8, count=end)[_TEXTS:]
             stop, window = start + 1, _WINDOW
             while stop < len(payloads):
@@ -214,8 +191,8 @@ class Framed(Generic[Content]):
             start = stop
 
 
-def _names(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
-    """The strings that follow the stamp of a message that has been unpacked, and where they end."""
+def names_of(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
+    """The strings after the stamp of a message whose layout has been checked, and where they end."""
     names, place = [], _TEXTS
     for _ in range(count):
         place = _ORIGIN - (_ORIGIN - place) // _LENGTH.size * _LENGTH.size

@@ -31,10 +31,6 @@ def copy_spans(
             copy[offset] = span[offset]
 
 
-# Where a message alone starts.
-FIRST: Indices = np.zeros(1, dtype=np.int64)
-
-
 @dataclass(frozen=True)
 class Payloads:
     """N serialized messages: one buffer, and where in it each message starts and how long it is."""

@@ -17,6 +17,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.cdr import header_stamps
 from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.one_by_one import OutgoingMessage
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import (
     ALARM,
@@ -65,23 +66,47 @@ def pack_predictions(
         frame_id: body frame.
     """
     values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
+    _fill(predictions, 0, values)
+    constants = _prediction_constants(model, confidence, axes, frame_id)
+    return codec(PREDICTION).encode_stamped(predictions.time_ns, values, constants)
+
+
+def prediction_message(
+    model: str, confidence: float, axes: Sequence[str], frame_id: str = BODY_FRAME
+) -> OutgoingMessage:
+    """A message for :func:`write_predictions`; see :func:`pack_predictions`."""
+    return OutgoingMessage(PREDICTION, _prediction_constants(model, confidence, axes, frame_id))
+
+
+def write_predictions(predictions: Predictions, message: OutgoingMessage) -> list[bytes]:
+    """Encode predictions one by one in the buffer of a message: the bytes of :func:`pack_predictions`."""
+    written = []
+    for row, time_ns in enumerate(predictions.time_ns.tolist()):
+        _fill(predictions, row, message.values)
+        written.append(message.stamped(time_ns))
+    return written
+
+
+def _fill(predictions: Predictions, first: int, values: Array) -> None:
     prediction_values(
         predictions.predicted,
         predictions.lower,
         predictions.upper,
         predictions.measured,
         predictions.relative_width,
+        first,
         values,
     )
-    return codec(PREDICTION).encode_stamped(
-        predictions.time_ns,
-        values,
-        (
-            ("header.frame_id", frame_id),
-            ("model", model),
-            ("confidence", confidence),
-            ("axes", _axis_flags(tuple(axes))),
-        ),
+
+
+def _prediction_constants(
+    model: str, confidence: float, axes: Sequence[str], frame_id: str
+) -> tuple[tuple[str, str | float], ...]:
+    return (
+        ("header.frame_id", frame_id),
+        ("model", model),
+        ("confidence", confidence),
+        ("axes", _axis_flags(tuple(axes))),
     )
 
 

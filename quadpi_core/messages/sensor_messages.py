@@ -10,7 +10,9 @@ no message of its type; values are not judged here (see `Recording.check`), exce
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from quadpi_core.flight import (
     PoseStream,
     RotorSpeedStream,
     Stamps,
+    Stream,
     TwistStream,
     WindStream,
     WrenchStream,
@@ -38,10 +41,14 @@ from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.values import (
     ODOMETRY_VALUES,
-    attitude_values,
+    body_values,
+    imu_values,
     odometry_values,
+    pose_values,
+    state_values,
+    world_values,
 )
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -71,6 +78,8 @@ _ABSENT = -1.0
 FLU_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
 _XYZW = [1, 2, 3, 0]
 
+SomeStream = TypeVar("SomeStream", bound=Stream)
+
 
 def unpack_stamps(payloads: Payloads) -> Stamps:
     """Header stamps of messages of any type that begins with a std_msgs/Header.
@@ -80,14 +89,114 @@ def unpack_stamps(payloads: Payloads) -> Stamps:
     return header_stamps(codec(TIME).decode(payloads.compact(STAMP_END)), "")
 
 
+@dataclass(frozen=True)
+class SampleKind(Generic[SomeStream]):
+    """How messages of a stamp, frames and float64 fields become samples.
+
+    Attributes:
+        type_name: of the messages.
+        room: gives a stream of stamps (N,) for messages of the given frames; the rest is to be filled.
+        fill: fills them from the float64 fields (N, K) that end the messages; raises SampleError.
+        texts: how many names follow the stamp: 2 where there is a child frame.
+    """
+
+    type_name: str
+    room: Callable[[Stamps, tuple[str, ...]], SomeStream]
+    fill: Callable[[Array, SomeStream], None]
+    texts: int = 1
+
+    def unpack(self, payloads: Payloads | bytes) -> SomeStream:
+        """The samples of N messages whose frames do not matter."""
+        time_ns, values = codec(self.type_name).decode_stamped(payloads)
+        stream = self.room(time_ns, ())
+        self.fill(values, stream)
+        return stream
+
+
+def _fill_pose(values: Array, pose: PoseStream) -> None:
+    _require_attitude(pose_values(values, pose.position, pose.attitude), values)
+
+
+def _fill_odometry(values: Array, odometry: OdometryStream) -> None:
+    _require_attitude(
+        state_values(values, odometry.position, odometry.attitude, odometry.velocity, odometry.rates), values
+    )
+
+
+def _require_attitude(sample: int, values: Array) -> None:
+    """Refuse a sample, if there is one, whose orientation (the numbers after the position) is none."""
+    if sample >= 0:
+        norm = math.hypot(*values[sample, 3:7])
+        raise SampleError(sample, f"the orientation is no unit quaternion (norm {norm:.3g})")
+
+
+def _fill_rotor_speeds(values: Array, rotors: RotorSpeedStream) -> None:
+    rotors.speeds[:] = values
+
+
+def _rotor_room(time_ns: Stamps, _: tuple[str, ...]) -> RotorSpeedStream:
+    return RotorSpeedStream(time_ns, _rows(time_ns, ROTORS))
+
+
+def _rows(time_ns: Stamps, width: int = 3) -> Array:
+    return np.empty((len(time_ns), width))
+
+
+IMU_SAMPLES = SampleKind(
+    IMU,
+    lambda time_ns, _: ImuStream(time_ns, _rows(time_ns), _rows(time_ns)),
+    lambda values, imu: imu_values(values, imu.angular_velocity, imu.specific_force),
+)
+POSE_SAMPLES = SampleKind(
+    POSE, lambda time_ns, _: PoseStream(time_ns, _rows(time_ns), _rows(time_ns, 4)), _fill_pose
+)
+ODOMETRY_SAMPLES = SampleKind(
+    ODOMETRY,
+    lambda time_ns, _: OdometryStream(
+        time_ns, _rows(time_ns), _rows(time_ns, 4), _rows(time_ns), _rows(time_ns)
+    ),
+    _fill_odometry,
+    texts=2,
+)
+WIND_SAMPLES = SampleKind(
+    WIND,
+    lambda time_ns, _: WindStream(time_ns, _rows(time_ns)),
+    lambda values, wind: world_values(values, wind.velocity),
+)
+ROTOR_SPEED_SAMPLES = SampleKind(ROTOR_SPEEDS, _rotor_room, _fill_rotor_speeds)
+
+
+def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
+    """Messages of quadpi/Erpm; the vehicle's pole pairs turn electrical into mechanical speed.
+
+    Raises:
+        VehicleError: if the vehicle file does not give the pole pairs.
+    """
+
+    def fill(erpm: Array, rotors: RotorSpeedStream) -> None:
+        rotors.speeds[:] = vehicle.rotor_speeds_from_erpm(erpm)
+
+    vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
+    return SampleKind(ERPM, _rotor_room, fill)
+
+
+def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
+    """Messages of geometry_msgs/TwistStamped that have one frame; see :func:`unpack_twist`."""
+
+    def room(time_ns: Stamps, frames: tuple[str, ...]) -> TwistStream:
+        in_body = without_namespace(frames[0]) == without_namespace(body_frame)
+        return TwistStream(time_ns, _rows(time_ns), np.full(len(time_ns), in_body))
+
+    def fill(values: Array, twist: TwistStream) -> None:
+        convert = body_values if twist.in_body.all() else world_values
+        convert(values, twist.velocity)
+
+    return SampleKind(TWIST, room, fill)
+
+
 def unpack_imu(payloads: Payloads | bytes) -> ImuStream:
     """Decode sensor_msgs/Imu; its orientation is not used."""
-    (time_ns, values), places = codec(IMU).decode_stamped(payloads), codec(IMU).places
-    return ImuStream(
-        time_ns=time_ns,
-        angular_velocity=body_flu_to_frd(values[:, places["angular_velocity"]]),
-        specific_force=body_flu_to_frd(values[:, places["linear_acceleration"]]),
-    )
+    return IMU_SAMPLES.unpack(payloads)
 
 
 def pack_imu(stream: ImuStream, frame_id: str = BODY_FRAME) -> Payloads:
@@ -112,12 +221,7 @@ def unpack_pose(payloads: Payloads | bytes) -> PoseStream:
     Raises:
         SampleError: also for an orientation that is no unit quaternion.
     """
-    (time_ns, values), places = codec(POSE).decode_stamped(payloads), codec(POSE).places
-    return PoseStream(
-        time_ns=time_ns,
-        position=world_enu_to_ned(values[:, places["pose.position"]]),
-        attitude=_attitude(values[:, places["pose.orientation"]]),
-    )
+    return POSE_SAMPLES.unpack(payloads)
 
 
 def pack_pose(stream: PoseStream, frame_id: str = WORLD_FRAME) -> Payloads:
@@ -138,14 +242,7 @@ def unpack_odometry(payloads: Payloads | bytes) -> OdometryStream:
     Raises:
         SampleError: also for an orientation that is no unit quaternion.
     """
-    (time_ns, values), places = codec(ODOMETRY).decode_stamped(payloads), codec(ODOMETRY).places
-    return OdometryStream(
-        time_ns=time_ns,
-        position=world_enu_to_ned(values[:, places["pose.pose.position"]]),
-        attitude=_attitude(values[:, places["pose.pose.orientation"]]),
-        velocity=body_flu_to_frd(values[:, places["twist.twist.linear"]]),
-        rates=body_flu_to_frd(values[:, places["twist.twist.angular"]]),
-    )
+    return ODOMETRY_SAMPLES.unpack(payloads)
 
 
 def pack_odometry(
@@ -177,8 +274,13 @@ def pack_odometry(
         unknown if twist_covariance is None else twist_covariance,
         values,
     )
-    texts = (("header.frame_id", frame_id), ("child_frame_id", child_frame_id))
+    texts = odometry_constants(frame_id, child_frame_id)
     return codec(ODOMETRY).encode_stamped(stream.time_ns, values, texts)
+
+
+def odometry_constants(frame_id: str, child_frame_id: str) -> tuple[tuple[str, str | float], ...]:
+    """The fields of nav_msgs/Odometry that stay the same."""
+    return ("header.frame_id", frame_id), ("child_frame_id", child_frame_id)
 
 
 def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> TwistStream:
@@ -227,8 +329,7 @@ def unpack_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream, Twist
 
 def unpack_wind(payloads: Payloads | bytes) -> WindStream:
     """Decode geometry_msgs/Vector3Stamped as wind velocity, ENU."""
-    time_ns, vector = codec(WIND).decode_stamped(payloads)
-    return WindStream(time_ns=time_ns, velocity=world_enu_to_ned(vector))
+    return WIND_SAMPLES.unpack(payloads)
 
 
 def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
@@ -239,7 +340,7 @@ def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
 
 def unpack_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
     """Decode quadpi/RotorSpeeds."""
-    return RotorSpeedStream(*codec(ROTOR_SPEEDS).decode_stamped(payloads))
+    return ROTOR_SPEED_SAMPLES.unpack(payloads)
 
 
 def pack_rotor_speeds(stream: RotorSpeedStream, frame_id: str = BODY_FRAME) -> Payloads:
@@ -254,8 +355,7 @@ def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> RotorSpeedStrea
     Raises:
         VehicleError: if the vehicle file does not give the pole pairs.
     """
-    time_ns, erpm = codec(ERPM).decode_stamped(payloads)
-    return RotorSpeedStream(time_ns=time_ns, speeds=vehicle.rotor_speeds_from_erpm(erpm))
+    return erpm_samples(vehicle).unpack(payloads)
 
 
 def pack_erpm(time_ns: Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Payloads:
@@ -289,15 +389,6 @@ def header_columns(time_ns: Stamps, frame_id: str) -> dict[str, Any]:
     """Columns of a std_msgs/Header, for :meth:`quadpi_core.messages.cdr.Codec.encode`."""
     seconds, nanoseconds = np.divmod(time_ns, _NANOSECONDS)
     return {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds, "header.frame_id": frame_id}
-
-
-def _attitude(orientation_xyzw: Array) -> Array:
-    attitude = np.empty(orientation_xyzw.shape)
-    sample = attitude_values(orientation_xyzw, attitude)
-    if sample >= 0:
-        norm = math.hypot(*orientation_xyzw[sample])
-        raise SampleError(sample, f"the orientation is no unit quaternion (norm {norm:.3g})")
-    return attitude
 
 
 def mirrored(wrench: Array) -> Array:

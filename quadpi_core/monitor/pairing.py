@@ -41,6 +41,8 @@ CAPACITY = 256
 IMU, STATE, ROTORS, WIND_TOPIC, _TOPICS = 0, 1, 2, 3, 4
 # A state has the most numbers.
 _WIDEST = 10
+# What becomes of the oldest IMU sample.
+_WAITS, _EARLY, _TAKEN = 0, 1, 2
 # How a stretch begins: where the previous one ended; with a stamp more than MAX_JUMP_BACK_NS before the
 # newest; with one that far before the stamp of the previous sample, as the IMU's clock was set back.
 CONTINUES, STEPS_BACK, SET_BACK = 0, 1, 2
@@ -192,6 +194,7 @@ class _State:
     # Of the IMU: the newest stamp since one stepped back, and that of the last sample. Of replays only.
     newest_ns: int
     last_ns: int
+    rate_changes: int  # `meter.changes` at the last :func:`_take_samples`
     noted: bool  # whether the stamp at which a stretch begins has been noted
     # See PairingCounts.
     paired: int
@@ -221,8 +224,9 @@ class Pairing:
         self._rings = np.zeros((_TOPICS, capacity), record_dtype(_Entry))
         self._taken_ns = np.empty(capacity, dtype=np.int64)
         self._taken = np.empty((capacity, CHANNELS))
-        self._changes = -1
-        # Also compiles the kernel, which the first sample would wait for.
+        self.rate = ImuRate.of(self._state["meter"], rate_hz)
+        # Whether :meth:`take` has something to do; the first call compiles its kernel.
+        self._ready = True
         self.take()
 
     @property
@@ -247,29 +251,32 @@ class Pairing:
 
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        _add_imu_sample(self._state, self._rings, time_ns, specific_force)
+        self._ready |= _add_imu_sample(self._state, self._rings, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        _add_state_sample(self._state, self._rings, time_ns, velocity, attitude, rates)
+        self._ready |= _add_state_sample(self._state, self._rings, time_ns, velocity, attitude, rates)
 
     def add_estimate(self, time_ns: int, motion: Array) -> None:
         """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
-        _add_estimate(self._state, self._rings, time_ns, motion)
+        self._ready |= _add_estimate(self._state, self._rings, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (4,) rad/s."""
-        _add_sample(self._state, self._rings, ROTORS, time_ns, speeds)
+        self._ready |= _add_sample(self._state, self._rings, ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        _add_sample(self._state, self._rings, WIND_TOPIC, time_ns, velocity)
+        self._ready |= _add_sample(self._state, self._rings, WIND_TOPIC, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
-        count, changes = _take_samples(self._state, self._rings, self._taken_ns, self._taken)
-        if changes != self._changes:
-            self._changes, self.rate = changes, ImuRate.of(self._state["meter"], self._given_hz)
+        if not self._ready:
+            return None
+        self._ready = False
+        count, rate_changed = _take_samples(self._state, self._rings, self._taken_ns, self._taken)
+        if rate_changed:
+            self.rate = ImuRate.of(self._state["meter"], self._given_hz)
         if count == 0:
             return None
         return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
@@ -300,34 +307,48 @@ class Pairing:
 
 
 @njit(cache=True)
-def _add_imu_sample(states: Records, rings: Records, time_ns: int, specific_force: Array) -> None:
+def _add_imu_sample(states: Records, rings: Records, time_ns: int, specific_force: Array) -> bool:
+    """As the other `_add_` of samples that come live: returns whether :func:`_take_samples` is due."""
     _follow_rate(states[0], time_ns)
     _add(states[0], rings, IMU, time_ns, specific_force)
+    return _take_is_due(states[0], rings)
 
 
 @njit(cache=True)
 def _add_state_sample(
     states: Records, rings: Records, time_ns: int, velocity: Array, attitude: Array, rates: Array
-) -> None:
+) -> bool:
     _add_state(states[0], rings, time_ns, velocity, attitude, rates)
+    return _take_is_due(states[0], rings)
 
 
 @njit(cache=True)
-def _add_estimate(states: Records, rings: Records, time_ns: int, motion: Array) -> None:
+def _add_estimate(states: Records, rings: Records, time_ns: int, motion: Array) -> bool:
     _follow_rate(states[0], time_ns)
     _add(states[0], rings, IMU, time_ns, motion[10:])
     _add_state(states[0], rings, time_ns, motion[4:7], motion[:4], motion[7:10])
+    return _take_is_due(states[0], rings)
 
 
 @njit(cache=True)
-def _add_sample(states: Records, rings: Records, topic: int, time_ns: int, values: Array) -> None:
+def _add_sample(states: Records, rings: Records, topic: int, time_ns: int, values: Array) -> bool:
     _add(states[0], rings, topic, time_ns, values)
+    return _take_is_due(states[0], rings)
 
 
 @njit(cache=True)
-def _take_samples(states: Records, rings: Records, taken_ns: Stamps, taken: Array) -> tuple[int, int]:
-    """The number of samples taken, whose rows are filled, and how often the rate has changed."""
-    return _take(states[0], rings, taken_ns, taken), states[0].meter.changes
+def _take_is_due(state: _State, rings: Records) -> bool:
+    """Whether the oldest IMU sample waits no longer, or the rate of the IMU has changed."""
+    return bool(state.meter.changes != state.rate_changes or _fate_of_oldest(state, rings) != _WAITS)
+
+
+@njit(cache=True)
+def _take_samples(states: Records, rings: Records, taken_ns: Stamps, taken: Array) -> tuple[int, bool]:
+    """The number of samples taken, whose rows are filled, and whether the rate has changed."""
+    state = states[0]
+    changed = state.meter.changes != state.rate_changes
+    state.rate_changes = state.meter.changes
+    return _take(state, rings, taken_ns, taken), changed
 
 
 @njit(cache=True)
@@ -447,33 +468,40 @@ def _make_room(state: _State, topic: int, time_ns: int, capacity: int) -> int:
 @njit(cache=True)
 def _take(state: _State, rings: Records, taken_ns: Stamps, taken: Array) -> int:
     """Fill stamps and rows of the samples that are complete or given up; returns their number."""
-    imu, states, rotors = state.tracks[IMU], state.tracks[STATE], state.tracks[ROTORS]
-    capacity = rings.shape[1]
+    imu, capacity = state.tracks[IMU], rings.shape[1]
     count = 0
-    while imu.count > 0:
-        sample = rings[IMU, imu.oldest]
-        time_ns = sample.time_ns
-        too_early = _starts_after(states, rings[STATE], time_ns) or _starts_after(
-            rotors, rings[ROTORS], time_ns
-        )
-        complete = states.newest_ns >= time_ns and rotors.newest_ns >= time_ns
-        if not (too_early or complete):
-            if imu.count < capacity and imu.newest_ns - time_ns <= state.timeout_ns:
-                break
-            too_early = states.count == 0 or rotors.count == 0
-        if too_early:
+    while True:
+        fate = _fate_of_oldest(state, rings)
+        if fate == _WAITS:
+            return count
+        if fate == _EARLY:
             state.early += 1
         else:
-            row = taken[count]
-            if _complete(state, rings, time_ns, row):
+            sample, row = rings[IMU, imu.oldest], taken[count]
+            if _complete(state, rings, sample.time_ns, row):
                 state.paired += 1
             else:
                 state.dropped += 1
             row[SPECIFIC_FORCE] = sample.values[:3]
-            taken_ns[count] = time_ns
+            taken_ns[count] = sample.time_ns
             count += 1
         _drop_oldest(imu, capacity)
-    return count
+
+
+@njit(cache=True)
+def _fate_of_oldest(state: _State, rings: Records) -> int:
+    """Whether the oldest IMU sample waits, is too early for anything to complete it, or is to be taken."""
+    imu, states, rotors = state.tracks[IMU], state.tracks[STATE], state.tracks[ROTORS]
+    if imu.count == 0:
+        return _WAITS
+    time_ns = rings[IMU, imu.oldest].time_ns
+    if _starts_after(states, rings[STATE], time_ns) or _starts_after(rotors, rings[ROTORS], time_ns):
+        return _EARLY
+    if states.newest_ns >= time_ns and rotors.newest_ns >= time_ns:
+        return _TAKEN
+    if imu.count < rings.shape[1] and imu.newest_ns - time_ns <= state.timeout_ns:
+        return _WAITS
+    return _EARLY if states.count == 0 or rotors.count == 0 else _TAKEN
 
 
 @njit(cache=True)

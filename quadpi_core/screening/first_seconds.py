@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quadpi_core.flight import STREAM_KINDS, ImuStream, Recording, Stream
 from quadpi_core.screening.consistency import findings
@@ -36,7 +37,7 @@ class FirstSeconds:
     def __init__(self, source: str) -> None:
         self._source = source
         self._left = STRETCHES
-        self._kept: dict[type[Stream], list[Stream]] = {}
+        self._kept: dict[type[Stream], list[tuple[NDArray[Any], ...]]] = {}
         self._start_ns: int | None = None
         self._newest_ns = 0
 
@@ -45,21 +46,17 @@ class FirstSeconds:
         """Whether no more samples are needed."""
         return self._left == 0
 
-    def take(self, *streams: Stream) -> Recording | None:
-        """Collect samples as they arrive; those of the IMU complete a stretch.
+    def take(self, kind: type[Stream], *columns: NDArray[Any]) -> Recording | None:
+        """Collect samples as they arrive, by the columns of their stream; the IMU's complete a stretch.
 
         Returns:
             The stretch, once it is complete, if the vehicle moved in it. Samples that are not finite, or
             whose stamps do not increase, are left out.
         """
-        stretch = None
-        for stream in streams:
-            if self.complete:
-                break
-            self._kept.setdefault(type(stream), []).append(stream)
-            if isinstance(stream, ImuStream):
-                stretch = self._advance(int(stream.time_ns[-1])) or stretch
-        return stretch
+        if self.complete:
+            return None
+        self._kept.setdefault(kind, []).append(columns)
+        return self._advance(int(columns[0][-1])) if kind is ImuStream else None
 
     def _advance(self, time_ns: int) -> Recording | None:
         """Advance to the stamp of an IMU sample; the stretch that it completes, if the vehicle moved."""
@@ -71,7 +68,10 @@ class FirstSeconds:
         if self._start_ns is None or time_ns - self._start_ns < STRETCH_S * 1e9:
             return None
         kept, self._kept, self._start_ns = self._kept, {}, None
-        parts: dict[str, Any] = {_FIELDS[kind]: _cleaned(kind.join(parts)) for kind, parts in kept.items()}
+        parts: dict[str, Any] = {
+            _FIELDS[kind]: _cleaned(kind(*map(np.concatenate, zip(*parts, strict=True))))
+            for kind, parts in kept.items()
+        }
         stretch = Recording(name=self._source, vehicle="", source=self._source, **parts)
         if not np.sqrt(np.mean(np.sum(stretch.imu.angular_velocity**2, axis=1))) >= MOVES_RAD_S:
             return None

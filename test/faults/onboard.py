@@ -16,7 +16,9 @@ from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus
 from quadpi_core.estimator.output import with_gyro_faults
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.sensor_messages import SampleKind
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons
@@ -30,11 +32,11 @@ from quadpi_core.vehicle import Vehicle
 RATE_HZ = 500.0
 Spoil = Callable[[str, Payloads], Payloads]
 _NEVER = -(2**63)
-_MESSAGES: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
-    "imu": (sensor_messages.pack_imu, sensor_messages.unpack_imu),
-    "mocap/pose": (sensor_messages.pack_pose, sensor_messages.unpack_pose),
-    "rotor_speeds": (sensor_messages.pack_rotor_speeds, sensor_messages.unpack_rotor_speeds),
-    "wind": (sensor_messages.pack_wind, sensor_messages.unpack_wind),
+_MESSAGES: dict[str, tuple[Callable[..., Any], SampleKind[Any]]] = {
+    "imu": (sensor_messages.pack_imu, sensor_messages.IMU_SAMPLES),
+    "mocap/pose": (sensor_messages.pack_pose, sensor_messages.POSE_SAMPLES),
+    "rotor_speeds": (sensor_messages.pack_rotor_speeds, sensor_messages.ROTOR_SPEED_SAMPLES),
+    "wind": (sensor_messages.pack_wind, sensor_messages.WIND_SAMPLES),
 }
 
 
@@ -131,6 +133,7 @@ class Onboard:
         self._paired: list[PairedSamples] = []
         self._out: list[tuple[Predictions, Alarms, list[AlarmEvent]]] = []
         self._odometry_ns: list[int] = []
+        self._read = {topic: IncomingMessage(kind) for topic, (_, kind) in _MESSAGES.items()}
         self._health = {topic: TopicHealth(RATE_HZ if topic == "imu" else None) for topic in _MESSAGES}
 
     def fly(self, sent: Mapping[str, Sent], spoil: Spoil = lambda _, payloads: payloads) -> Flown:
@@ -138,7 +141,7 @@ class Onboard:
         imu_ns, arrived_ns, status = [], [], []
         for at_ns, topic, payload in _arriving(sent, spoil):
             try:
-                sample = _MESSAGES[topic][1](payload)
+                sample = self._read[topic](payload)
             except LogError as error:
                 self._health[topic].refuse(str(error))
                 continue

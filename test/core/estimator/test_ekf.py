@@ -132,7 +132,7 @@ def test_one_by_one_equals_the_run_bit_for_bit(noisy_vehicle, simulate_flight):
     rows, fused = [], []
     for _, step in feed(ekf, recording):
         state = ekf.state
-        fused.append(step.fused.rows)
+        fused.append(step.fused.rows.copy())
         rows.append(
             np.concatenate(
                 (

@@ -7,9 +7,12 @@ import numpy as np
 from quadpi_core import rotations
 from quadpi_core.estimator.ekf import State
 from quadpi_core.estimator.filter_state import ATTITUDE, ERROR_STATES, ESTIMATE, GYRO_BIAS, POSITION, VELOCITY
-from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused, with_gyro_faults
+from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused, fill_odometry, with_gyro_faults
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
+from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.sensor_messages import ODOMETRY, pack_odometry
+from quadpi_core.messages.values import ODOMETRY_VALUES
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.sample_limits import SPECIFIC_FORCE_MAX_M_S2
 
@@ -44,6 +47,14 @@ def test_imu_is_corrected_and_velocity_in_body_axes() -> None:
     )
     state.position[:] = np.nan
     assert np.isfinite(sample.odometry.position).all()
+
+
+def test_odometry_is_that_of_the_states() -> None:
+    sample = fused(make_state(np.random.default_rng(5)))
+    values = np.empty((1, ODOMETRY_VALUES))
+    fill_odometry(sample.rows, values)
+    packed = pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
+    np.testing.assert_array_equal(codec(ODOMETRY).decode_stamped(packed).values, values)
 
 
 def test_covariances_match_the_spread_of_perturbed_states() -> None:

@@ -19,6 +19,7 @@ from quadpi_core.logs.bags import output_topic, read_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
+from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.transforms import TF_TYPE, StaticTransforms
 
@@ -134,7 +135,7 @@ def test_a_name_that_only_ends_alike_is_no_ned(bag: Callable[..., Path], frame: 
 
 def test_strict_refuses_what_nothing_is_known_of() -> None:
     frames = BodyFrames("base_link", strict=True)
-    unpack = Framed(sensor_messages.unpack_imu, frames.imu, frames)
+    unpack = IncomingMessage(sensor_messages.IMU_SAMPLES, frames.imu, frames)
     foreign = sensor_messages.pack_imu(imu(1), "imu_link")[0]
     with pytest.raises(
         SampleError, match="`imu_link` is not the body's, `base_link`, and no static transform"
@@ -150,7 +151,7 @@ def test_strict_refuses_what_nothing_is_known_of() -> None:
 def test_live_waits_a_moment_for_a_transform_then_goes_on_without() -> None:
     told: list[str] = []
     frames = BodyFrames("base_link", patience_s=0.05, warn=told.append)
-    unpack = Framed(sensor_messages.unpack_imu, frames.imu, frames)
+    unpack = IncomingMessage(sensor_messages.IMU_SAMPLES, frames.imu, frames)
     foreign = sensor_messages.pack_imu(imu(1), "imu_link")[0]
     with pytest.raises(SampleError, match="waiting for a static transform"):
         unpack(foreign)
@@ -172,21 +173,20 @@ def test_one_by_one_and_in_blocks_are_the_same_bits() -> None:
         parts.append(sensor_messages.pack_imu(part, frame))
     payloads = Payloads.concatenate(parts)
 
-    def framed() -> Framed[ImuStream]:
-        frames = BodyFrames()
-        frames.transforms.take(transforms(("base_link", "imu_link", BACKWARD, PLACE)))
-        return Framed(sensor_messages.unpack_imu, frames.imu, frames)
-
-    whole, one = framed()(payloads), framed()
-    live = [one(message) for message in payloads]
-    np.testing.assert_array_equal(np.concatenate([s.specific_force for s in live]), whole.specific_force)
-    np.testing.assert_array_equal(np.concatenate([s.angular_velocity for s in live]), whole.angular_velocity)
+    frames = BodyFrames()
+    frames.transforms.take(transforms(("base_link", "imu_link", BACKWARD, PLACE)))
+    whole = Framed(sensor_messages.unpack_imu, frames.imu)(payloads)
+    one = IncomingMessage(sensor_messages.IMU_SAMPLES, frames.imu, frames)
+    live = ImuStream.join([one(message).take([0]) for message in payloads])
+    np.testing.assert_array_equal(live.time_ns, whole.time_ns)
+    np.testing.assert_array_equal(live.specific_force, whole.specific_force)
+    np.testing.assert_array_equal(live.angular_velocity, whole.angular_velocity)
     assert (whole.specific_force != stream.specific_force).any(axis=1).sum() == 299
 
 
 def test_a_child_frame_with_z_down_is_refused() -> None:
     frames = BodyFrames()
-    unpack = Framed(sensor_messages.unpack_odometry, frames.world, frames, texts=2)
+    unpack = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, frames.world)
     one = OdometryStream(
         np.array([START_NS]),
         np.zeros((1, 3)),

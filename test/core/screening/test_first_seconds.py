@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.flight import ImuStream, Recording
+from quadpi_core.flight import ImuStream, Recording, Stream
 from quadpi_core.logs import read_recording
 from quadpi_core.paths import bags_directory
 from quadpi_core.screening.first_seconds import (
@@ -45,9 +45,15 @@ def sent(recording: Recording, block_s: float = 0.02) -> Iterator[list]:
         yield [stream for stream in block if len(stream)]
 
 
+def taken(kept: FirstSeconds, streams: list[Stream]) -> Recording | None:
+    """The stretch that samples complete."""
+    found = [kept.take(type(stream), *vars(stream).values()) for stream in streams]
+    return next((stretch for stretch in found if stretch is not None), None)
+
+
 def stretches(recording: Recording) -> list[Recording]:
     kept = FirstSeconds("test")
-    return [found for block in sent(recording) if (found := kept.take(*block)) is not None]
+    return [found for block in sent(recording) if (found := taken(kept, block)) is not None]
 
 
 def still(recording: Recording) -> Recording:
@@ -86,7 +92,7 @@ def test_wrong_units_are_named(flown: Recording, vehicle: Vehicle) -> None:
 
 def test_a_vehicle_at_rest_says_nothing_and_is_waited_for(flown: Recording) -> None:
     kept = FirstSeconds("test")
-    assert [kept.take(*block) for block in sent(still(flown))] == [None] * len(list(sent(flown)))
+    assert [taken(kept, block) for block in sent(still(flown))] == [None] * len(list(sent(flown)))
     assert not kept.complete
 
 
@@ -109,7 +115,7 @@ def test_it_ends_after_its_stretches(flown: Recording) -> None:
         later_ns = repeat * 21 * 10**9
         for block in sent(flown):
             moved = [replace(stream, time_ns=stream.time_ns + later_ns) for stream in block]
-            found += kept.take(*moved) is not None
+            found += taken(kept, moved) is not None
     assert found == STRETCHES
     assert kept.complete
 
@@ -117,6 +123,6 @@ def test_it_ends_after_its_stretches(flown: Recording) -> None:
 def test_a_clock_that_is_set_back_begins_a_stretch(flown: Recording) -> None:
     kept = FirstSeconds("test")
     blocks = list(sent(flown))
-    assert all(kept.take(*block) is None for block in blocks[:500])
-    (stretch,) = [found for block in blocks if (found := kept.take(*block)) is not None]
+    assert all(taken(kept, block) is None for block in blocks[:500])
+    (stretch,) = [found for block in blocks if (found := taken(kept, block)) is not None]
     assert stretch.imu.time_ns[0] < flown.imu.time_ns[0] + 100_000_000
