@@ -3,28 +3,28 @@
 """The kinds of model there are: files of the folder `kinds`, and those of packages that are installed.
 
 A file declares its kind as `KIND`; its name, with dashes for underscores, is that of the kind. Another
-package declares kinds as entry points of the group `quadpi.kinds`. A stored model only names its kind: the
-code that reads it is that of a file here or of a package that someone installed, never of the model folder.
+package declares kinds as entry points of the group `quadpi.model_kinds`. A stored model only names its kind:
+the code that reads it is that of a file here or of a package that someone installed, never of the folder.
 
 Only what is asked for is imported, so that the command line can name the kinds at once.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quadpi_core.errors import ModelError
+from quadpi_core.models import kinds
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from quadpi_core.models.model_kind import Kind
 
-_FOLDER = "kinds"
-ENTRY_POINTS = "quadpi.kinds"
+# Entry points by which another package declares kinds.
+ENTRY_POINTS = "quadpi.model_kinds"
 
 
 def kind_names() -> tuple[str, ...]:
@@ -50,11 +50,10 @@ def kind_named(name: str) -> Kind:
     raise ModelError(f"method {name!r} is not known to this version ({', '.join(kind_names())})")
 
 
-@cache
 def _modules() -> dict[str, str]:
     """Module of each kind of this package, by name."""
-    stems = sorted(path.stem for path in Path(__file__).with_name(_FOLDER).glob("[!_]*.py"))
-    return {stem.replace("_", "-"): f"{__package__}.{_FOLDER}.{stem}" for stem in stems}
+    stems = sorted(path.stem for folder in kinds.__path__ for path in Path(folder).glob("[!_]*.py"))
+    return {stem.replace("_", "-"): f"{kinds.__name__}.{stem}" for stem in stems}
 
 
 def _installed() -> dict[str, EntryPoint]:
@@ -68,7 +67,6 @@ def _imported(module: str) -> Kind:
     return kind
 
 
-@cache
 def _loaded(entry: EntryPoint) -> Kind:
     """The kind of another package."""
     from quadpi_core.models.model_kind import Kind

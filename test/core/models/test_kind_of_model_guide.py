@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""docs/add-a-kind-of-model.md: its kind works as it stands there, in the folder and in another package."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.synthetic_inputs import smooth_inputs
+from quadpi_core.cli import app
+from quadpi_core.errors import ModelError
+from quadpi_core.logs.bags import read_outputs
+from quadpi_core.models import kinds
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.interval_rules import inside_interval
+from quadpi_core.models.kind_registry import ENTRY_POINTS, kind_named, kind_names
+from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.paths import bags_directory
+
+GUIDE = (Path(__file__).parents[3] / "docs" / "add-a-kind-of-model.md").read_text()
+KIND = re.search(r"```py\n(.*?)```", GUIDE, flags=re.DOTALL)[1]
+GROUP, ENTRY = re.search(
+    r"```toml\n# pyproject.toml\n\[project\.entry-points\.\"(.*?)\"\]\n(.*?)```", GUIDE, flags=re.DOTALL
+).groups()
+
+
+@pytest.fixture(autouse=True)
+def forget_modules() -> Iterator[None]:
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if name.endswith(".ridge") or name == "my_package":
+            del sys.modules[name]
+
+
+@pytest.fixture
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kind of the guide beside the others."""
+    folder = tmp_path / "kinds"
+    folder.mkdir()
+    (folder / "ridge.py").write_text(KIND)
+    monkeypatch.setattr(kinds, "__path__", [*kinds.__path__, str(folder)])
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of the kind in an installed package; what it holds can be changed."""
+    installed = tmp_path / "site-packages"
+    for folder in ("my_package", "my_package-1.0.dist-info"):
+        (installed / folder).mkdir(parents=True)
+    (installed / "my_package" / "__init__.py").write_text("")
+    (installed / "my_package-1.0.dist-info" / "METADATA").write_text("Name: my_package\nVersion: 1.0\n")
+    (installed / "my_package-1.0.dist-info" / "entry_points.txt").write_text(
+        f"[{GROUP}]\n" + ENTRY.replace('"', "")
+    )
+    (installed / "my_package" / "ridge.py").write_text(KIND)
+    monkeypatch.syspath_prepend(installed)
+    return installed / "my_package" / "ridge.py"
+
+
+@pytest.mark.usefixtures("in_folder")
+def test_commands_run_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for bag in bags_directory().glob("*.mcap"):
+        (tmp_path / bag.name).symlink_to(bag)
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^    quadpi (.*)$", GUIDE, flags=re.MULTILINE)
+    assert len(commands) == 4
+    for command in commands:
+        result = CliRunner().invoke(app, command.split())
+        assert result.exit_code == 0, result.output
+    assert "ridge regression" in (tmp_path / "report.html").read_text()
+
+    model = AerodynamicModel.load("model")
+    assert (model.method, model.axes) == ("ridge", ("Fx", "Fy", "Fz", "Mx", "My", "Mz"))
+    assert all(len(coverage) == 3 for coverage in model.held_out_coverage.values())
+    predictions, _ = read_outputs(tmp_path / "replayed.mcap")
+    assert np.mean(inside_interval(predictions.measured, predictions.lower, predictions.upper)) > 0.95
+
+    # In flight samples come one by one.
+    X = smooth_inputs(100, seed=1, vehicle_name="bebop2")
+    together = model.evaluate(X)
+    for i in range(len(X)):
+        for alone, block in zip(model.evaluate(X[i : i + 1]), together, strict=True):
+            np.testing.assert_array_equal(alone[0], block[i])
+
+
+@pytest.mark.usefixtures("package")
+def test_a_package_may_declare_a_kind() -> None:
+    assert GROUP == ENTRY_POINTS
+    assert "ridge" in kind_names()
+    assert kind_named("ridge").label == "ridge regression"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("import not_there", "my_package.ridge:KIND cannot be imported: No module named 'not_there'"),
+        (KIND.replace('name = "ridge"', 'name = "edge"'), "is no kind of model of that name"),
+        ("KIND = 1", "is no kind of model of that name"),
+    ],
+)
+def test_a_package_with_a_kind_that_cannot_be_used(package: Path, content: str, message: str) -> None:
+    package.write_text(content)
+    with pytest.raises(ModelError, match=f"^method ridge: .*{message}"):
+        kind_named("ridge")
+
+
+@pytest.mark.usefixtures("in_folder")
+def test_options_that_the_kind_does_not_have_are_refused() -> None:
+    for options in (IdentifyOptions(stop="pse"), IdentifyOptions(settings="paper")):
+        with pytest.raises(ModelError, match="ridge method"):
+            kind_named("ridge").check(options, {})
+
+
+def test_a_kind_that_is_not_installed_is_refused_with_those_known() -> None:
+    with pytest.raises(ModelError, match=r"method 'ridge' is not known .*\(bootstrap, polynomial, "):
+        kind_named("ridge")
