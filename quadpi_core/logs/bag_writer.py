@@ -105,10 +105,13 @@ class _ChecksummedStorage(storage_mcap.McapWriter):
     def close_chunk(self) -> None:
         """Write the chunk and its index, by channel: the order of first use would depend on the blocks."""
         self.chunk.msgs = dict(sorted(self.chunk.msgs.items()))
+        # Of a chunk with topics alone, which rosbags lets begin in the year 2262; the specification says 0.
+        self.chunk.message_start_time = min(self.chunk.message_start_time, self.chunk.message_end_time)
         super().close_chunk()
 
     def close(self, version: int, metadata: str) -> None:
         """Write index and footer, and the checksum of the summary into the footer."""
+        self.message_start_time = min(self.message_start_time, self.message_end_time)
         super().close(version, metadata)
         with self.path.open("rb+") as stream:
             checksum_at = stream.seek(-_CHECKSUM - _MAGIC, 2)
