@@ -2,39 +2,42 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of a bag as arrays, whole or block by block in log-time order.
 
-rosbags opens every container, with the checks of :mod:`quadpi_core.logs.bag_readers`. Memory is bounded by
+rosbags opens every container, with checks in front of it that it lacks. Memory is bounded by
 one chunk of each file and one block, and a bag with fewer messages than its index announces is refused.
 """
 
 from __future__ import annotations
 
 import heapq
+import re
+import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
+from urllib.parse import quote
 
 import numpy as np
 from backports import zstd
+from rosbags import rosbag2
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from quadpi_core.bounded_files import read_bounded
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.bag_readers import (
-    MESSAGE_BYTES,
+from quadpi_core.logs.mcap_files import (
     METADATA_BYTES_MAX,
-    BagReader,
     McapFile,
     Message,
-    Ros1Bag,
     batches_of,
     log_time,
 )
-from quadpi_core.logs.unpacking import require_unpackable, unpacked_limit, unzstd, zstd_size
+from quadpi_core.logs.ros1_bags import Ros1Bag
+from quadpi_core.logs.unpacking import MESSAGE_BYTES, require_unpackable, unpacked_limit, unzstd, zstd_size
 from quadpi_core.messages.payloads import Payloads, Topic, join_topics
 
 if TYPE_CHECKING:
@@ -43,6 +46,9 @@ if TYPE_CHECKING:
 # A frame of Zstandard, and the frames that decompressors skip.
 _ZSTD_MAGICS = (b"\x28\xb5\x2f\xfd", *(bytes((0x50 + kind, 0x2A, 0x4D, 0x18)) for kind in range(16)))
 _METADATA_FILE = "metadata.yaml"
+# Tables of a database that rosbags reads.
+_TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
+_TABLE = re.compile(r"CREATE TABLE\b", re.IGNORECASE)
 # Messages of all topics in one block: 10 s of a flight at 500 Hz, some MB.
 BLOCK_MESSAGES = 12_000
 _END_NS = 2**63 - 1
@@ -62,7 +68,7 @@ class Bag:
         if not path.exists():
             raise LogError(f"{path}: no such bag")
         with self._reading():
-            self._reader = BagReader(_bag_to_open(path))
+            self._reader = _Reader(_bag_to_open(path))
             self._reader.open()
             self._check_connections()
 
@@ -166,13 +172,12 @@ class Bag:
             if all(file.chunks for file in files):
                 return _chunks_in_order(list(zip(files, chosen, strict=True)), head)
             if len(files) == 1:
-                batches = files[0].scanned(chosen[0])
-                return (_Part(_by_topic(batch, head), limit_ns) for batch, limit_ns in batches)
+                return _batched(files[0].scanned(chosen[0]), head)
+        if isinstance(storages[0], Ros1Bag):
+            return _batched(storages[0].batches(chosen[0], head), head)
         messages: Iterator[Message] = heapq.merge(
             *(
-                storage.cdr_messages(connections, head)
-                if isinstance(storage, Ros1Bag)
-                else storage.messages(connections)
+                storage.messages(connections)
                 for storage, connections in zip(storages, chosen, strict=True)
                 if connections
             ),
@@ -246,6 +251,57 @@ def _check_packed(file: Path) -> None:
         raise LogError(f"{file}: {error}") from error
 
 
+# Containers
+
+
+class _Database(Sqlite3Reader):
+    """A .db3 file, checked before rosbags reads from its tables."""
+
+    def open(self) -> None:
+        """Open the file.
+
+        Raises:
+            LogError: naming the file, for tables that compute or multiply their rows: these may have no end.
+        """
+        place = f"file:{quote(str(Path(str(self.path)).absolute()))}?mode=ro&immutable=1"
+        try:
+            with closing(sqlite3.connect(place, uri=True)) as database:
+                _check_tables(database)
+        except (LogError, sqlite3.Error, UnicodeDecodeError) as error:
+            reason = str(error) if isinstance(error, LogError) else f"cannot be read: {one_line(error)}"
+            raise LogError(f"{self.path}: {reason}") from error
+        super().open()
+
+
+def _check_tables(database: sqlite3.Connection) -> None:
+    made = database.execute("SELECT lower(name), sql FROM sqlite_master").fetchall()
+    for table in _TABLES:
+        columns = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
+        is_plain = all(column[-1] == 0 for column in columns)
+        # Not a view or virtual table, which says so where this says "TABLE".
+        if not is_plain or any(not _TABLE.match(str(text)) for name, text in made if name == table):
+            raise LogError(f"damaged: its table `{table}` computes what it holds")
+    if any(name == "topics" for name, _ in made):
+        total, different = database.execute("SELECT COUNT(*), COUNT(DISTINCT id) FROM topics").fetchone()
+        if total != different:
+            raise LogError("damaged: topics of the same number")
+
+
+class _Directory(DirectoryReader):
+    STORAGE_PLUGINS: Mapping[str, type[ReaderProtocol]] = {"mcap": McapFile, "sqlite3": _Database}
+
+
+class _Reader(rosbag2.Reader):
+    """The reader of rosbags for every container, with these checks."""
+
+    STORAGE_PLUGINS: Mapping[str, type[ReaderProtocol]] = {
+        "dir": _Directory,
+        ".mcap": McapFile,
+        ".db3": _Database,
+        ".bag": cast("type[ReaderProtocol]", Ros1Bag),
+    }
+
+
 # Order of messages
 
 
@@ -275,6 +331,10 @@ def _chunks_in_order(
     limits = [*(chunk.message_start_time for chunk, *_ in chunks[1:]), _END_NS]
     for (chunk, file, connections), limit_ns in zip(chunks, limits, strict=False):
         yield _Part(file.chunk_topics(chunk, connections, head), min(limit_ns, _END_NS))
+
+
+def _batched(batches: Iterable[tuple[list[Message], int]], head: int | None) -> Iterator[_Part]:
+    return (_Part(_by_topic(batch, head), limit_ns) for batch, limit_ns in batches)
 
 
 def _by_topic(messages: Iterable[Message], head: int | None) -> list[Topic]:

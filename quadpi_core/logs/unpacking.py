@@ -21,6 +21,8 @@ from quadpi_core.errors import LogError, QuadpiError
 
 # A larger file may unpack to this many times its size: values that repeat pack 50 times smaller.
 LIMIT_RATIO = 100
+# Memory that a message takes beside its bytes: a tuple, its log time and the header of a bytes object.
+MESSAGE_BYTES = 150
 
 
 def unpacked_limit(packed_bytes: int) -> int:

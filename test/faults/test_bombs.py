@@ -18,8 +18,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from quadpi_core.bounded_files import LIMIT_VARIABLE
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.bag_readers import MAGIC
 from quadpi_core.logs.bags import read_bag
+from quadpi_core.logs.mcap_files import MAGIC
 from quadpi_core.logs.unpacking import unlz4, unpacked_limit, unzstd, zstd_size
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore

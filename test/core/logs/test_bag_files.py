@@ -11,8 +11,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from quadpi_core.errors import LogError
 from quadpi_core.flight import RotorSpeedStream, WindStream
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bag_readers import MAGIC, find_records
 from quadpi_core.logs.bag_writer import mcap_writer, write_mcap
+from quadpi_core.logs.mcap_files import MAGIC, find_records
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads, Topic, join_topics

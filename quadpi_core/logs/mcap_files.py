@@ -1,48 +1,35 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""rosbags' readers of MCAP, sqlite3, rosbag2 folders (split or compressed) and ROS 1 bags, made safe.
+"""rosbags' reader of MCAP files, made safe and quick.
 
-rosbags trusts the sizes in a file, and does not notice damage that leaves fewer messages. Each reader here
-checks its file before rosbags unpacks it, and gives CDR messages in log-time order.
+rosbags trusts the sizes in a file, and does not notice damage that leaves fewer messages. A file is checked
+here before rosbags unpacks it.
 """
 
 from __future__ import annotations
 
 import re
-import sqlite3
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import closing, suppress
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from functools import partial
 from io import SEEK_CUR, BytesIO
 from itertools import accumulate, islice
 from operator import itemgetter
-from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeAlias, cast
-from urllib.parse import quote
+from typing import BinaryIO, NamedTuple, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
-from rosbags import rosbag1, rosbag2
-from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
-from rosbags.rosbag1 import reader as rosbag1_reader
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import storage_mcap
-from rosbags.rosbag2.metadata import ReaderMetadata
-from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, read_string
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from quadpi_core.compiled import njit
-from quadpi_core.errors import LogError, one_line
-from quadpi_core.logs.unpacking import require_unpackable, unbz2, unlz4, unzstd
-from quadpi_core.messages.definitions import parsed_definition
+from quadpi_core.errors import LogError
+from quadpi_core.logs.unpacking import MESSAGE_BYTES, require_unpackable, unlz4, unzstd
 from quadpi_core.messages.payloads import Bytes, Indices, Payloads, Topic
-
-if TYPE_CHECKING:
-    from rosbags.rosbag2.reader import ReaderProtocol
 
 # Topic with its type, log time in ns, serialized message.
 Message: TypeAlias = tuple[Connection, int, bytes]
@@ -60,18 +47,10 @@ _FOOTER = np.dtype([("summary_start", "<u8"), ("offsets_start", "<u8"), ("crc", 
 _CHUNK_SIZE, _CHUNK_NAME, _LENGTH_BYTES = slice(16, 24), 32, 8
 # The metadata.yaml of a day's recording, split every minute, is smaller.
 METADATA_BYTES_MAX = 2**20
-# Memory that a message takes beside its bytes: a tuple, its log time and the header of a bytes object.
-MESSAGE_BYTES = 150
 # Messages taken together where a file has no index of chunks.
 BATCH_MESSAGES = 1000
-# Tables of a database that rosbags reads.
-_TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
-_TABLE = re.compile(r"CREATE TABLE\b", re.IGNORECASE)
 # In the YAML that rosbag2 puts into a file: the entries that its writer added.
 _CUSTOM_DATA = re.compile(r"^custom_data:.*?(?=^\S|\Z)", re.MULTILINE | re.DOTALL)
-
-
-# MCAP
 
 
 class _Records(NamedTuple):
@@ -347,160 +326,3 @@ def _parse_metadata(record: bytes) -> tuple[str, dict[str, str]]:
         key = read_string(stream)
         entries[key] = read_string(stream)
     return name, entries
-
-
-# sqlite3
-
-
-class _Database(Sqlite3Reader):
-    """A .db3 file, checked before rosbags reads from its tables."""
-
-    def open(self) -> None:
-        """Open the file.
-
-        Raises:
-            LogError: naming the file, for tables that compute or multiply their rows: these may have no end.
-        """
-        place = f"file:{quote(str(Path(str(self.path)).absolute()))}?mode=ro&immutable=1"
-        try:
-            with closing(sqlite3.connect(place, uri=True)) as database:
-                _check_tables(database)
-        except (LogError, sqlite3.Error, UnicodeDecodeError) as error:
-            reason = str(error) if isinstance(error, LogError) else f"cannot be read: {one_line(error)}"
-            raise LogError(f"{self.path}: {reason}") from error
-        super().open()
-
-
-def _check_tables(database: sqlite3.Connection) -> None:
-    made = database.execute("SELECT lower(name), sql FROM sqlite_master").fetchall()
-    for table in _TABLES:
-        columns = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
-        is_plain = all(column[-1] == 0 for column in columns)
-        # Not a view or virtual table, which says so where this says "TABLE".
-        if not is_plain or any(not _TABLE.match(str(text)) for name, text in made if name == table):
-            raise LogError(f"damaged: its table `{table}` computes what it holds")
-    if any(name == "topics" for name, _ in made):
-        total, different = database.execute("SELECT COUNT(*), COUNT(DISTINCT id) FROM topics").fetchone()
-        if total != different:
-            raise LogError("damaged: topics of the same number")
-
-
-# ROS 1
-
-
-class Ros1Bag(rosbag1.Reader):
-    """A ROS 1 bag whose messages and definitions are given as those of ROS 2.
-
-    rosbags holds its index in memory, 150 bytes a message: 1.6 GB for two hours of three topics at 500 Hz.
-    """
-
-    def open(self) -> None:
-        """Open the file and read its index; its types are registered with ROS 2's header."""
-        self._size = self.path.stat().st_size
-        self._chunk_places: set[int] = set()
-        self._unpacked_bytes = 0
-        self._recent: dict[int, bytes] = {}
-        super().open()
-        self._types = get_typestore(Stores.EMPTY)
-        jazzy = get_typestore(Stores.ROS2_JAZZY).fielddefs
-        self._types.register({name: jazzy[name] for name in _ROS2_OWN})
-        self.connections = [self._with_ros2_definition(connection) for connection in self.connections]
-
-    def _with_ros2_definition(self, connection: Connection) -> Connection:
-        text = ""
-        with suppress(Exception):  # the error comes when the topic is read: others may be all that is needed
-            types = parsed_definition(connection.msgtype, connection.msgdef.data)
-            new = {name: fields for name, fields in types.items() if name not in self._types.fielddefs}
-            self._types.register(new)
-            text = self._types.generate_msgdef(connection.msgtype, ros_version=2)[0]
-        kind = MessageDefinitionFormat.MSG if text else MessageDefinitionFormat.NONE
-        return connection._replace(msgdef=MessageDefinition(kind, text), digest="")
-
-    @property
-    def metadata(self) -> ReaderMetadata:
-        """Span and count, as files of ROS 2 give them."""
-        return ReaderMetadata(
-            self.duration, self.start_time, self.end_time, self.message_count, None, None, None, None
-        )
-
-    def read_chunk_info(self) -> rosbag1_reader.ChunkInfo:
-        """An entry of the index; an entry that is there twice would be read twice."""
-        info = super().read_chunk_info()
-        if info.pos in self._chunk_places:
-            raise LogError(f"damaged: its index names the chunk at byte {info.pos} twice")
-        self._chunk_places.add(info.pos)
-        return info
-
-    def read_chunk(self) -> rosbag1_reader.Chunk:
-        """Where a chunk is, and how it is unpacked: no further than to the size that it announces."""
-        assert self.bio
-        place = self.bio.tell()
-        header = rosbag1_reader.Header.read(self.bio, rosbag1_reader.RecordType.CHUNK)
-        self.bio.seek(place)
-        chunk = super().read_chunk()
-        if chunk.datapos + chunk.datasize > self._size:
-            raise LogError(f"damaged: the chunk at byte {place} is not whole")
-        compression, size = header.get_string("compression"), header.get_uint32("size")
-        return chunk._replace(decompressor=partial(self._unpacked, place, compression, size))
-
-    def _unpacked(self, place: int, compression: str, size: int, packed: bytes) -> bytes:
-        """A chunk by its place; rosbags asks for it whenever its messages alternate with those of another."""
-        if compression == "none":
-            return packed
-        content = self._recent.pop(place, None)
-        if content is None:
-            self._unpacked_bytes += size
-            require_unpackable(self._size, self._unpacked_bytes)
-            content = _ROS1_UNPACKERS[compression](packed, size)
-        self._recent[place] = content
-        if len(self._recent) > _RECENT_CHUNKS:
-            del self._recent[next(iter(self._recent))]
-        return content
-
-    def cdr_messages(self, connections: Collection[Connection], head: int | None) -> Iterator[Message]:
-        """Messages in log-time order, converted to CDR; with `head`, only stamps of headers are right.
-
-        Raises:
-            LogError: naming topic and sample, for bytes that are no message of the type.
-        """
-        counts = dict.fromkeys((connection.topic for connection in connections), 0)
-        for connection, time_ns, raw in self.messages(connections):
-            if head is not None:
-                # The stamp of a header follows its sequence number, which ROS 2 does not have.
-                message = _CDR_LITTLE_ENDIAN + raw[4:head]
-            else:
-                try:
-                    message = bytes(self._types.ros1_to_cdr(raw, connection.msgtype))
-                except Exception as error:  # of many kinds, for damaged bytes
-                    where = f"topic {connection.topic}: sample {counts[connection.topic]}"
-                    raise LogError(
-                        f"{where}: its {len(raw)} bytes are no {connection.msgtype} of ROS 1"
-                    ) from error
-            counts[connection.topic] += 1
-            yield connection, time_ns, message
-
-
-_CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-# Types that ROS 2 changed or made a message; definitions of ROS 1 refer to them by the same names.
-_ROS2_OWN = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-# Unpacked chunks that are kept: a bag with topics written one after the other alternates between as many.
-_RECENT_CHUNKS = 16
-_ROS1_UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
-    "lz4": unlz4,
-    "bz2": unbz2,
-}
-
-
-class _Directory(DirectoryReader):
-    STORAGE_PLUGINS: Mapping[str, type[ReaderProtocol]] = {"mcap": McapFile, "sqlite3": _Database}
-
-
-class BagReader(rosbag2.Reader):
-    """The reader of rosbags for every container, with the checks of this module."""
-
-    STORAGE_PLUGINS: Mapping[str, type[ReaderProtocol]] = {
-        "dir": _Directory,
-        ".mcap": McapFile,
-        ".db3": _Database,
-        ".bag": cast("type[ReaderProtocol]", Ros1Bag),
-    }
