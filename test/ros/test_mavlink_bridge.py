@@ -9,11 +9,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,12 +21,8 @@ import yaml
 pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from quadpi.msg import RotorSpeeds
 from rclpy.experimental import EventsExecutor
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import Imu
 
@@ -37,17 +31,15 @@ from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
 from quadpi_ros.dds_profile import SENSOR_QOS
 from quadpi_ros.mavlink_bridge import MavlinkBridge
-from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
 from quadpi_ros.node_parameters import BridgeParameters
 from quadpi_ros.parameters import ParameterError
+
+from .mavlink_rig import LONG_QUEUE, TOPICS, Sender, await_link, flying, free_port, listening
+from .rig import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 # Rear right, front right, rear left, front left of neurobem are motors 4, 1, 2, 3 of PX4.
 SPEEDS = np.array([4000, 1000, 2000, 3000]) * 2 * np.pi / 60
-TOPICS = {"imu": Imu, "rotor_speeds": RotorSpeeds, "mocap/odometry": Odometry, "mocap/pose": PoseStamped}
-PATIENCE_S = 60.0
-# On a busy machine the test itself may be late, and best effort then loses what the bridge has not.
-LONG_QUEUE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,109 +49,10 @@ def _domain(ros_domain: int) -> Iterator[None]:
     rclpy.try_shutdown()
 
 
-def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    """Below the ports of DDS and those that the system gives away: nobody takes it before the bridge does."""
-    for port in np.random.default_rng().permutation(np.arange(5000, 7400)).tolist():
-        with socket.socket(socket.AF_INET, kind) as probe, suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return int(port)
-    raise AssertionError("no free port")
-
-
-def await_link(bridge: MavlinkBridge) -> None:
-    """Wait until the bridge has its port, which a thread of its own opens: what is sent before is lost."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not bridge.connections:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-class Listener:
-    """Everything that a bridge publishes, while the test spins."""
-
-    def __init__(self, bridge: MavlinkBridge) -> None:
-        self.bridge = bridge
-        self.node = rclpy.create_node("listener")
-        self.payloads: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
-        self.statuses: list[dict[str, str]] = []
-        self.callbacks: list[str] = []
-        subscriptions = [
-            self.node.create_subscription(kind, topic, self.payloads[topic].append, LONG_QUEUE, raw=True)
-            for topic, kind in TOPICS.items()
-        ]
-        subscriptions += [self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)]
-        self.executor = EventsExecutor()
-        self.executor.add_node(bridge)
-        self.executor.add_node(self.node)
-        self.until(lambda: all(one.get_publisher_count() for one in subscriptions))
-        if not bridge.get_parameter("connection").value.startswith("tcp"):
-            await_link(bridge)
-
-    def _diagnose(self, array: Any) -> None:
-        status, *others = array.status
-        self.callbacks += [one.message for one in others if one.name == "mavlink_bridge: callbacks"]
-        values = {item.key: item.value for item in status.values}
-        self.statuses.append(values | {"message": status.message, "level": str(status.level[0])})
-
-    def until(self, happened: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not happened():
-            counts = {topic: self.count(topic) for topic in TOPICS}
-            assert time.monotonic() < deadline, f"{counts} {self.statuses[-1:]}"
-            self.executor.spin_until_future_complete(Future(), timeout_sec=0.05)
-
-    def message(self) -> str:
-        """What the last status says."""
-        return self.statuses[-1]["message"] if self.statuses else ""
-
-    def count(self, topic: str = "imu") -> int:
-        return len(self.payloads[topic])
-
-    def samples(self) -> np.ndarray:
-        """Numbers of the IMU samples that came, which the vehicle sends as rates."""
-        numbers = [sensor_messages.unpack_imu(p).angular_velocity[0, 0] * 1024 for p in self.payloads["imu"]]
-        return np.rint(numbers).astype(int)
-
-
-@contextmanager
-def listening(**parameters: Any) -> Iterator[Listener]:
-    given = [
-        rclpy.parameter.Parameter(name, value=value)
-        for name, value in ({"vehicle": "neurobem"} | parameters).items()
-    ]
-    bridge = MavlinkBridge(parameter_overrides=given)
-    listener = Listener(bridge)
-    try:
-        yield listener
-    finally:
-        listener.executor.shutdown()
-        bridge.destroy_node()
-        listener.node.destroy_node()
-
-
-@contextmanager
-def flying(port: int, *options: str, ago_s: float = 1234.5) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """A vehicle in a process of its own, and when its clock was zero."""
-    epoch_ns = time.time_ns() - int(ago_s * 1e9)
-    command = [sys.executable, str(Path(__file__).parent / "mavlink_vehicle.py"), str(port)]
-    process = subprocess.Popen(
-        [*command, "--epoch-ns", str(epoch_ns), *options],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        yield process, epoch_ns
-    finally:
-        process.terminate()
-        process.wait(10)
-
-
 def test_nothing_is_lost_at_500_hz_and_values_and_clock_are_right() -> None:
-    port = free_port()
     with (
-        listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--seconds", "4") as (vehicle, epoch_ns),
+        listening() as heard,
+        flying(heard.port, "--seconds", "4") as (vehicle, epoch_ns),
     ):
         heard.until(lambda: vehicle.poll() is not None)
         expected = {"imu": 2000, "rotor_speeds": 2000, "mocap/odometry": 400, "mocap/pose": 0}
@@ -193,10 +86,9 @@ def test_nothing_is_lost_at_500_hz_and_values_and_clock_are_right() -> None:
 
 
 def test_without_timesync_the_diagnostics_say_what_the_stamps_are() -> None:
-    port = free_port()
     with (
-        listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--deaf") as (_, epoch_ns),
+        listening() as heard,
+        flying(heard.port, "--deaf") as (_, epoch_ns),
     ):
         heard.until(lambda: any("imu_from" in status for status in heard.statuses[-1:]))
         heard.until(lambda: "answers no TIMESYNC" in heard.message())
@@ -207,10 +99,9 @@ def test_without_timesync_the_diagnostics_say_what_the_stamps_are() -> None:
 
 
 def test_noise_and_cut_packets_cost_nothing_but_are_counted() -> None:
-    port = free_port()
     with (
-        listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--seconds", "2", "--rate", "100", "--noise") as (vehicle, _),
+        listening() as heard,
+        flying(heard.port, "--seconds", "2", "--rate", "100", "--noise") as (vehicle, _),
     ):
         heard.until(lambda: vehicle.poll() is not None)
         heard.until(lambda: heard.count() == 200)
@@ -220,14 +111,13 @@ def test_noise_and_cut_packets_cost_nothing_but_are_counted() -> None:
 
 
 def test_a_vehicle_that_starts_again_is_followed() -> None:
-    port = free_port()
-    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
-        with flying(port, "--rate", "100"):
+    with listening() as heard:
+        with flying(heard.port, "--rate", "100"):
             heard.until(lambda: heard.count() > 50)
         heard.until(lambda: "nothing heard of system 1" in heard.message())
         before = heard.count()
         # Its clock begins anew with it.
-        with flying(port, "--rate", "100", ago_s=1.0):
+        with flying(heard.port, "--rate", "100", ago_s=1.0):
             heard.until(lambda: heard.count() > before + 50)
         stamps = [sensor_messages.unpack_imu(payload).time_ns[0] for payload in heard.payloads["imu"]]
     assert np.all(np.diff(stamps) > 0)
@@ -246,30 +136,14 @@ def test_a_broken_tcp_connection_is_made_again() -> None:
             assert int(heard.statuses[-1]["connections"]) == attempt
 
 
-class Sender:
-    """Packets by UDP from a port of its own."""
-
-    def __init__(self, port: int, system: int) -> None:
-        self.dialect = load_dialect()
-        self._mav = self.dialect.MAVLink(None, system, 1)
-        # Not connected: a connected socket raises at the next call if nobody received a packet.
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._address = ("127.0.0.1", port)
-
-    def send(self, name: str, *values: Any) -> None:
-        kind = getattr(self.dialect, f"MAVLink_{name.lower()}_message")
-        self.socket.sendto(bytes(kind(*values).pack(self._mav)), self._address)
-
-
 def test_nobody_takes_the_place_of_the_vehicle() -> None:
     """Neither another system, nor a sender that calls itself the same from another port."""
-    port = free_port()
     with (
-        listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--rate", "100") as (_, epoch_ns),
+        listening() as heard,
+        flying(heard.port, "--rate", "100") as (_, epoch_ns),
     ):
         heard.until(lambda: heard.count() > 100)
-        forgers = [Sender(port, system) for system in (1, 7)]
+        forgers = [Sender(heard.port, system) for system in (1, 7)]
         for forger in forgers:
             for _ in range(50):
                 forger.send("HIGHRES_IMU", 10**9, *[9.0] * 13, 63, 0)
@@ -303,9 +177,8 @@ def test_nobody_takes_the_place_of_the_vehicle() -> None:
 
 
 def test_numbers_that_are_none_do_not_break_the_link() -> None:
-    port = free_port()
-    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
-        vehicle, infinite = Sender(port, 1), float("inf")
+    with listening() as heard:
+        vehicle, infinite = Sender(heard.port, 1), float("inf")
         vehicle.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
         for number in range(1, 100):
             vehicle.send("ATTITUDE", number, 0.0, 0.0, infinite, infinite, -infinite, float("nan"))
@@ -321,14 +194,13 @@ def test_numbers_that_are_none_do_not_break_the_link() -> None:
 
 
 def test_an_error_in_the_program_costs_a_packet_and_not_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    port = free_port()
-    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
+    with listening() as heard:
         bridge = heard.bridge
 
         def fail(*_: Any) -> bytes:
             raise ValueError("of the test")
 
-        with monkeypatch.context() as patch, flying(port, "--rate", "100"):
+        with monkeypatch.context() as patch, flying(heard.port, "--rate", "100"):
             patch.setattr(sensor_messages, "pack_imu", fail)
             heard.until(lambda: bridge.exceptions.counts["link"] > 50)
             patch.undo()
@@ -339,8 +211,7 @@ def test_an_error_in_the_program_costs_a_packet_and_not_the_link(monkeypatch: py
 
 
 def test_an_error_in_reading_costs_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    port = free_port()
-    with listening(connection=f"udp:127.0.0.1:{port}") as heard:
+    with listening() as heard:
         with monkeypatch.context() as patch:
             patch.setattr(mavlink_link.UdpLink, "read", lambda *_: 1 / 0)
             heard.until(lambda: heard.bridge.connections > 1)
@@ -350,23 +221,21 @@ def test_an_error_in_reading_costs_the_link(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_signatures(tmp_path: Path) -> None:
     (tmp_path / "key.txt").write_text("open sesame\n")
-    port = free_port()
-    with listening(connection=f"udp:127.0.0.1:{port}", key_file=str(tmp_path / "key.txt")) as heard:
-        with flying(port, "--rate", "100", "--passphrase", "wrong"):
+    with listening(key_file=str(tmp_path / "key.txt")) as heard:
+        with flying(heard.port, "--rate", "100", "--passphrase", "wrong"):
             heard.until(lambda: bool(heard.statuses) and int(heard.statuses[-1]["refused_signatures"]) > 50)
-        with flying(port, "--rate", "100"):
+        with flying(heard.port, "--rate", "100"):
             before = int(heard.statuses[-1]["refused_signatures"])
             heard.until(lambda: int(heard.statuses[-1]["refused_signatures"]) > before + 50)
         assert heard.count() == 0
-        with flying(port, "--rate", "100", "--passphrase", "open sesame"):
+        with flying(heard.port, "--rate", "100", "--passphrase", "open sesame"):
             heard.until(lambda: heard.count() > 50)
 
 
 def test_signed_packets_are_read_without_a_key() -> None:
-    port = free_port()
     with (
-        listening(connection=f"udp:127.0.0.1:{port}") as heard,
-        flying(port, "--rate", "100", "--passphrase", "anything"),
+        listening() as heard,
+        flying(heard.port, "--rate", "100", "--passphrase", "anything"),
     ):
         heard.until(lambda: heard.count() > 50)
 
@@ -387,31 +256,6 @@ def test_serial_port() -> None:
         heard.until(lambda: heard.count() == 20)
     os.close(here)
     os.close(there)
-
-
-def test_a_telemetry_log_begins_when_it_is_read_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    dialect = load_dialect()
-    packet = dialect.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3).pack(dialect.MAVLink(None, 1, 1))
-    stamps = [1_700_000_000_000_000, 1_700_000_000_010_000]
-    (tmp_path / "two.tlog").write_bytes(b"".join(stamp.to_bytes(8, "big") + packet for stamp in stamps))
-    now_s = [100.0]
-    monkeypatch.setattr(
-        mavlink_link,
-        "time",
-        SimpleNamespace(
-            monotonic_ns=lambda: round(1e9 * now_s[0]),
-            sleep=lambda seconds: now_s.append(now_s.pop() + seconds),
-        ),
-    )
-    link = open_link(str(tmp_path / "two.tlog"))
-    now_s[0] += 10.0  # until somebody subscribes
-    read_s = []
-    for _ in stamps:
-        assert link.read(0.02) is not None
-        read_s.append(now_s[0])
-    assert read_s == pytest.approx([110.0, 110.01])
 
 
 def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Path, tmp_path: Path) -> None:
@@ -504,31 +348,6 @@ def test_parameter_file_and_node_agree() -> None:
     assert file["/**/mavlink_bridge"]["ros__parameters"] == {
         name: value for name, value in defaults.items() if name not in {"connection", "vehicle"}
     }
-
-
-@pytest.mark.parametrize(
-    ("connection", "message"),
-    [
-        ("", "is none of udp:HOST:PORT"),
-        ("udp:14550", "is none of"),
-        ("udp:127.0.0.1:x", "is none of"),
-        ("ftp:127.0.0.1:1", "is none of"),
-        ("tcp:127.0.0.1:70000", "70000 is no port"),
-    ],
-)
-def test_wrong_connections_are_refused(connection: str, message: str) -> None:
-    with pytest.raises(LinkError, match=message):
-        check_connection(connection)
-
-
-def test_what_cannot_be_opened_is_named() -> None:
-    port = free_port(socket.SOCK_STREAM)
-    with pytest.raises(LinkError, match=rf"tcp:127.0.0.1:{port}: .*refused"):
-        open_link(f"tcp:127.0.0.1:{port}")
-    with pytest.raises(LinkError, match="serial:/dev/no-such-port:57600: "):
-        open_link("serial:/dev/no-such-port:57600")
-    with pytest.raises(LinkError, match=r"no-such\.tlog: "):
-        open_link("no-such.tlog")
 
 
 @pytest.mark.parametrize("content", [None, "  \n"])
