@@ -7,11 +7,14 @@ Each command imports what it needs when it runs, so that `--help` answers at onc
 
 from __future__ import annotations
 
+import logging
 import os
+import signal
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.cli.demo_command import demo
@@ -20,7 +23,6 @@ from quadpi_core.cli.evaluate_command import evaluate
 from quadpi_core.cli.identify_command import identify
 from quadpi_core.cli.import_command import import_logs
 from quadpi_core.cli.info_command import info
-from quadpi_core.cli.interruption import Interruptible, interrupt_on_sigterm
 from quadpi_core.cli.replay_command import replay
 from quadpi_core.cli.simulate_command import simulate
 from quadpi_core.cli.validate_command import validate
@@ -28,6 +30,28 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.version import __version__
 
 __all__ = ["app", "main"]
+
+
+class Interruptible(TyperGroup):
+    """Reports in one line that a command was interrupted."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; click would end an interrupted one in its own words."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interruption:
+            print(f"quadpi: interrupted; {str(interruption) or 'nothing is half written'}", file=sys.stderr)
+            # As a shell reports them: 128 and the number of the signal.
+            raise typer.Exit(143 if isinstance(interruption, _Terminated) else 130) from None
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a command as Ctrl-C does, temporary files removed."""
+
+
+def _terminate(*_: object) -> None:
+    raise _Terminated
+
 
 app = typer.Typer(
     cls=Interruptible,
@@ -70,7 +94,9 @@ def _options(
 
 def main() -> None:
     """Entry point of the command `quadpi`."""
-    interrupt_on_sigterm()
+    signal.signal(signal.SIGTERM, _terminate)
+    # An interrupted Dask client does not retrieve the exceptions of its tasks, which asyncio would report.
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     try:
         app()
     except QuadpiError as error:

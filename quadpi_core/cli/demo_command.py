@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.outputs import open_console
+from quadpi_core.cli.options import open_console
 from quadpi_core.errors import QuadpiError
 
 

@@ -9,8 +9,16 @@ from typing import Annotated, Any
 
 import typer
 
-from quadpi_core.cli.options import Bags, FileProcessCount, HtmlFile, JsonFile, Scheduler
-from quadpi_core.cli.outputs import check_outputs, open_console, print_quality
+from quadpi_core.cli.options import (
+    Bags,
+    FileProcessCount,
+    HtmlFile,
+    JsonFile,
+    Scheduler,
+    check_outputs,
+    open_console,
+    print_quality,
+)
 
 DATA, PAGE = "discrepancy.json", "discrepancy.html"
 

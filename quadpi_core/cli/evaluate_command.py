@@ -19,8 +19,11 @@ from quadpi_core.cli.options import (
     OptionalVehicle,
     PublishedDevice,
     Scheduler,
+    check_outputs,
+    open_console,
+    print_quality,
+    write_result,
 )
-from quadpi_core.cli.outputs import check_outputs, open_console, print_quality, write_result
 from quadpi_core.errors import QuadpiError
 
 if TYPE_CHECKING:

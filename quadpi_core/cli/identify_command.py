@@ -10,8 +10,17 @@ from typing import Annotated, Literal
 import typer
 
 from quadpi_core.cli.evaluate_command import write_evaluation
-from quadpi_core.cli.options import Bags, FileProcessCount, HtmlFile, JsonFile, Scheduler, VehicleName
-from quadpi_core.cli.outputs import check_outputs, open_console, print_quality
+from quadpi_core.cli.options import (
+    Bags,
+    FileProcessCount,
+    HtmlFile,
+    JsonFile,
+    Scheduler,
+    VehicleName,
+    check_outputs,
+    open_console,
+    print_quality,
+)
 from quadpi_core.models.kind_registry import kind_names, own_kind_names
 
 

@@ -9,8 +9,16 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import FileProcessCount, JsonFile, Scheduler, VehicleName
-from quadpi_core.cli.outputs import check_outputs, open_console, print_quality, write_result
+from quadpi_core.cli.options import (
+    FileProcessCount,
+    JsonFile,
+    Scheduler,
+    VehicleName,
+    check_outputs,
+    open_console,
+    print_quality,
+    write_result,
+)
 
 
 def import_logs(

@@ -9,8 +9,7 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import JsonFile, OptionalVehicle
-from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+from quadpi_core.cli.options import JsonFile, OptionalVehicle, check_outputs, open_console, write_result
 
 
 def info(

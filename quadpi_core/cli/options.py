@@ -1,13 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, and what they do with their output."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+
+from quadpi_core.errors import QuadpiError
+from quadpi_core.paths import require_file, require_folder, write_json
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from quadpi_core.findings import DataQuality
 
 Bags = Annotated[list[Path], typer.Argument(help="Flights: MCAP bags, or any log that `import` reads.")]
 ModelFolder = Annotated[Path, typer.Argument(help="Model folder, as written by `identify`.")]
@@ -33,3 +42,39 @@ PublishedDevice = Annotated[
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler, whose workers to use instead.")
 ]
+
+
+def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence[Path | None] = ()) -> None:
+    """Refuse what cannot be written, and an output in the place of an input or another output, or within."""
+    taken = [path.resolve() for path in inputs]
+    for output in filter(None, (*folders, *files)):
+        place = output.resolve()
+        if any(place.is_relative_to(path) for path in taken):
+            raise QuadpiError(f"{output}: would replace or alter an input or another output; choose another")
+        taken.append(place)
+    for folder in filter(None, folders):
+        require_folder(folder)
+    for file in filter(None, files):
+        require_file(file)
+
+
+def write_result(json_file: Path | None, data: dict[str, Any]) -> None:
+    """Write what a command found, where `--json` names a file."""
+    if json_file is not None:
+        write_json(json_file, data)
+
+
+def print_quality(console: Console, flights: Iterable[tuple[Path | str, DataQuality]]) -> None:
+    """Say of each flight, named or given by its file, what is to be said of its data."""
+    from rich.text import Text
+
+    for flight, quality in flights:
+        for sentence in quality.sentences():
+            console.print(Text(f"{flight}: {sentence}", style="yellow"), soft_wrap=True)
+
+
+def open_console() -> Console:
+    """The terminal, which prints names as they are, [red] and :smile: too; rich is imported only here."""
+    from rich.console import Console
+
+    return Console(markup=False, emoji=False)

@@ -18,8 +18,10 @@ from quadpi_core.cli.options import (
     ModelFolder,
     OptionalVehicle,
     Scheduler,
+    check_outputs,
+    open_console,
+    write_result,
 )
-from quadpi_core.cli.outputs import check_outputs, open_console, write_result
 
 
 def replay(

@@ -9,8 +9,7 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import HtmlFile, JsonFile
-from quadpi_core.cli.outputs import check_outputs, open_console, write_result
+from quadpi_core.cli.options import HtmlFile, JsonFile, check_outputs, open_console, write_result
 
 
 def _print_catalogue(wanted: bool) -> None:

@@ -19,8 +19,10 @@ from quadpi_core.cli.options import (
     ProcessCount,
     PublishedDevice,
     Scheduler,
+    check_outputs,
+    open_console,
+    write_result,
 )
-from quadpi_core.cli.outputs import check_outputs, open_console, write_result
 from quadpi_core.errors import QuadpiError
 
 
