@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several models on the same flights, as the paper's wind-tunnel table: tables, figures and a page."""
+"""Several models compared on the same flights, as in the paper's wind-tunnel table: for terminal and page."""
 
 from __future__ import annotations
 
@@ -46,20 +46,18 @@ from quadpi_core.report.style import (
 from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, terminal_table
 
 PUBLISHED = "published"
-# All intervals together draw so many samples, at about 11 bytes each in the page.
-_DRAWN_SAMPLES = 300_000
-# Settings of one method share its colour.
+# Models of one method have its colour; these tell their settings apart.
 _MARKERS = {"default": "circle", "paper": "circle-open"}
 _DASHES = {"default": "solid", "paper": "dot"}
 
 
 @dataclass(frozen=True)
 class ComparisonRow:
-    """The metrics of one axis by one model, or as published on its method.
+    """The metrics of one axis by one model, or those published for its method.
 
     Attributes:
         axis: of the wrench.
-        model: its name; None for what was published on the method of the rows before.
+        model: its name; None for numbers published for the method of the rows above.
         groups: metrics by group.
     """
 
@@ -69,7 +67,7 @@ class ComparisonRow:
 
 
 def comparison_rows(comparison: Comparison) -> Iterator[ComparisonRow]:
-    """Rows by axis, then by model; the models of one method are followed by what was published on it."""
+    """Rows by axis, then by model; published numbers follow the models of their method."""
     models, published = comparison.models, comparison.published or {}
     for axis in modelled_axes(comparison):
         names = [name for name, model in models.items() if axis in _axes_of(model)]
@@ -99,7 +97,7 @@ def comparison_table(comparison: Comparison, by: Literal["metric", "group"] = "m
 
     Args:
         comparison: of the models.
-        by: what the columns are ordered by; those of a group, or of a metric, share a heading.
+        by: whether the columns of a metric or those of a group stand together, below a shared heading.
     """
     groups, confidence = list(comparison.groups), comparison.confidence
     metrics = {"PICP %": hundredths, "MPIW": number}
@@ -148,7 +146,7 @@ def comparison_summary(comparison: Comparison) -> Group:
 
 
 def _alarm_notes(comparison: Comparison) -> Iterator[str]:
-    """How well each model's alarm did on each group."""
+    """A sentence on the alarm of each model on each group."""
     for name, model in comparison.models.items():
         for group, part in model.groups.items():
             if part.alarm is not None:
@@ -156,7 +154,7 @@ def _alarm_notes(comparison: Comparison) -> Iterator[str]:
 
 
 def comparison_verdict(comparison: Comparison) -> str:
-    """In how many axes of all models the intervals hold on each group, and where they do not."""
+    """The page's headline: in how many axes of all models the intervals hold on each group, and where not."""
     coverages = {
         group: [
             replace(coverage, subject=f"{name} {coverage.subject}")
@@ -187,11 +185,11 @@ def write_comparison_page(
         OutputError: if `path` cannot be written.
     """
     flights = [result.name for result in next(iter(results.values()))]
-    bins = bins_within(_DRAWN_SAMPLES, lines_drawn(comparison) * len(flights))
-    figures = {"groups": group_figure(comparison)}
+    bins = bins_within(_lines_drawn(comparison) * len(flights))
+    figures = {"groups": _group_figure(comparison)}
     for place, flight in enumerate(flights):
         of_flight = {name: model_results[place] for name, model_results in results.items()}
-        figures[f"intervals {flight}"] = interval_figure(comparison, of_flight, bins)
+        figures[f"intervals {flight}"] = _interval_figure(comparison, of_flight, bins)
     cutoffs = sorted({model.cutoff_hz for model in comparison.models.values()})
     facts = {
         "vehicle": comparison.vehicle,
@@ -226,8 +224,8 @@ def write_comparison_page(
     )
 
 
-def group_figure(comparison: Comparison) -> go.Figure:
-    """A column per axis: coverage of each group by each model, and below its width over that on the first."""
+def _group_figure(comparison: Comparison) -> go.Figure:
+    """A column per axis: coverage by group and model; below, width relative to that of the first group."""
     models, groups = comparison.models, list(comparison.groups)
     axes = modelled_axes(comparison)
     colours = _colours(comparison)
@@ -284,7 +282,7 @@ def group_figure(comparison: Comparison) -> go.Figure:
     return _with_legend_below(figure, height=620)
 
 
-def interval_figure(comparison: Comparison, results: Mapping[str, FlightResult], bins: int) -> go.Figure:
+def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult], bins: int) -> go.Figure:
     """A row per axis and a column per low-pass: bounds of the models around what was measured.
 
     Args:
@@ -333,12 +331,12 @@ def interval_figure(comparison: Comparison, results: Mapping[str, FlightResult],
 
 
 def _with_legend_below(figure: go.Figure, height: int) -> go.Figure:
-    """Many entries above would lie under the buttons."""
+    """Style a figure with its legend below: many entries above would lie under the buttons."""
     styled(figure, height).update_layout(showlegend=True, margin_b=96)
     return figure.update_layout(legend={"y": 0, "yanchor": "bottom"})
 
 
-def lines_drawn(comparison: Comparison) -> int:
+def _lines_drawn(comparison: Comparison) -> int:
     """Lines in the figure of one flight."""
     models = comparison.models.values()
     bounds = 2 * sum(len(_axes_of(model)) for model in models)
@@ -346,7 +344,7 @@ def lines_drawn(comparison: Comparison) -> int:
 
 
 def _colours(comparison: Comparison) -> dict[str, str]:
-    """A colour per method where settings tell its models apart, else one per model."""
+    """A colour for each method where settings distinguish its models, else one for each model."""
     methods = {name: model.method for name, model in comparison.models.items()}
     kinds = {(model.method, model.settings) for model in comparison.models.values()}
     if len(kinds) < len(methods):

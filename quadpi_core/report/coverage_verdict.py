@@ -11,14 +11,14 @@ from enum import Enum
 from quadpi_core.evaluation.evaluation_result import AxisMetrics
 from quadpi_core.report.style import percent
 
-# Intervals that cover 93 % instead of 95 % serve the same decisions; below that, nobody would say "hold".
+# How far below the nominal coverage intervals still hold: 93 % instead of 95 % serves the same decisions.
 TOLERANCE = 0.02
-# A coverage known to less than 10 points tells a 95 % interval from a 90 % one; a wider one does not.
+# A confidence interval narrower than 10 points tells 95 % coverage from 90 %; a wider one does not.
 WIDEST = 0.10
 
 
 class Holding(Enum):
-    """What a measured coverage says about an interval; the value is the verb of the sentence."""
+    """Verdict on intervals from a measured coverage; the value of a member is the verb of the sentence."""
 
     HOLDS = "hold"
     NOT_SHOWN = "are not shown to hold"
@@ -30,9 +30,9 @@ class Coverage:
     """A share of measurements inside their interval.
 
     Attributes:
-        subject: what it is the coverage of, such as an axis.
+        subject: name in a sentence, such as that of an axis.
         estimate: the share.
-        interval: its 95 % confidence interval (low, high); None where it is not known.
+        interval: 95 % confidence interval of the share (low, high); None where it is not known.
     """
 
     subject: str
@@ -40,11 +40,11 @@ class Coverage:
     interval: tuple[float, float] | None
 
     def holding(self, confidence: float) -> Holding:
-        """Decide for intervals of a nominal coverage.
+        """Verdict on intervals of a nominal coverage.
 
-        They hold where the estimate is at most :data:`TOLERANCE` below it and the confidence interval is
-        narrower than :data:`WIDEST`. Otherwise they fail where the whole confidence interval lies below the
-        nominal coverage; in all other cases nothing is shown.
+        They hold if the estimate is at most :data:`TOLERANCE` below the nominal coverage and the confidence
+        interval is narrower than :data:`WIDEST`. Else they fail if the whole confidence interval lies below
+        the nominal coverage. In all other cases neither is shown.
         """
         if self.interval is None:
             return Holding.NOT_SHOWN
@@ -54,7 +54,7 @@ class Coverage:
         return Holding.FAILS if high < confidence else Holding.NOT_SHOWN
 
     def sentence(self) -> str:
-        """Its numbers, as in "Fx 83.4 %, 61.9 % to 95.5 %"."""
+        """Subject and numbers, such as "Fx 83.4 %, 61.9 % to 95.5 %"."""
         if self.interval is None:
             return f"{self.subject} {percent(self.estimate)}, its precision unknown"
         low, high = self.interval
@@ -76,9 +76,9 @@ def joint_verdict(coverages: Sequence[Coverage], confidence: float) -> tuple[Hol
 
 
 def count_verdicts(groups: Mapping[str, Sequence[Coverage]], confidence: float) -> str:
-    """How many coverages of each group hold, are not shown to hold and do not hold, as a clause.
+    """A clause that counts, by group, the coverages that hold, are not shown to hold, and do not hold.
 
-    Of those that are not shown to hold, and of those that do not, the lowest is named with its numbers.
+    The lowest one of the last two kinds is named with its numbers.
     """
     clauses = []
     for verdict in Holding:

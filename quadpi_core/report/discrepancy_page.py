@@ -41,8 +41,6 @@ from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Column, Row, Table, terminal_table
 from quadpi_core.simulation.effect_registry import EFFECTS
 
-# All time histories together draw so many samples, at about 11 bytes each in the page.
-_DRAWN_SAMPLES = 300_000
 # Rows of the tables of conditions and of times; the terminal shows fewer.
 _MOST_RANGES, _MOST_ON_TERMINAL, _MOST_SEGMENTS = 12, 8, 12
 # Rejected candidates that the terminal shows of the last round of the search; the page shows all.
@@ -93,7 +91,7 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         OutputError: if `path` cannot be written.
     """
     discovery, where = study.discovery, study.where
-    bins = bins_within(_DRAWN_SAMPLES, LINES * len(where.residuals))
+    bins = bins_within(LINES * len(where.residuals))
     loud = [axis for axis in AXES if any(part.axis == axis for part in where.ranges)]
     figures = {"profiles": profile_figure(where.profiles), "gap": gap_figure(discovery.gap)}
     if loud:

@@ -43,8 +43,7 @@ from quadpi_core.report.style import (
 )
 from quadpi_core.report.table import Cell, Column, Mark, Table, Value, terminal_table
 
-# All time histories together draw so many samples, at about 11 bytes each in the page.
-_DRAWN_SAMPLES = 240_000
+# Measured, predicted, lower and upper bound.
 _LINES_PER_AXIS = 4
 _UNGROUPED = "flights in no group"
 # Metrics that a terminal of 80 characters has no room for.
@@ -59,7 +58,7 @@ def metrics_table(
     Args:
         parts: by name.
         confidence: nominal coverage; an axis that covers less beyond chance is marked.
-        kind: what the parts are, as the heading of their column.
+        kind: heading of the column of names, such as "flight".
     """
     columns = [
         Column(kind, is_text=True, once=True),
@@ -157,10 +156,10 @@ def _duration(hours: float) -> str:
 
 
 def evaluation_verdict(evaluation: Evaluation, training: Collection[str]) -> str:
-    """On which groups the intervals hold, on which that is not shown, and on which they do not.
+    """The page's headline: on which groups the intervals hold, are not shown to hold, and do not hold.
 
-    A group of `training` flights alone is marked: there the intervals hold by construction. The axis that
-    covers least of those that the clause is about is named with its numbers, unless all cover enough.
+    A group of `training` flights alone is marked "in sample": there the intervals hold by construction. The
+    axis of the lowest coverage is named with its numbers, unless all axes reach the nominal coverage.
     """
     confidence = evaluation.confidence
     groups: dict[Holding, list[str]] = {}
@@ -192,7 +191,7 @@ def write_evaluation_page(
         evaluation: of the model.
         results: the flights that were evaluated, at least one.
         model: that was evaluated; gives training flights, envelope and selection log.
-        live: what the live nodes said about one of the flights.
+        live: the alarms of the live nodes for one of the flights.
 
     Raises:
         OutputError: if `path` cannot be written.
@@ -203,7 +202,7 @@ def write_evaluation_page(
     grouped = {flight.name for flights in groups.values() for flight in flights}
     if rest := [result for result in results if result.name not in grouped]:
         groups[_UNGROUPED] = rest
-    bins = bins_within(_DRAWN_SAMPLES, _LINES_PER_AXIS * sum(len(result.axes) for result in results))
+    bins = bins_within(_LINES_PER_AXIS * sum(len(result.axes) for result in results))
     training = [flight.name for flight in model.flights]
     axes = [axis for axis in AXES if all(axis in result.axes for result in results)]
     figures = {
@@ -254,7 +253,7 @@ def write_evaluation_page(
 def _histories(
     groups: Mapping[str, Sequence[FlightResult]], evaluation: Evaluation, bins: int
 ) -> dict[str, go.Figure]:
-    """One figure per flight; a flight of several groups has the colour of the first."""
+    """A time history of each flight; a flight of several groups has the colour of the first."""
     figures: dict[str, go.Figure] = {}
     for (_, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
         for flight in flights:
@@ -293,7 +292,7 @@ def _coverage_table(evaluation: Evaluation) -> Table:
 
 
 def _terms(model: AerodynamicModel) -> dict[str, Table | str]:
-    """What each axis depends on, below a heading that counts it."""
+    """The terms or inputs of each axis, by a heading with their number."""
     terms: dict[str, Table | str] = {}
     for axis in model.axes:
         names = model.fitted[axis].terms

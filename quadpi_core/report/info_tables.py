@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `quadpi info` shows about a log, a bag or a model."""
+"""Tables and JSON of `quadpi info` for a log, a bag or a model."""
 
 from __future__ import annotations
 
@@ -36,13 +36,15 @@ from quadpi_core.vehicle import Vehicle
 def describe(
     path: Path, vehicle: str | None, mapping: str | None
 ) -> tuple[Sequence[RenderableType], dict[str, Any]]:
-    """Tables and the same content as JSON, for a log, a bag or a model folder.
+    """Tables for a log, a bag or a model folder, and the same content as JSON.
 
-    A bag names its vehicle itself; `vehicle` is for logs that do not, and vehicles of one's own. Without a
-    vehicle nothing is compared with its limits. Of a bag without `imu` only the topics are shown.
+    Args:
+        path: of the log, bag or model folder.
+        vehicle: name or file; None for that which a bag names, without which limits are not checked.
+        mapping: of the columns or messages, as `import` takes it.
 
     Raises:
-        QuadpiError: for what cannot be read.
+        QuadpiError: if the path cannot be read. Of a bag without `imu` the topics are shown nevertheless.
     """
     if (path / MODEL_FILE).is_file():
         model = AerodynamicModel.load(path)
@@ -62,7 +64,7 @@ def describe(
 
 
 def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: str | None) -> Inspection:
-    """What a log holds, by the names of its topics relative to its root; it is never held whole."""
+    """Inspect a log block by block, without holding it in memory, by the names of its topics."""
     with open_in_blocks(path, vehicle, mapping) as log:
         inspection = inspect_blocks(partial(blocks_of, log), vehicle)
         names = {STREAM_KINDS[field].topic: name.lstrip("/") for field, name in log.sources.items()}
@@ -74,7 +76,7 @@ def _inspection_json(inspection: Inspection) -> dict[str, Any]:
 
 
 def _named_vehicle(name: str) -> Vehicle | None:
-    """The vehicle that a bag names, where its file is at hand."""
+    """The vehicle that a bag names, or None if there is no such file."""
     try:
         return Vehicle.load(name) if name else None
     except VehicleError:
@@ -107,7 +109,7 @@ def _topic_table(inspection: Inspection) -> Table:
         ]
         for topic in inspection.topics
     ]
-    note = "±ms: jitter of the intervals; max ms: the longest; unsorted: repeated or backward stamps"
+    note = "±ms: jitter of the intervals; max ms: longest interval; unsorted: repeated or backward stamps"
     return Table(columns, rows, title=f"{inspection.name} · vehicle {vehicle}", note=note)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The alarms that the live nodes published for a replayed flight, and their timeline as a figure."""
+"""Timeline of the alarms that the live nodes published for a replayed flight."""
 
 from __future__ import annotations
 
@@ -74,10 +74,10 @@ def _milliseconds(value: float) -> str:
 
 
 def alarm_figure(live: LiveReplay, result: FlightResult | None) -> go.Figure:
-    """Timeline of a live replay.
+    """Timeline of a live replay: airspeed, alarm level, evidence, and inputs outside the envelope.
 
     Args:
-        live: at least one alarm message.
+        live: with at least one alarm message.
         result: the same flight evaluated offline, for its airspeed; None leaves that row out.
     """
     names = _inputs_by_time_outside(live)
@@ -117,7 +117,7 @@ def alarm_figure(live: LiveReplay, result: FlightResult | None) -> go.Figure:
 
 
 class _Bar(NamedTuple):
-    """One row of bars: `on` (M,) says at which messages there is a bar."""
+    """One row of bars, which are drawn where `on` (M,), by message, is true."""
 
     name: str
     label: str
@@ -132,7 +132,7 @@ def _inputs_by_time_outside(live: LiveReplay) -> list[str]:
 
 def _add_evidence(figure: go.Figure, live: LiveReplay, cell: dict[str, int]) -> None:
     for name, evidence, colour in (("leverage", live.leverage, GROUPS[0]), ("width", live.width, GROUPS[3])):
-        # No evidence at all has no place on a logarithmic scale.
+        # Zero has no place on a logarithmic scale.
         worst = np.maximum(evidence.max(axis=1), _EVIDENCE_FLOOR)
         line = series(live.time, worst) | {"line": {"color": colour, "width": 1.5, "shape": "hv"}}
         figure.add_scatter(**line, name=f"{name}, worst axis", hovertemplate="%{y:.2f}", **cell)
@@ -143,7 +143,7 @@ def _add_evidence(figure: go.Figure, live: LiveReplay, cell: dict[str, int]) -> 
 
 
 def _add_bars(figure: go.Figure, time: Array, rows: Sequence[_Bar], cell: dict[str, int]) -> None:
-    """Draw rows of bars, the first on top; a bar lasts until the message that ends it."""
+    """Draw rows of bars, the first on top; each ends at the first message without it."""
     for height, row in enumerate(rows):
         edges = np.flatnonzero(np.diff(np.concatenate(([False], row.on, [False])).astype(np.int8)))
         spans: list[float | None] = []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of what a model holds: its terms, how they were selected, and its coverage on flights left out."""
+"""Tables of a model: its terms, how they were selected, and its coverage on flights left out."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SelectionLog = Sequence[Mapping[str, Any]]
 
 
 def selection_table(log: SelectionLog, title: str = "") -> Table:
-    """The steps of stepwise selection; a term that the final model does not hold has no coefficient."""
+    """Steps of the stepwise selection; a term that is not in the final model has no coefficient."""
     columns = [
         Column("term", is_text=True, wraps=True),
         Column("coefficient", "{:.4e}".format),
@@ -48,8 +48,8 @@ class Term:
     Attributes:
         name: of the regressor.
         coefficient: in SI units.
-        r2: of the fit up to this term; None for fixed terms but the last, which enter together.
-        fixed: whether it was given rather than selected.
+        r2: of the fit up to this term; None for fixed terms except the last, as all enter together.
+        fixed: whether the term was given rather than selected.
     """
 
     name: str
@@ -63,12 +63,12 @@ class Term:
         return [name, self.coefficient, _NO_R2 if self.r2 is None else self.r2]
 
 
-# Stated, not left empty: the terms before are fitted together with this one.
+# Not left empty, which would mean that there is no term: fixed terms are fitted together.
 _NO_R2 = "–"
 
 
 def final_terms(log: SelectionLog) -> list[Term]:
-    """Terms that the final model holds, in the order in which selection added them for good."""
+    """Terms of the final model, in the order in which selection added them for good."""
     last = {row["term"]: place for place, row in enumerate(log)}
     return [
         Term(row["term"], row["coefficient"], row["r2"], row["fixed"])
@@ -78,7 +78,7 @@ def final_terms(log: SelectionLog) -> list[Term]:
 
 
 def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) -> Table:
-    """Terms, coefficients and R² of the polynomials of some axes side by side, in the form of the paper."""
+    """Terms, coefficients and R² of the polynomials of some axes side by side, as in the paper."""
     columns = [
         column
         for axis in axes
@@ -95,7 +95,7 @@ def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) 
 
 
 def term_tables(model: AerodynamicModel) -> list[Table]:
-    """A table of terms for each axis of a model that was selected term by term; else one of their inputs."""
+    """Terms of each axis of a polynomial; of an ensemble, one table with the inputs of all axes."""
     if not all(model.selection[axis] for axis in model.axes):
         columns = [Column("axis", is_text=True), Column("inputs", is_text=True, wraps=True)]
         return [Table(columns, [[axis, ", ".join(model.fitted[axis].terms)] for axis in model.axes])]
@@ -103,7 +103,7 @@ def term_tables(model: AerodynamicModel) -> list[Table]:
 
 
 def held_out_table(model: AerodynamicModel) -> Table | None:
-    """Coverage of each training flight by the model of the others; None where none was left out."""
+    """Coverage of each training flight by a model of the others; None if no flight was left out."""
     if not all(model.held_out_coverage[axis] for axis in model.axes):
         return None
     rows: list[Row] = [

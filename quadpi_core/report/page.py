@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Self-contained HTML pages from the templates beside this file: no network, no other file.
 
-A page holds one menu of flights. A figure is either always there, or of a kind and then shows the flight that
-the menu says: `figures` holds it as "KIND FLIGHT" for each flight of the menu.
+Every page has a menu of flights. A figure is either fixed, or drawn for the flight that the menu selects: the
+page then holds one for each flight, by the name "KIND FLIGHT".
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from quadpi_core.version import __version__
 
 @dataclass(frozen=True)
 class Page:
-    """What every page holds, whatever its sections.
+    """What all pages have in common; a template adds the sections.
 
     Attributes:
         title: of the window.
-        about: the question that it answers, in its heading.
+        about: the question that the page answers, as its heading.
         verdict: the answer in one sentence.
-        facts: what it is about, by name.
-        definitions: what its terms mean.
-        figures: by name, and "KIND FLIGHT" for figures that follow the menu.
+        facts: such as vehicle and number of flights, by name.
+        definitions: meaning of each term.
+        figures: by name, or "KIND FLIGHT" for those that follow the menu.
     """
 
     title: str
@@ -49,7 +49,7 @@ class Page:
         Args:
             path: of the HTML file.
             template: name of the file in `templates` that draws the sections.
-            **content: of the sections, as the template names it; all text is escaped.
+            **content: of the sections, by the names in the template; all text is escaped.
 
         Raises:
             OutputError: if `path` cannot be written.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all plotly figures share: their look, single precision, and no more samples than can be seen."""
+"""What all plotly figures share: their look, single precision, and no more samples than a screen shows."""
 
 from __future__ import annotations
 
@@ -16,19 +16,25 @@ import plotly.graph_objects as go
 from quadpi_core.frames import Array
 from quadpi_core.report.style import GROUPS, INK, MEASURED, RULE, translucent, unit
 
-# Fewer parts of a flight cannot be read, more cannot be seen.
+# Samples that the time histories of a page draw together: 3.3 MB at about 11 bytes each.
+_DRAWN_SAMPLES = 300_000
+# Fewer parts hide the peaks of a flight from each other; 1000 are as many as a figure has pixels.
 _FEWEST_BINS, _MOST_BINS = 150, 1000
 
 
-def bins_within(samples: int, lines: int) -> int:
-    """Parts to cut each flight into, so that `lines` lines together draw about `samples` samples."""
-    return max(_FEWEST_BINS, min(_MOST_BINS, samples // (2 * max(1, lines))))
+def bins_within(lines: int) -> int:
+    """Number of parts to cut a flight into, of which each line draws two samples, for the size of the page.
+
+    Args:
+        lines: in all time histories of the page together.
+    """
+    return max(_FEWEST_BINS, min(_MOST_BINS, _DRAWN_SAMPLES // (2 * max(1, lines))))
 
 
 def extreme_samples(low: Array, high: Array, bins: int) -> npt.NDArray[np.intp]:
-    """Indices to draw of a band (N,): in each of `bins` equal parts where it is lowest and highest.
+    """Indices of the samples of a band (N,) to draw: the lowest and highest in each of `bins` equal parts.
 
-    A line is a band with `low` equal to `high`. Ends are kept, so at most 2 · bins + 2 indices, sorted.
+    For a line, `low` and `high` are the same. Both ends are kept: at most 2 · bins + 2 indices, sorted.
     """
     size = len(low)
     if size <= 2 * bins:
@@ -41,7 +47,7 @@ def extreme_samples(low: Array, high: Array, bins: int) -> npt.NDArray[np.intp]:
 
 
 def series(x: Array, y: Array) -> dict[str, Any]:
-    """A line in single precision: finer than a screen, half the page."""
+    """Arguments of a line in single precision, which is finer than a screen and halves the page."""
     return {"x": x.astype(np.float32), "y": y.astype(np.float32), "mode": "lines"}
 
 
@@ -50,9 +56,9 @@ class Subplot:
     """One cell of a figure over time, to draw lines and bands in.
 
     Attributes:
-        figure: that it is part of.
-        row, column: of it, from 1.
-        in_legend: whether what is drawn appears in the legend; lines of one name share an entry.
+        figure: to draw in.
+        row, column: of the subplot in the figure, from 1.
+        in_legend: whether lines and bands appear in the legend, where those of one name share an entry.
     """
 
     figure: go.Figure

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The progress of a long computation, as a bar that disappears when it ends."""
+"""A progress bar on the terminal, which disappears at the end of the computation."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from quadpi_core.parallel import Progress, ReportProgress
 
 @contextmanager
 def progress_bar(console: Console) -> Iterator[ReportProgress]:
-    """A bar that shows the progress that is reported to it.
+    """Show a bar, and yield the function that progress is reported to.
 
     Args:
-        console: to draw on. Nothing is drawn where it is no terminal, even if colours are forced on a pipe.
+        console: to draw on; nothing is drawn unless it is a terminal, even if colours are forced on a pipe.
     """
     bar = Bar(
         TextColumn("{task.description}", markup=False),

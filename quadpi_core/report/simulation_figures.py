@@ -24,7 +24,7 @@ from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import Vehicle
 
-# The figures of a flight draw so many lines together.
+# Lines over time in the two figures of a flight.
 LINES = 25
 
 REFERENCE = {"color": MEASURED, "width": 1.5, "dash": "dash"}

@@ -25,8 +25,6 @@ from quadpi_core.version import __version__
 if TYPE_CHECKING:
     from quadpi_core.simulation.flight_plan import FlightPlan
 
-# All time histories together draw so many samples, at about 11 bytes each in the page.
-_DRAWN_SAMPLES = 370_000
 # A rotor within this share of its range from either end of it is at its limit.
 _AT_LIMIT = 0.001
 
@@ -169,7 +167,7 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
         OutputError: if `path` cannot be written.
     """
     summaries = [summarise(plan, truth) for plan, truth in flights]
-    bins = bins_within(_DRAWN_SAMPLES, LINES * len(flights))
+    bins = bins_within(LINES * len(flights))
     figures = {}
     for plan, truth in flights:
         figures[f"trajectory {plan.name}"] = trajectory_figure(truth)

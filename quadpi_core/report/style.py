@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How figures and numbers look; colours from the colour-blind safe set of Okabe and Ito."""
+"""Colours of figures, from the colour-blind safe set of Okabe and Ito, and texts of numbers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ INPUT_LABELS = {
 
 
 def group_colours(groups: Iterable[str]) -> dict[str, str]:
-    """A colour per group, in order; after the last they start again."""
+    """A colour for each group in order; they repeat after the last."""
     return {name: GROUPS[i % len(GROUPS)] for i, name in enumerate(groups)}
 
 
@@ -91,12 +91,12 @@ def count(value: float) -> str:
 
 
 def percent(fraction: float) -> str:
-    """A fraction as percent with one decimal; rounding never makes 100 or 0 of what is not."""
+    """A fraction in percent with one decimal; only 1 and 0 are shown as 100 and 0."""
     return f"{_in_percent(fraction, 1)} %"
 
 
 def hundredths(fraction: float) -> str:
-    """A fraction in percent with two decimals, as in the paper; rounding never makes 100 of what is not."""
+    """A fraction in percent with two decimals, as in the paper; only 1 and 0 are shown as 100 and 0."""
     return _in_percent(fraction, 2)
 
 

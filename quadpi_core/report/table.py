@@ -19,7 +19,7 @@ Value = str | float | None
 
 
 class Mark(Enum):
-    """Why a cell stands out; the value is its class in HTML."""
+    """Why a cell stands out; the value of a member is the class of the cell in HTML."""
 
     SHORT = "short"
     FAULT = "fault"
@@ -37,19 +37,19 @@ _STYLES = {
 }
 _SYMBOLS = {Mark.SHORT: "▼ ", Mark.WARNING: "▲ "}
 _MISSING = "–"
-# Between columns that the terminal shows under one heading.
+# Between columns of the terminal that share a heading.
 _GAP = " "
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value, with what is said beside it.
+    """A value of a table.
 
     Attributes:
-        value: None where it is undefined; text is shown as it is, numbers as the column formats them.
-        mark: why it stands out.
-        unit: shown behind it.
-        detail: a second line.
+        value: text, or a number that the column formats; None where it is undefined.
+        mark: why the cell stands out.
+        unit: shown after the value.
+        detail: a second line below the value.
     """
 
     value: Value
@@ -67,17 +67,17 @@ class Column:
 
     Attributes:
         heading: above the column.
-        format: makes text of a number.
-        is_text: aligned to the left; numbers are aligned to the right.
-        wraps: long text may be broken into lines.
-        group: heading that columns beside each other share; empty for none.
-        colour: of that heading in HTML.
-        once: a value is left out where the row above has the same, and the same in all such columns before.
-        is_section: its values are headings between the rows on the terminal, where width is scarce; elsewhere
-            each is shown once.
-        is_soft: less prominent than the others.
-        is_code: an expression; Markdown shows it as code.
-        chooses_flight: names a flight; a click on it in HTML shows that flight.
+        format: text of a number.
+        is_text: whether to align to the left, as text, rather than to the right, as numbers.
+        wraps: whether long text is broken into lines.
+        group: heading shared by adjacent columns; empty for none.
+        colour: of the shared heading in HTML.
+        once: whether to leave a value out if the row above has the same one, here and in all such columns to
+            the left.
+        is_section: as `once`, but on the terminal, where width is scarce, values are headings between rows.
+        is_soft: whether the column is less prominent than the others.
+        is_code: whether the values are expressions, which Markdown shows as code.
+        chooses_flight: whether the values are flights, which a click in HTML selects in the menu of the page.
     """
 
     heading: str
@@ -93,7 +93,7 @@ class Column:
     chooses_flight: bool = False
 
     def text(self, cell: Cell) -> str:
-        """What a cell shows, without its unit."""
+        """The text of a cell, without its unit."""
         symbol = _SYMBOLS.get(cell.mark, "") if cell.mark else ""
         if cell.value is None:
             return _MISSING
@@ -108,7 +108,8 @@ class Table:
         columns: from left to right.
         rows: a cell or value for each column.
         title: above the table.
-        note: below it.
+        note: below the table.
+        cells: the rows as they are drawn, repeated values of `once` columns left out.
     """
 
     columns: Sequence[Column]
@@ -135,7 +136,10 @@ class Table:
 
     @property
     def groups(self) -> list[tuple[Column, list[int]]]:
-        """The first column of each shared heading and the places of all of them; others stand alone."""
+        """The first column below each shared heading, and the places of all of them.
+
+        A column without a shared heading is a group of its own.
+        """
         places = range(len(self.columns))
         keyed = groupby(places, key=lambda place: self.columns[place].group or place)
         return [(self.columns[members[0]], members) for members in (list(own) for _, own in keyed)]
@@ -215,13 +219,13 @@ class HtmlCell:
     """A cell as the template `macros.html` draws it.
 
     Attributes:
-        text: not escaped.
-        css: its classes.
-        unit: shown behind it.
-        detail: a second line.
-        span: number of columns that it covers.
+        text: not escaped yet.
+        css: classes, separated by spaces.
+        unit: shown after the text.
+        detail: a second line below the text.
+        span: number of columns that the cell covers.
         colour: of the line below a heading.
-        flight: that a click on it shows.
+        flight: shown when the cell is clicked; empty for none.
     """
 
     text: str
@@ -279,7 +283,7 @@ def _html_classes(table: Table) -> list[str]:
 
 
 def markdown_table(table: Table) -> str:
-    """Draw a table as Markdown, without its title and note; what is undefined is left empty."""
+    """Draw a table as Markdown, without its title and note; undefined values are left empty."""
     headings = [f"{column.group} {column.heading}".strip() for column in table.columns]
     rule = [":--" if column.is_text else "--:" for column in table.columns]
     rows = [

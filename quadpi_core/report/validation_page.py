@@ -55,12 +55,11 @@ _NOISE = {
     "specific_force_m_s2": ("specific force", "m/s²"),
     "rotor_speeds_rad_s": ("rotor speeds", "rad/s"),
 }
-# All bands together draw so many samples, at about 11 bytes each in the page.
-_DRAWN_SAMPLES = 300_000
-# The axes of the paper's figures; each model draws so many lines of each.
+# The axes of the paper's figures, and the lines of each axis and model: two bands, two bounds, and the truth.
 BAND_AXES = ("Fz", "Fx", "My")
-LINES = 7
-# The extremes of so many realisations lie about two standard deviations from their mean, as the bounds do.
+_LINES = 7
+# Number of realisations whose extremes are drawn: those of 20 lie about two standard deviations from their
+# mean (1.87 expected for normal noise), as the bounds of a 95 % interval do.
 SHOWN = 20
 
 
@@ -166,7 +165,7 @@ def write_validation_page(
     Raises:
         OutputError: if `path` cannot be written.
     """
-    bins = bins_within(_DRAWN_SAMPLES, LINES * len(BAND_AXES) * len(case.models) * len(case.flights))
+    bins = bins_within(_LINES * len(BAND_AXES) * len(case.models) * len(case.flights))
     Page(
         title="quadpi: validation under noise",
         about="do the intervals hold under noise?",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadpi_core.report.plots import extreme_samples
+from quadpi_core.report.plots import bins_within, extreme_samples
 
 
 def test_keeps_every_peak_and_both_ends():
@@ -34,3 +34,8 @@ def test_a_band_keeps_the_lowest_of_its_lower_and_the_highest_of_its_upper_bound
 def test_a_short_series_stays_whole(size):
     x = np.zeros(size)
     assert extreme_samples(x, x, bins=10).tolist() == list(range(size))
+
+
+@pytest.mark.parametrize(("lines", "bins"), [(0, 1000), (100, 1000), (500, 300), (2000, 150)])
+def test_pages_of_many_lines_draw_fewer_samples_of_each(lines, bins):
+    assert bins_within(lines) == bins
