@@ -13,9 +13,8 @@ import numpy as np
 
 from benchmarks import Result, interleaved_seconds
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
-from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import STEP_HZ
 
 NAMES = ("simulation_realtime",)

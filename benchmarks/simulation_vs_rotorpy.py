@@ -22,9 +22,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks import Result, UnavailableError, interleaved_seconds
-from quadpi_core.simulation.flight_plan import FlightPlan
-from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.truth import STEP_HZ
 
 NAMES = ("simulation_vs_rotorpy",)

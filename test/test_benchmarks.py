@@ -19,7 +19,7 @@ from benchmarks import (
     soak,
 )
 from benchmarks.__main__ import as_page, summary
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.flying import SimulatedVehicle
 
 
 def test_figures_are_shown_beside_their_goals_on_terminal_and_page() -> None:

@@ -40,9 +40,8 @@ from quadpi_core.paths import data_directory
 from quadpi_core.report.style import percent
 from quadpi_core.report.table import Column, Row, Table, markdown_table
 from quadpi_core.results import CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
-from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
-from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.vehicle import Vehicle
 
 PAGE = ROOT / "docs" / "alarm.md"

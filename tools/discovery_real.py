@@ -28,7 +28,7 @@ from quadpi_core.discrepancy import (  # noqa: E402
     load_simulation,
     whitening,
 )
-from quadpi_core.discrepancy.effect_sets import augmented  # noqa: E402
+from quadpi_core.discrepancy.augmented_simulation import augmented  # noqa: E402
 from quadpi_core.discrepancy.reflight import rollouts  # noqa: E402
 from quadpi_core.errors import DiscrepancyError  # noqa: E402
 from quadpi_core.estimator.fusion import fuse_airborne  # noqa: E402

@@ -53,9 +53,9 @@ from quadpi_core.paths import config_directory
 from quadpi_core.report.info_tables import describe
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.screening.plausibility import check_plausible
+from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 
 GOLDEN_MODEL = Path(__file__).parents[2] / "test" / "golden" / "model"

@@ -50,8 +50,8 @@ def discrepancy(
     html_file: HtmlFile = None,
 ) -> None:
     """Find where a simulation and flights disagree, name the missing effect, add it, show the gap shrink."""
+    from quadpi_core.discrepancy.augmented_simulation import write_addition
     from quadpi_core.discrepancy.discrepancy_result import study_json
-    from quadpi_core.discrepancy.effect_sets import write_addition
     from quadpi_core.discrepancy.loading import load_simulation
     from quadpi_core.discrepancy.study import read_flights, study
     from quadpi_core.parallel import Workers

@@ -14,8 +14,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Any
 
-from quadpi_core.simulation.effect_definition import SHAPE, Effect
-from quadpi_core.simulation.effect_kernels import shaped
+from quadpi_core.simulation.effect_definition import SHAPE, Effect, shaped
 from quadpi_core.simulation.effect_registry import EFFECTS
 
 if TYPE_CHECKING:

@@ -28,9 +28,8 @@ from quadpi_core.paper.validation_case import ValidationCase, flight_hash, simul
 from quadpi_core.paper.validation_result import PublishedAxis, PublishedCoverage
 from quadpi_core.parallel import DEFAULT_WORKERS, ReportProgress, Workers, ignore_progress
 from quadpi_core.scratch import scratch_folder
-from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
-from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise, contaminate
 from quadpi_core.simulation.truth import LOG_HZ
 from quadpi_core.vehicle import Vehicle

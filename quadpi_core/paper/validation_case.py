@@ -25,11 +25,11 @@ from quadpi_core.paper.model_cache import code_fingerprint
 from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.flight_plan import FlightPlan
+from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.run import fly_plan
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise
 from quadpi_core.simulation.simulated_bags import read_truth
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 

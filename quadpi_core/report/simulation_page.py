@@ -23,7 +23,7 @@ from quadpi_core.simulation.truth import Truth
 from quadpi_core.version import __version__
 
 if TYPE_CHECKING:
-    from quadpi_core.simulation.flight_plan import FlightPlan
+    from quadpi_core.simulation.scenario import FlightPlan
 
 # A rotor within this share of its range from either end of it is at its limit.
 _AT_LIMIT = 0.001

@@ -18,8 +18,15 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
-from quadpi_core.simulation.effect_definition import SHAPE, Effect, Effects, Wrench
-from quadpi_core.simulation.effect_kernels import MODULATORS, modulators, shaped
+from quadpi_core.simulation.effect_definition import (
+    MODULATORS,
+    SHAPE,
+    Effect,
+    Effects,
+    Wrench,
+    modulators,
+    shaped,
+)
 from quadpi_core.simulation.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
 from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
 from quadpi_core.vehicle import Vehicle, is_rigid_body
@@ -131,7 +138,7 @@ def effect_wrench(
 
 
 def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]) -> Array:
-    """Modulators (N, MODULATORS) of recorded states, see :func:`effect_kernels.modulators`.
+    """Modulators (N, MODULATORS) of recorded states, see :func:`effect_definition.modulators`.
 
     Args:
         states: (N,) of `state_records.STATE`.

@@ -18,8 +18,7 @@ from quadpi_core.compiled import modules_in, njit
 from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effect_definition import Effect, Effects, Parameter, Wrench
-from quadpi_core.simulation.effect_kernels import NO_WRENCH
+from quadpi_core.simulation.effect_definition import NO_WRENCH, Effect, Effects, Parameter, Wrench
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 _KINDS = ("wrench", "vehicle", "wind", "sensor")

@@ -111,7 +111,7 @@ class SimulationSection(Section):
     Attributes:
         motor_time_constant_s: of the first-order answer of a rotor's speed to its command.
         rotor_local: None where only flights of the vehicle are simulated, not the vehicle itself.
-        effects: read by :func:`quadpi_core.simulation.simulated_vehicle.own_effects`.
+        effects: read by :func:`quadpi_core.simulation.flying.own_effects`.
         tolerances: read where simulations are compared with flights.
     """
 

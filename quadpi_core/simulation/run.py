@@ -18,12 +18,11 @@ from quadpi_core.frames import Array
 from quadpi_core.parallel import DEFAULT_WORKERS, Progress, ReportProgress, Workers
 from quadpi_core.paths import require_file, whole_outputs
 from quadpi_core.simulation.controller import TILT_MAX_DEG
-from quadpi_core.simulation.flight_plan import FlightPlan
-from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import Sensed, sense
 from quadpi_core.simulation.simulated_bags import write_simulated_bag
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import STEP_HZ, Reference, Truth
 from quadpi_core.thresholds import CONVENTION, Threshold
 

@@ -30,7 +30,7 @@ from quadpi_core.vehicle import is_rigid_body
 from quadpi_core.version import __version__
 
 if TYPE_CHECKING:
-    from quadpi_core.simulation.flight_plan import FlightPlan
+    from quadpi_core.simulation.scenario import FlightPlan
 
 _TRUTH_TOPICS = tuple(topic for topic in TOPIC_TYPES if topic.startswith("truth/"))
 

@@ -29,15 +29,15 @@ from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.simulation.controller import Controls, Demand, control
 from quadpi_core.simulation.dynamics import MOTION, is_lost
-from quadpi_core.simulation.effect_kernels import shaped
+from quadpi_core.simulation.effect_definition import shaped
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.effects.proximity import ground_effect
-from quadpi_core.simulation.flight_plan import FlightPlan
+from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.run import require_reachable
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import MotionCapture, SensorSuite
 from quadpi_core.simulation.sensors import ideal_recording
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import Reference
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle

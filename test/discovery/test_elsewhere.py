@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from blind import elsewhere
 
-from quadpi_core.simulation.flight_plan import FlightPlan
+from quadpi_core.simulation.scenario import FlightPlan
 
 pytest.importorskip("rotorpy")
 BACK_AND_FORTH = {

@@ -14,8 +14,8 @@ from blind.effects import EFFECTS, OUTSIDE, altered
 from blind.geometry import induced_ratio
 from blind.specimen import CENTRE_M, Specimen, ordinary
 
+from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 NAMES = {
     *("rotor_drag", "body_drag", "translational_lift", "inflow_damping", "blade_flapping", "ground_effect"),

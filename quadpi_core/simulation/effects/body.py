@@ -8,8 +8,15 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect, three
-from quadpi_core.simulation.effect_kernels import NO_WRENCH, world_to_body
+from quadpi_core.simulation.effect_definition import (
+    AERODYNAMIC,
+    NO_WRENCH,
+    Parameter,
+    Wrench,
+    effect,
+    three,
+    world_to_body,
+)
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 

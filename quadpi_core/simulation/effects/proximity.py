@@ -6,9 +6,12 @@ from __future__ import annotations
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
-from quadpi_core.simulation.effect_kernels import (
+from quadpi_core.simulation.effect_definition import (
+    AERODYNAMIC,
     NO_WRENCH,
+    Parameter,
+    Wrench,
+    effect,
     hub_height,
     in_plane_speed,
     with_hub_force,

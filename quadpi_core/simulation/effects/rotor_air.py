@@ -12,8 +12,15 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effect_definition import AERODYNAMIC, Parameter, Wrench, effect
-from quadpi_core.simulation.effect_kernels import NO_WRENCH, in_plane_speed, with_hub_force
+from quadpi_core.simulation.effect_definition import (
+    AERODYNAMIC,
+    NO_WRENCH,
+    Parameter,
+    Wrench,
+    effect,
+    in_plane_speed,
+    with_hub_force,
+)
 from quadpi_core.simulation.rotor_local import ADVANCE_RATIO_MAX
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS

@@ -10,12 +10,13 @@ from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
+    NO_WRENCH,
     STRENGTH_OF_ONE_ROTOR,
     Parameter,
     Wrench,
     effect,
+    with_hub_force,
 )
-from quadpi_core.simulation.effect_kernels import NO_WRENCH, with_hub_force
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS
 

@@ -11,14 +11,12 @@ import pytest
 
 from quadpi_core.discrepancy import AugmentedSimulation, discover, load_simulation
 from quadpi_core.discrepancy.discrepancy_result import reflights_json
-from quadpi_core.discrepancy.reflight import Track, coverages, fly_again, reflights
-from quadpi_core.discrepancy.rollout import rollout, rollout_floor
+from quadpi_core.discrepancy.reflight import Track, coverages, fly_again, reflights, rollout, rollout_floor
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.logs import read_recording
 from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.flying import simulate_flight
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.truth import STEP_HZ
 from quadpi_core.vehicle import Vehicle
 

@@ -19,7 +19,7 @@ from quadpi_core.discrepancy import (
     VehicleSimulation,
     load_simulation,
 )
-from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
+from quadpi_core.discrepancy.external_simulations import RecordedSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError, VehicleError
 from quadpi_core.estimator.fusion import fuse, fuse_airborne
 from quadpi_core.flight import WrenchStream

@@ -16,11 +16,10 @@ from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import ACCELEROMETER_BIAS, DELAY, GYRO_BIAS, Outcome
 from quadpi_core.estimator.smoother import smooth
 from quadpi_core.rotations import rotate_body_to_world
-from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import InertialSensor, SensorSuite, generator, inertial_samples
 from quadpi_core.simulation.sensors import sense
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import STEP_HZ, Truth
 from quadpi_core.vehicle import SensorNoise, Vehicle
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from quadpi_core.discrepancy.callable_simulation import CallableSimulation
 from quadpi_core.discrepancy.discrepancy_result import study_json
+from quadpi_core.discrepancy.external_simulations import CallableSimulation
 from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.report.discrepancy_figures import mean_map
 from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page

@@ -7,8 +7,8 @@ import pytest
 
 from quadpi_core.errors import OutputError
 from quadpi_core.parallel import Progress, Workers
-from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.run import simulate
+from quadpi_core.simulation.scenario import FlightPlan
 
 HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
 
@@ -17,7 +17,7 @@ SEVERAL_WITH_EFFECTS = """
 import sys
 from pathlib import Path
 from quadpi_core.parallel import Workers
-from quadpi_core.simulation.flight_plan import FlightPlan
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.run import simulate
 
 hover = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)

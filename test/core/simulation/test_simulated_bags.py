@@ -11,12 +11,11 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import TOPIC_TYPES, bag_topics, has_topic, read_bag, write_bag
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
-from quadpi_core.simulation.flight_plan import FlightPlan
-from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.simulated_bags import read_truth, write_simulated_bag
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 

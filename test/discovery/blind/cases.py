@@ -18,10 +18,9 @@ from blind.effects import EFFECTS, OUTSIDE, altered
 from blind.specimen import Specimen, flights_of, ordinary
 from quadpi_core.discrepancy import Simulation, VehicleSimulation
 from quadpi_core.flight import Flight
-from quadpi_core.simulation.flight_plan import FlightPlan
-from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.flying import SimulatedVehicle
+from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 
 VEHICLE = "bebop2"
 NOISE = "paper"

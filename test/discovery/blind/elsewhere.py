@@ -21,8 +21,8 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.simulation.flight_plan import FlightPlan
 from quadpi_core.simulation.flying import START_NS
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.truth import LOG_HZ, Reference, Truth

@@ -13,8 +13,8 @@ import numpy as np
 
 from blind.cases import Case, noise_alone
 from quadpi_core.discrepancy import Simulation, discover
+from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
-from quadpi_core.discrepancy.effect_sets import augmented
 from quadpi_core.errors import one_line
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array

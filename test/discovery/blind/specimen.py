@@ -16,12 +16,11 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.rotations import rotate_body_to_world
-from quadpi_core.simulation.flight_plan import FlightPlan
-from quadpi_core.simulation.flying import simulate_flight
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
+from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
 from quadpi_core.simulation.truth import STEP_HZ, Truth
 from quadpi_core.vehicle import Vehicle
 

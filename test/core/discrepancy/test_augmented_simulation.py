@@ -17,13 +17,13 @@ from quadpi_core.discrepancy import (
     discover,
     load_simulation,
 )
+from quadpi_core.discrepancy.augmented_simulation import augmented, merged, write_addition
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
-from quadpi_core.discrepancy.effect_sets import augmented, merged, write_addition
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.simulated_vehicle import SimulatedVehicle
+from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.state_records import STATE, VEHICLE
 from quadpi_core.vehicle import Vehicle
 
