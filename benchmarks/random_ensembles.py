@@ -12,7 +12,7 @@ import numpy as np
 from quadpi_core.frames import Array
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
-from quadpi_core.models.interval_rules import AnyRule, NormalRule
+from quadpi_core.models.interval_rules import NormalRule, Rule
 from quadpi_core.models.kinds.bootstrap import FittedBootstrap
 from quadpi_core.models.kinds.quality_driven import FittedQualityDriven
 from quadpi_core.models.regressors import Regressor, RegressorProgram
@@ -40,7 +40,7 @@ def random_ensemble(
     *,
     members: int = 10,
     units: int = 20,
-    rule: AnyRule | None = None,
+    rule: Rule | None = None,
     seed: int = 0,
 ) -> FittedEnsemble:
     """One axis of about 1 ± 0.3 N or Nm."""

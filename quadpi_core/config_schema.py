@@ -23,6 +23,7 @@ from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from quadpi_core.config import nearest, read_config
 from quadpi_core.errors import QuadpiError
+from quadpi_core.frames import Array
 
 _Content = TypeVar("_Content")
 
@@ -160,7 +161,8 @@ class Within:
 
     def _words(self, noun: str) -> str:
         if self.positive:
-            return f"must be a positive {noun}"
+            most = f" not above {self.highest:g}" if math.isfinite(self.highest) else ""
+            return f"must be a positive {noun}{most}"
         if math.isfinite(self.highest):
             return f"must be a {noun} from {self.lowest:g} to {self.highest:g}"
         return f"must be a {noun}" + (f" not below {self.lowest:g}" if math.isfinite(self.lowest) else "")
@@ -168,16 +170,29 @@ class Within:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Annotation: an array of finite numbers (N,)."""
+    """Annotation: an array of finite numbers (N,), or of rows of them (M, N).
 
-    count: int
+    Attributes:
+        count: N; None for any.
+        rows: whether there are rows, one at least.
+    """
+
+    count: int | None = None
+    rows: bool = False
 
     def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
         """See pydantic."""
         number = core_schema.float_schema(strict=True, allow_inf_nan=False)
         numbers = core_schema.list_schema(number, min_length=self.count, max_length=self.count)
-        schema = core_schema.no_info_after_validator_function(np.array, numbers)
-        return _worded(schema, f"must hold {self.count} numbers")
+        if self.rows:
+            numbers = core_schema.list_schema(numbers, min_length=1)
+        schema = core_schema.no_info_after_validator_function(_floats, numbers)
+        amount = "numbers" if self.count is None else f"{self.count} numbers"
+        return _worded(schema, f"must hold {'rows of ' if self.rows else ''}{amount}")
+
+
+def _floats(numbers: Any) -> Array:
+    return np.array(numbers, dtype=float)
 
 
 class OneOf:
@@ -190,6 +205,23 @@ class OneOf:
         """See pydantic."""
         words = f"must be one of {', '.join(self._names)}"
         return _worded(core_schema.literal_schema(list(self._names)), words, known="\n".join(self._names))
+
+
+@dataclass(frozen=True)
+class Each:
+    """Annotation: a mapping that has an entry for each of some names."""
+
+    names: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """See pydantic."""
+
+        def complete(found: dict[str, Any]) -> dict[str, Any]:
+            if missing := [name for name in self.names if name not in found]:
+                raise ValueError(f"missing key `{missing[0]}`")
+            return found
+
+        return core_schema.no_info_after_validator_function(complete, handler(source))
 
 
 def _worded(schema: CoreSchema, words: str, **context: Any) -> CoreSchema:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PlainValidator
 
 from quadpi_core.config_schema import Flag, OneOf, Real, Text, Within, parse_config
 from quadpi_core.errors import ModelError, named_in
@@ -244,13 +244,13 @@ class AerodynamicModel:
                 cutoff_hz=described.cutoff_hz,
                 confidence=described.confidence,
                 fitted=kind.read(StoredAxes(entries, content.arrays, content.files)),
-                envelope=Envelope.from_json(described.envelope),
+                envelope=described.envelope,
                 training_range={axis: entry.training_range for axis, entry in axes.items()},
                 flights=described.flights,
                 selection={axis: entries[axis]["selection"] for axis in axes},
                 held_out_coverage={axis: entry.held_out_coverage for axis, entry in axes.items()},
                 identity=identity,
-                alarm_limits=AlarmLimits.from_json(described.alarm),
+                alarm_limits=described.alarm,
             )
             # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
             for fitted in model.fitted.values():
@@ -294,7 +294,7 @@ class _Description:
     cutoff_hz: Real
     confidence: Real
     axes: Annotated[dict[Annotated[str, OneOf(*AXES)], _AxisEntry], Field(min_length=1)]
-    envelope: dict[str, Any]
-    alarm: dict[str, Any]
+    envelope: Annotated[Envelope, PlainValidator(Envelope.from_json)]
+    alarm: Annotated[AlarmLimits, PlainValidator(AlarmLimits.from_json)]
     flights: tuple[TrainingFlight, ...]
     arrays_sha256: str

@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from quadpi_core.config_schema import Each, NotNegative, Positive, Within, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -86,24 +87,24 @@ class AlarmLimits:
         }
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> AlarmLimits:
+    def from_json(cls, data: Any) -> AlarmLimits:
         """Limits from what :meth:`to_json` gave.
 
         Raises:
-            ModelError: for numbers that no calibration gives.
-            KeyError, TypeError, ValueError: for missing or malformed ones.
+            ModelError: naming the key that is missing, or whose number no calibration gives.
         """
-        limits = cls(
-            allowance=float(data["allowance"]),
-            miscoverage_s=np.array([float(data["miscoverage_s"][axis]) for axis in AXES]),
-            hover_rotor_speed=float(data["hover_rotor_speed"]),
-            rate_per_hour=float(data["rate_per_hour"]),
-            flights=int(data["flights"]),
-            hours=float(data["hours"]),
-        )
-        positive = np.array([limits.allowance, limits.rate_per_hour, *limits.miscoverage_s])
-        if not (np.all(positive > 0.0) and np.all(np.isfinite(positive)) and limits.allowance < 1.0):
-            raise ModelError("alarm: allowance, rate and limits must be positive, the allowance below 1")
-        if not (limits.hover_rotor_speed >= 0.0 and limits.flights >= 0 and limits.hours >= 0.0):
-            raise ModelError("alarm: hover speed, flights and hours must not be negative")
-        return limits
+        stored = parse_config(_Stored, data, "alarm", ModelError)
+        misses = np.array([stored.miscoverage_s[axis] for axis in AXES])
+        return cls(**vars(stored) | {"miscoverage_s": misses})
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """The key `alarm` of a stored model."""
+
+    allowance: Annotated[float, Within(highest=1.0, positive=True)]
+    miscoverage_s: Annotated[dict[str, Positive], Each(AXES)]
+    hover_rotor_speed: NotNegative
+    rate_per_hour: Positive
+    flights: Annotated[int, Within(0)]
+    hours: NotNegative

@@ -18,7 +18,7 @@ from quadpi_core.frames import Array
 from quadpi_core.models.axis_estimator import AxisEstimator, fit_of
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, FittedEnsemble
-from quadpi_core.models.interval_rules import AnyRule, FlightErrors, calibrate, flights_peak
+from quadpi_core.models.interval_rules import FlightErrors, Rule, calibrate, flights_peak
 from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.training_table import Indices, Plan, Split, Table
@@ -200,7 +200,7 @@ class Ensemble(AxisEstimator):
         """Train the networks of all axes and ensembles."""
 
     @abstractmethod
-    def _uncalibrated(self) -> AnyRule:
+    def _uncalibrated(self) -> Rule:
         """The rule of intervals that are not calibrated."""
 
     @abstractmethod

@@ -13,14 +13,15 @@ on as those of the warning: outside of what was flown, though flights of this ki
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
+from quadpi_core.config_schema import Each, NotNegative, Positive, Real, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -174,56 +175,57 @@ class Envelope:
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary for the model file, by input and axis name; :meth:`from_json` reads it."""
-        return {
-            "inputs": {
-                name: {
-                    "lower": float(self.lower[i]),
-                    "upper": float(self.upper[i]),
-                    "margin": float(self.margin[i]),
-                }
-                for i, name in enumerate(INPUT_NAMES)
-            },
-            "axes": {
-                axis: {
-                    "leverage_peak": float(self.leverage_peak[i]),
-                    "width_peak": float(self.width_peak[i]),
-                    "leverage_limit": float(self.leverage_limit[i]),
-                    "width_limit": float(self.width_limit[i]),
-                }
-                for i, axis in enumerate(AXES)
-            },
-        }
+
+        def entries(names: tuple[str, ...], entry: type[_InputLimits | _AxisLimits]) -> dict[str, Any]:
+            keys = [column.name for column in fields(entry)]
+            return {name: {k: float(getattr(self, k)[i]) for k in keys} for i, name in enumerate(names)}
+
+        return {"inputs": entries(INPUT_NAMES, _InputLimits), "axes": entries(AXES, _AxisLimits)}
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> Envelope:
+    def from_json(cls, data: Any) -> Envelope:
         """Envelope from what :meth:`to_json` gave.
 
         Raises:
             ModelError: naming the entry that is missing or not usable.
         """
-
-        def column(part: str, names: tuple[str, ...], key: str) -> Array:
-            try:
-                values = np.array([data[part][name][key] for name in names], dtype=float)
-            except (KeyError, TypeError, ValueError) as error:
-                raise ModelError(f"envelope: `{part}` needs a number `{key}` for each of {names}") from error
-            if not np.all(np.isfinite(values)):
-                raise ModelError(f"envelope: `{part}`: `{key}` is not finite")
-            return values
-
-        envelope = cls(
-            lower=column("inputs", INPUT_NAMES, "lower"),
-            upper=column("inputs", INPUT_NAMES, "upper"),
-            margin=column("inputs", INPUT_NAMES, "margin"),
-            leverage_peak=column("axes", AXES, "leverage_peak"),
-            width_peak=column("axes", AXES, "width_peak"),
-            leverage_limit=column("axes", AXES, "leverage_limit"),
-            width_limit=column("axes", AXES, "width_limit"),
+        stored = parse_config(_Stored, data, "envelope", ModelError)
+        ordered = [stored.inputs[name] for name in INPUT_NAMES], [stored.axes[axis] for axis in AXES]
+        return cls(
+            **{
+                column.name: np.array([getattr(entry, column.name) for entry in entries])
+                for entries in ordered
+                for column in fields(entries[0])
+            }
         )
-        if np.any(envelope.lower > envelope.upper) or np.any(envelope.margin < 0.0):
-            raise ModelError("envelope: a lower bound lies above its upper bound, or a margin is negative")
-        if np.any(envelope.leverage_limit <= 0.0) or np.any(envelope.width_limit <= 0.0):
-            raise ModelError("envelope: limits of leverage and width must be positive")
-        if np.any(envelope.leverage_peak < 0.0) or np.any(envelope.width_peak < 0.0):
-            raise ModelError("envelope: peaks of leverage and width must not be negative")
-        return envelope
+
+
+@dataclass(frozen=True)
+class _InputLimits:
+    """An input in a stored model."""
+
+    lower: Real
+    upper: Real
+    margin: NotNegative
+
+    def __post_init__(self) -> None:
+        if self.lower > self.upper:
+            raise ValueError(f"the lower bound {self.lower:g} lies above its upper bound {self.upper:g}")
+
+
+@dataclass(frozen=True)
+class _AxisLimits:
+    """An axis in a stored model."""
+
+    leverage_peak: NotNegative
+    width_peak: NotNegative
+    leverage_limit: Positive
+    width_limit: Positive
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """The key `envelope` of a stored model."""
+
+    inputs: Annotated[dict[str, _InputLimits], Each(INPUT_NAMES)]
+    axes: Annotated[dict[str, _AxisLimits], Each(AXES)]

@@ -7,13 +7,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from quadpi_core.config_schema import Numbers, Positive, Real, Text
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.interval_rules import AnyRule, rule_from_json
+from quadpi_core.models.interval_rules import Rule, StoredRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.training.networks import Networks
 
@@ -37,7 +38,7 @@ class FittedEnsemble(ABC):
     inputs: tuple[Regressor, ...] | None
     scaling: Scaling
     members: Networks
-    rule: AnyRule
+    rule: Rule
     rms_spread: float
     floor: float = field(default=NOISE_FLOOR, kw_only=True)
 
@@ -100,38 +101,18 @@ class FittedEnsemble(ABC):
         }
 
 
-def read_common(data: dict[str, Any], members: Networks) -> dict[str, Any]:
-    """Constructor arguments that both kinds share, from what `to_json` gave.
-
-    Raises:
-        ModelError: for numbers that no fit gives.
-    """
-    inputs = None
-    if data["inputs"] is not None:
-        inputs = tuple(Regressor.parse(text) for text in data["inputs"])
-        if len(inputs) != members.hidden_weights.shape[2]:
-            raise ModelError(f"{len(inputs)} inputs for networks of {members.hidden_weights.shape[2]}")
-    rms_spread, floor = float(data["rms_spread"]), float(data["floor"])
-    if not (0.0 < rms_spread < np.inf and 0.0 < floor < np.inf):
-        raise ModelError(f"rms_spread {rms_spread} or floor {floor} is not positive")
-    return {
-        "inputs": inputs,
-        "scaling": Scaling.from_json(data["scaling"], members.hidden_weights.shape[2]),
-        "members": members,
-        "rule": rule_from_json(data["rule"]),
-        "rms_spread": rms_spread,
-        "floor": floor,
-    }
-
-
 @dataclass(frozen=True)
 class Scaling:
     """Standardisation of inputs (D,) and target: (value − mean) / scale."""
 
-    input_mean: Array
-    input_scale: Array
-    target_mean: float
-    target_scale: float
+    input_mean: Annotated[Array, Numbers()]
+    input_scale: Annotated[Array, Numbers()]
+    target_mean: Real
+    target_scale: Positive
+
+    def __post_init__(self) -> None:
+        if self.input_mean.shape != self.input_scale.shape or np.any(self.input_scale <= 0.0):
+            raise ValueError("each input needs a mean and a positive scale")
 
     @classmethod
     def of(cls, inputs: Array, target: Array) -> Scaling:
@@ -164,23 +145,26 @@ class Scaling:
             "target_scale": self.target_scale,
         }
 
-    @classmethod
-    def from_json(cls, data: dict[str, Any], inputs: int) -> Scaling:
-        """Read what `to_json` gave, for so many inputs.
+
+@dataclass(frozen=True, kw_only=True)
+class EnsembleEntry:
+    """What a stored model keeps of either kind of ensemble beside the arrays."""
+
+    inputs: tuple[Text, ...] | None
+    scaling: Scaling
+    rule: StoredRule
+    rms_spread: Positive
+    floor: Positive
+
+    def parts(self, members: Networks) -> dict[str, Any]:
+        """Constructor arguments of a fitted ensemble with these members.
 
         Raises:
-            ModelError: for another number of inputs, or numbers that no samples give.
+            ModelError: for networks over another number of inputs.
         """
-        scaling = cls(
-            np.array(data["input_mean"], dtype=float),
-            np.array(data["input_scale"], dtype=float),
-            float(data["target_mean"]),
-            float(data["target_scale"]),
-        )
-        if scaling.input_mean.shape != (inputs,) or scaling.input_scale.shape != (inputs,):
-            raise ModelError(f"scaling of {scaling.input_mean.size} inputs, expected {inputs}")
-        means = np.append(scaling.input_mean, scaling.target_mean)
-        scales = np.append(scaling.input_scale, scaling.target_scale)
-        if not (np.all(np.isfinite(means)) and np.all((scales > 0.0) & (scales < np.inf))):
-            raise ModelError("scaling with a mean that is not finite, or a scale that is not positive")
-        return scaling
+        inputs = None if self.inputs is None else tuple(Regressor.parse(text) for text in self.inputs)
+        width = members.hidden_weights.shape[2]
+        if len(self.scaling.input_mean) != width or (inputs is not None and len(inputs) != width):
+            raise ModelError(f"inputs or their scaling do not fit networks of {width} inputs")
+        own = ("scaling", "rule", "rms_spread", "floor")
+        return {"inputs": inputs, "members": members, **{name: getattr(self, name) for name in own}}

@@ -7,15 +7,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.config_schema import NotNegative, Text, Within, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.interval_rules import AnyRule, rule_from_json
+from quadpi_core.models.interval_rules import Rule, StoredRule
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.regressors import (
     BASE_ROWS,
@@ -54,7 +55,7 @@ class FittedPolynomial:
     coefficients: Array
     whitening: Array
     shape: SpreadShape
-    rule: AnyRule
+    rule: Rule
     rms_spread: float
 
     @cached_property
@@ -91,24 +92,29 @@ class FittedPolynomial:
         Raises:
             ModelError: for numbers that no fit gives.
         """
-        regressors = tuple(Regressor.parse(text) for text in data["regressors"])
+        entry = parse_config(_Entry, data, cls.method, ModelError)
+        regressors = tuple(Regressor.parse(text) for text in entry.regressors)
         coefficients, whitening, size = arrays["coefficients"], arrays["whitening"], len(regressors)
         if coefficients.shape != (size,) or whitening.shape != (size, size):
             raise ModelError(f"shapes do not fit the {size} regressors")
-        shape, rms_spread = (
-            SpreadShape(float(data["inflation"]), float(data["growth"])),
-            float(data["rms_spread"]),
-        )
-        if not (
-            0.0 <= shape.inflation < np.inf and 0.0 <= shape.growth < np.inf and 1.0 <= rms_spread < np.inf
-        ):
-            raise ModelError(f"{shape} or rms_spread {rms_spread} is impossible")
-        return cls(regressors, coefficients, whitening, shape, rule_from_json(data["rule"]), rms_spread)
+        shape = SpreadShape(entry.inflation, entry.growth)
+        return cls(regressors, coefficients, whitening, shape, entry.rule, entry.rms_spread)
 
     @property
     def terms(self) -> list[str]:
         """What the prediction is made of, in words."""
         return [str(regressor) for regressor in self.regressors]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What a stored model keeps beside the arrays."""
+
+    regressors: tuple[Text, ...]
+    inflation: NotNegative
+    growth: NotNegative
+    rule: StoredRule
+    rms_spread: Annotated[float, Within(1.0)]
 
 
 @dataclass(frozen=True)

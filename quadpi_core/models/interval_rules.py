@@ -11,15 +11,18 @@ uses.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Protocol, TypeAlias
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import PlainValidator
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
+from quadpi_core.config_schema import NotNegative, Numbers, Positive, Real, Within, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 
@@ -34,50 +37,41 @@ PEAK_QUANTILE = 0.999
 LEVELS: Array = np.concatenate((np.arange(0.50, 0.99, 0.01), np.arange(0.99, 0.9991, 0.001)))
 
 
-class Rule(Protocol):
-    """What every rule can do."""
+class Rule(ABC):
+    """Base of the rules, each a frozen dataclass of plain numbers and arrays."""
 
     kind: ClassVar[str]
 
+    @abstractmethod
     def factor(self, confidence: float) -> float:
         """Half width of the interval per spread.
 
         Raises:
             ModelError: for a confidence that the rule cannot support.
         """
-        ...
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, as stored with a model."""
-        ...
+        own = vars(self).items()
+        return {"kind": self.kind, **{name: np.asarray(value).tolist() for name, value in own}}
 
 
 @dataclass(frozen=True)
-class ResidualRule:
+class ResidualRule(Rule):
     """Noise of the training residuals, taken as independent (van Beers and de Visser, Eq. 13, 16, 17)."""
 
     kind: ClassVar[str] = "residual"
-    std: float
-    freedom: float
-
-    def __post_init__(self) -> None:
-        if self.std < 0.0 or self.freedom <= 0.0:
-            raise ModelError(
-                f"noise with standard deviation {self.std} and {self.freedom} degrees of freedom"
-            )
+    std: NotNegative
+    freedom: Positive
 
     def factor(self, confidence: float) -> float:
         """Standard deviation times the quantile of Student's distribution."""
         _check_confidence(confidence, 0.0, 1.0)
         return self.std * float(student_t.ppf(0.5 + confidence / 2.0, self.freedom))
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers, as stored with a model."""
-        return {"kind": self.kind, **asdict(self)}
-
 
 @dataclass(frozen=True)
-class NormalRule:
+class NormalRule(Rule):
     """Errors are normal with the spread as standard deviation (van Beers and de Visser, Eq. 20)."""
 
     kind: ClassVar[str] = "normal"
@@ -87,17 +81,13 @@ class NormalRule:
         _check_confidence(confidence, 0.0, 1.0)
         return float(norm.ppf(0.5 + confidence / 2.0))
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers, as stored with a model."""
-        return {"kind": self.kind}
-
 
 @dataclass(frozen=True)
-class TrainedRule:
+class TrainedRule(Rule):
     """Bounds that were trained for one confidence, and say nothing of any other."""
 
     kind: ClassVar[str] = "trained"
-    confidence: float
+    confidence: Real
 
     def factor(self, confidence: float) -> float:
         """One, at the confidence of training."""
@@ -109,13 +99,9 @@ class TrainedRule:
             )
         return 1.0
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers, as stored with a model."""
-        return {"kind": self.kind, **asdict(self)}
-
 
 @dataclass(frozen=True)
-class HeldOutRule:
+class HeldOutRule(Rule):
     """Calibration on flights that the model never saw, each left out in turn.
 
     Errors of flight data are autocorrelated, so neither their training variance nor N − p degrees of
@@ -136,8 +122,8 @@ class HeldOutRule:
     """
 
     kind: ClassVar[str] = "held-out"
-    flight_factors: Array
-    flights_inside: int
+    flight_factors: Annotated[Array, Numbers(len(LEVELS), rows=True)]
+    flights_inside: Annotated[int, Within(0)]
 
     def factor(self, confidence: float) -> float:
         """The factor that covers FLIGHT_SHARE of the flights, or all while there are too few to tell."""
@@ -169,38 +155,26 @@ class HeldOutRule:
                 factors[k] = np.maximum(factors[k], flight.factors())
         return HeldOutRule(factors, self.flights_inside)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers, as stored with a model."""
-        return {
-            "kind": self.kind,
-            "flight_factors": self.flight_factors.tolist(),
-            "flights_inside": self.flights_inside,
-        }
+
+_RULES: dict[str, type[Rule]] = {
+    rule.kind: rule for rule in (ResidualRule, NormalRule, TrainedRule, HeldOutRule)
+}
 
 
-AnyRule: TypeAlias = ResidualRule | NormalRule | TrainedRule | HeldOutRule
-
-
-def rule_from_json(data: dict[str, Any]) -> AnyRule:
+def rule_from_json(data: Any) -> Rule:
     """Read what `to_json` gave.
 
     Raises:
         ModelError: for an unknown kind, or numbers that no fit gives.
-        KeyError, TypeError, ValueError: for missing or malformed numbers.
     """
-    kind = data["kind"]
-    if kind == ResidualRule.kind:
-        return ResidualRule(float(data["std"]), float(data["freedom"]))
-    if kind == NormalRule.kind:
-        return NormalRule()
-    if kind == TrainedRule.kind:
-        return TrainedRule(float(data["confidence"]))
-    if kind == HeldOutRule.kind:
-        factors = np.array(data["flight_factors"], dtype=float)
-        if factors.ndim != 2 or factors.shape[1] != len(LEVELS) or len(factors) == 0:
-            raise ModelError(f"flight factors of shape {factors.shape}")
-        return HeldOutRule(factors, int(data["flights_inside"]))
-    raise ModelError(f"unknown kind of interval rule {kind!r}")
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if kind not in _RULES:
+        raise ModelError(f"unknown kind of interval rule {kind!r}")
+    return parse_config(_RULES[kind], data, f"{kind} rule", ModelError)
+
+
+# Key of a fitted axis in a stored model.
+StoredRule: TypeAlias = Annotated[Rule, PlainValidator(rule_from_json)]
 
 
 @dataclass(frozen=True)

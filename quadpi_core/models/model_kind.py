@@ -21,7 +21,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.interval_rules import AnyRule, FlightErrors
+from quadpi_core.models.interval_rules import FlightErrors, Rule
 from quadpi_core.models.selection import StopRule
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.vehicle import Vehicle
@@ -60,7 +60,7 @@ class FittedAxis(Protocol):
     method: ClassVar[str]
 
     @property
-    def rule(self) -> AnyRule:
+    def rule(self) -> Rule:
         """Gives the interval's factor on the spread."""
 
     @property

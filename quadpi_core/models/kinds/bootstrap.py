@@ -12,11 +12,12 @@ import numpy.typing as npt
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
+from quadpi_core.config_schema import Positive, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Trained, mean_over
-from quadpi_core.models.fitted_ensemble import FittedEnsemble, read_common
-from quadpi_core.models.interval_rules import AnyRule, NormalRule
+from quadpi_core.models.fitted_ensemble import EnsembleEntry, FittedEnsemble
+from quadpi_core.models.interval_rules import NormalRule, Rule
 from quadpi_core.models.training_table import Plan, Table
 from quadpi_core.training.networks import Networks
 
@@ -76,15 +77,17 @@ class FittedBootstrap(FittedEnsemble):
         Raises:
             ModelError: for numbers that no fit gives.
         """
+        entry = parse_config(_Entry, data, cls.method, ModelError)
         members, noise = Networks.stored(arrays, "members"), Networks.stored(arrays, "noise")
-        common = read_common(data, members)
         shapes = (members.output_biases.shape[1], noise.output_biases.shape, noise.hidden_weights.shape[2])
         if shapes != (1, (1, 1), members.hidden_weights.shape[2]) or len(members) < 2:
             raise ModelError("members and noise network do not fit together")
-        model_share = float(data["model_share"])
-        if not 0.0 < model_share < np.inf:
-            raise ModelError(f"model_share {model_share} is not positive")
-        return cls(**common, noise=noise, model_share=model_share)
+        return cls(**entry.parts(members), noise=noise, model_share=entry.model_share)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry(EnsembleEntry):
+    model_share: Positive
 
 
 @dataclass(eq=False)
@@ -196,7 +199,7 @@ class BootstrapEnsemble(Ensemble):
         level = np.logaddexp(0.0, noise.predictions(slice(None))[:, :, 0]) + floors.T[:, :, None]
         return noise, level.swapaxes(0, 1)
 
-    def _uncalibrated(self) -> AnyRule:
+    def _uncalibrated(self) -> Rule:
         return NormalRule()
 
     def _finish(self, **parts: Any) -> FittedBootstrap:

@@ -19,8 +19,8 @@ from quadpi_core.models.axis_estimator import AxisEstimator, fit_of
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.fitted_polynomial import CompiledPolynomials, FittedPolynomial
 from quadpi_core.models.interval_rules import (
-    AnyRule,
     ResidualRule,
+    Rule,
     calibrate,
     inside_range,
 )
@@ -122,7 +122,7 @@ class StepwisePolynomial(AxisEstimator):
         coefficients, whitening = fit_coefficients(gram, active)
         if self.noise != "residual":
             coefficients, whitening = huber(Z, y, coefficients, whitening)
-        rule: AnyRule
+        rule: Rule
         error, leverage = y - Z @ coefficients, leverage_of(Z, whitening)
         speed = squared_speed(X)
         if self.noise == "residual":

@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
+from quadpi_core.config_schema import NotNegative, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Trained, mean_over
-from quadpi_core.models.fitted_ensemble import FittedEnsemble, read_common
-from quadpi_core.models.interval_rules import AnyRule, TrainedRule
+from quadpi_core.models.fitted_ensemble import EnsembleEntry, FittedEnsemble
+from quadpi_core.models.interval_rules import Rule, TrainedRule
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.training_table import Plan, Table
@@ -75,14 +76,16 @@ class FittedQualityDriven(FittedEnsemble):
         Raises:
             ModelError: for numbers that no fit gives.
         """
+        entry = parse_config(_Entry, data, cls.method, ModelError)
         members = Networks.stored(arrays, "members")
-        common = read_common(data, members)
         if members.output_biases.shape[1] != 2 or len(members) < 2:
             raise ModelError("members do not give two bounds each")
-        outward = float(data["outward"])
-        if not 0.0 <= outward < np.inf:
-            raise ModelError(f"outward {outward} is negative or not finite")
-        return cls(**common, outward=outward)
+        return cls(**entry.parts(members), outward=entry.outward)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry(EnsembleEntry):
+    outward: NotNegative
 
 
 @dataclass(eq=False)
@@ -166,7 +169,7 @@ class QualityDrivenEnsemble(Ensemble):
         errors = table.targets - mean_over(bounds.mean(axis=2), plan.unseen(ensemble))
         return mean.mean(axis=1), np.abs(half), errors
 
-    def _uncalibrated(self) -> AnyRule:
+    def _uncalibrated(self) -> Rule:
         return TrainedRule(self.confidence)
 
     def _finish(self, **parts: Any) -> FittedQualityDriven:

@@ -143,12 +143,12 @@ def _below_nothing(data):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (_without_mu_x, "`inputs` needs a number `lower`"),
-        (_with_text, "`axes` needs a number `leverage_limit`"),
-        (_with_infinity, "`upper` is not finite"),
-        (_turned_round, "lies above its upper bound"),
-        (_without_limit, "must be positive"),
-        (_below_nothing, "must not be negative"),
+        (_without_mu_x, "envelope: inputs: missing key `mu_x`"),
+        (_with_text, "envelope: axes.Fz: `leverage_limit` must be a positive number, found 'high'"),
+        (_with_infinity, "envelope: inputs.u: `upper` must be a number, found inf"),
+        (_turned_round, "envelope: inputs.u: the lower bound 99 lies above its upper bound"),
+        (_without_limit, "envelope: axes.Fx: `width_limit` must be a positive number, found 0.0"),
+        (_below_nothing, "envelope: axes.Fx: `leverage_peak` must be a number not below 0, found -0.1"),
     ],
 )
 def test_damaged_json_is_refused(training, damage, message):

@@ -15,6 +15,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from benchmarks.random_ensembles import random_ensemble
+from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -337,7 +338,7 @@ def test_constant_target_is_refused() -> None:
 
 def test_scaling_round_trip() -> None:
     scaling = Scaling(np.array([1.0, 0.1]), np.array([2.0, 1e-9]), -1.0, 0.3)
-    again = Scaling.from_json(json.loads(json.dumps(scaling.to_json())), 2)
+    again = parse_config(Scaling, json.loads(json.dumps(scaling.to_json())), "scaling", ModelError)
     np.testing.assert_array_equal(again.input_mean, scaling.input_mean)
     np.testing.assert_array_equal(again.input_scale, scaling.input_scale)
     assert (again.target_mean, again.target_scale) == (-1.0, 0.3)
@@ -359,7 +360,7 @@ def test_scaling_round_trip() -> None:
 def test_scaling_that_no_samples_give_is_refused(changes: dict[str, object]) -> None:
     data = Scaling(np.zeros(2), np.ones(2), 0.0, 1.0).to_json()
     with pytest.raises(ModelError):
-        Scaling.from_json(data | changes, 2)
+        parse_config(Scaling, data | changes, "scaling", ModelError)
 
 
 def test_turned_arrays_are_stored_in_order(networks: Networks) -> None:

@@ -12,11 +12,11 @@ from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import (
     FEWEST_INSIDE,
     LEVELS,
-    AnyRule,
     FlightErrors,
     HeldOutRule,
     NormalRule,
     ResidualRule,
+    Rule,
     TrainedRule,
     calibrate,
     rule_from_json,
@@ -98,7 +98,7 @@ def test_nine_tenths_of_new_flights_reach_the_nominal_coverage() -> None:
     "rule",
     [ResidualRule(0.3, 98.0), NormalRule(), TrainedRule(0.9), HeldOutRule(np.ones((3, len(LEVELS))), 2)],
 )
-def test_json_round_trip(rule: AnyRule) -> None:
+def test_json_round_trip(rule: Rule) -> None:
     again = rule_from_json(json.loads(json.dumps(rule.to_json())))
     assert type(again) is type(rule)
     assert again.factor(0.9) == rule.factor(0.9)

@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of the alarm in a stored model."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.models.alarm_limits import AlarmLimits
+
+STORED = AlarmLimits(
+    miscoverage_s=np.arange(1.0, 7.0), hover_rotor_speed=900.0, flights=9, hours=0.5
+).to_json()
+
+
+def test_json_gives_the_same_limits() -> None:
+    again = AlarmLimits.from_json(json.loads(json.dumps(STORED)))
+    assert again.to_json() == STORED
+    np.testing.assert_array_equal(again.miscoverage_s, np.arange(1.0, 7.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"allowance": 0.0}, "`allowance` must be a positive number not above 1, found 0.0"),
+        ({"allowance": 1.5}, "`allowance` must be a positive number not above 1, found 1.5"),
+        ({"rate_per_hour": float("nan")}, "`rate_per_hour` must be a positive number, found nan"),
+        ({"flights": -1}, "`flights` must be a whole number not below 0, found -1"),
+        ({"hours": -0.1}, "`hours` must be a number not below 0, found -0.1"),
+        ({"hover_rotor_speed": "fast"}, "`hover_rotor_speed` must be a number not below 0, found 'fast'"),
+        ({"miscoverage_s": STORED["miscoverage_s"] | {"Fz": 0.0}}, "miscoverage_s: `Fz` must be a positive"),
+        ({"miscoverage_s": {"Fx": 1.0}}, "miscoverage_s: missing key `Fy`"),
+    ],
+)
+def test_numbers_that_no_calibration_gives_are_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ModelError, match=f"^alarm: {message}"):
+        AlarmLimits.from_json(STORED | changes)
