@@ -25,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.messages import qos
+from quadpi_core.messages import topics as qos
 
 QOS_PREFIX = "qos_overrides."
 

@@ -26,7 +26,7 @@ from sensor_msgs.msg import Imu
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bags import find_topic
+from quadpi_core.logs.bag_topics import find_topic
 from quadpi_core.messages.adapters import ADAPTERS
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.sensor_messages import unpack_stamps

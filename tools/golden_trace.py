@@ -25,7 +25,8 @@ from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import roll_pitch_yaw_from_quaternion
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bags import read_bag, read_outputs, unpacked_topic
+from quadpi_core.logs.bag_topics import unpacked_topic
+from quadpi_core.logs.bags import read_bag, read_outputs
 from quadpi_core.messages import sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay

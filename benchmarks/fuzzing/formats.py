@@ -38,7 +38,8 @@ from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.bags import bag_topics, read_outputs, write_bag
+from quadpi_core.logs.bag_topics import bag_topics
+from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
 from quadpi_core.logs.mcap_files import CHUNK, MAGIC, METADATA, SCHEMA, find_records

@@ -25,7 +25,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
 from quadpi_core.messages.definitions import definition_text, typestore
 from quadpi_core.messages.payloads import Bytes, Indices, Payloads, Topic, copy_spans, join_topics
-from quadpi_core.messages.qos import qos_of
+from quadpi_core.messages.topics import qos_of
 from quadpi_core.paths import whole_output
 
 if TYPE_CHECKING:

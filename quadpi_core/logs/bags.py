@@ -6,18 +6,15 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Connection
 
-from quadpi_core.errors import LogError, SampleError, VehicleError
+from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     ImuStream,
     OdometryStream,
@@ -32,13 +29,14 @@ from quadpi_core.flight import (
 )
 from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic, find_adapted
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
-from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import BodyFrames, Framed
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
+from quadpi_core.messages.topics import TOPIC_TYPES
 from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.recording_blocks import join_blocks, split_by_stamp
 from quadpi_core.results import Predictions, ReportedAlarms
@@ -47,26 +45,6 @@ from quadpi_core.version import __version__
 
 _log = logging.getLogger(__name__)
 
-TOPIC_TYPES = {
-    "imu": sensor_messages.IMU,
-    "erpm": sensor_messages.ERPM,
-    "rotor_speeds": sensor_messages.ROTOR_SPEEDS,
-    "mocap/pose": sensor_messages.POSE,
-    "mocap/odometry": sensor_messages.ODOMETRY,
-    "mocap/twist": sensor_messages.TWIST,
-    "odometry": sensor_messages.ODOMETRY,
-    "wind": sensor_messages.WIND,
-    "simulation/wrench": sensor_messages.WRENCH,
-    "prediction": sensor_messages.PREDICTION,
-    "extrapolation_alarm": sensor_messages.ALARM,
-    "alarm_log": sensor_messages.EVENT,
-    "truth/odometry": sensor_messages.ODOMETRY,
-    "truth/wrench": sensor_messages.WRENCH,
-    "truth/acceleration": sensor_messages.ACCELERATION,
-    "truth/rotor_speeds": sensor_messages.ROTOR_SPEEDS,
-    "truth/wind": sensor_messages.WIND,
-    "truth/reference": sensor_messages.POSE,
-}
 # Motion capture in its forms: of several in one bag the first counts, as a node listens to one of them.
 _MOCAP = ("mocap/pose", "mocap/odometry", "mocap/twist")
 _RECORDED = ("imu", "erpm", "rotor_speeds", *_MOCAP, "odometry", "wind", "simulation/wrench")
@@ -93,26 +71,6 @@ _FIELDS = {
 _FIELDS_OF_KINDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
 _READ_AT_ONCE = 1 << 20
 _NO_IMU = ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
-_STARTS_WITH_HEADER = re.compile(
-    r"(?:\s*(?:#[^\n]*|\w+\s+[A-Z_0-9]+\s*=[^\n]*)?\n)*\s*std_msgs/(?:msg/)?Header\s"
-)
-
-_Content = TypeVar("_Content")
-
-
-@dataclass(frozen=True)
-class TopicSummary:
-    """What a bag holds on one topic.
-
-    Attributes:
-        stamps_ns: (N,) header stamps, or log times for messages without a header.
-        has_header: whether they are header stamps.
-    """
-
-    name: str
-    type_name: str
-    stamps_ns: Stamps
-    has_header: bool
 
 
 def read_bag(
@@ -405,118 +363,6 @@ def _packed(stream: Stream) -> Payloads:
 def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:
     """A standard topic to write, logged at its stamps."""
     return Topic(f"/{name}", TOPIC_TYPES[name], time_ns, payloads)
-
-
-def has_topic(path: Path | str, topic: str) -> bool:
-    """Whether a bag holds messages on a standard topic, in any namespace.
-
-    Raises:
-        LogError: as :func:`read_bag`.
-    """
-    with Bag(Path(path)) as bag:
-        return find_topic(bag, topic) is not None
-
-
-def bag_vehicle(path: Path | str) -> str:
-    """Name of the vehicle that a bag says it is of; empty where it does not say.
-
-    Raises:
-        LogError: for a bag that cannot be read.
-    """
-    with Bag(Path(path)) as bag:
-        return bag.metadata.get("vehicle", "")
-
-
-def bag_topics(path: Path | str) -> list[TopicSummary]:
-    """Summarise every topic of a bag, of any type, ordered by name.
-
-    Raises:
-        LogError: for a bag that cannot be read.
-    """
-    with Bag(Path(path)) as bag:
-        by_name = {connection.topic: connection for connection in bag.connections}
-        stamps = _stamps(bag, sorted(by_name))
-    return [
-        TopicSummary(name, by_name[name].msgtype, stamps_ns, _has_header(by_name[name]))
-        for name, stamps_ns in stamps.items()
-    ]
-
-
-def _stamps(bag: Bag, names: Sequence[str]) -> dict[str, Stamps]:
-    """By topic (N,): header stamps, or log times where messages have no header."""
-    with_header = {connection.topic for connection in bag.connections if _has_header(connection)}
-    found: dict[str, list[Stamps]] = {name: [np.empty(0, dtype=np.int64)] for name in names}
-    counts = dict.fromkeys(names, 0)
-    for block in bag.blocks(names, head=sensor_messages.STAMP_END):
-        for name, topic in block.items():
-            stamps_ns = topic.log_time_ns
-            if name in with_header:
-                stamps_ns = unpacked_topic(
-                    bag.path, topic, sensor_messages.unpack_stamps, before=counts[name]
-                )
-            found[name].append(stamps_ns)
-            counts[name] += len(stamps_ns)
-    return {name: np.concatenate(parts) for name, parts in found.items()}
-
-
-def _has_header(connection: Connection) -> bool:
-    if connection.msgdef.data:
-        return _STARTS_WITH_HEADER.match(connection.msgdef.data) is not None
-    _, fields = typestore().fielddefs.get(connection.msgtype, ([], []))
-    return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"
-
-
-def find_topic(bag: Bag, topic: str) -> Connection | None:
-    """The topic of that name in any namespace, or None if it is absent or holds no messages.
-
-    Topics below a namespace `truth` are passed over: a simulation computed them, no sensor measured them.
-    """
-    candidates = {
-        connection.topic: connection
-        for connection in bag.connections
-        if connection.msgcount and _is_named(connection.topic, topic)
-    }
-    if len(candidates) > 1:
-        raise LogError(f"{bag.path}: topic {topic}: ambiguous between {', '.join(sorted(candidates))}")
-    for connection in candidates.values():
-        types = {other.msgtype for other in bag.connections if other.topic == connection.topic}
-        if types != {TOPIC_TYPES[topic]}:
-            raise LogError(
-                f"{bag.path}: topic {connection.topic}: type {', '.join(sorted(types))}, "
-                f"expected {TOPIC_TYPES[topic]}"
-            )
-        return connection
-    return None
-
-
-def _is_named(name: str, topic: str) -> bool:
-    whole = f"/{name}"
-    namespace = whole.removesuffix(f"/{topic}")
-    parts = namespace.split("/")
-    # What motion capture sends is no state that an estimator fused.
-    return namespace != whole and "truth" not in parts and not (topic == "odometry" and parts[-1] == "mocap")
-
-
-def unpacked_topic(
-    path: Path, topic: Topic, unpack: Callable[[Payloads], _Content], *, before: int = 0
-) -> _Content:
-    """What `unpack` makes of the messages of a topic.
-
-    Args:
-        path: of the bag.
-        topic: its messages, or some of them.
-        unpack: see :mod:`quadpi_core.messages.sensor_messages`.
-        before: how many messages of the topic came before these.
-
-    Raises:
-        LogError: as `unpack` does, naming bag and topic.
-    """
-    try:
-        return unpack(topic.payloads)
-    except SampleError as error:
-        raise LogError(f"{path}: topic {topic.name}: {error.after(before)}") from error
-    except (LogError, VehicleError) as error:
-        raise LogError(f"{path}: topic {topic.name}: {error}") from error
 
 
 def _vehicle_name(bag: Bag, vehicle: Vehicle | None) -> str:

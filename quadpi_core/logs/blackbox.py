@@ -7,8 +7,8 @@ over (S, G, H) and events (E). There are no lengths and no checksums: a frame is
 begins another one and its time goes on from the one before. Behind a frame that is not, the search goes on
 from its second byte, and P frames count again from the next I frame on.
 
-Source: Betaflight's documentation, "Blackbox Internals", and for the encoding of variable triples and the
-predictor of the motor's lowest output, which came later, the values that logs hold.
+Source: Betaflight's documentation, "Blackbox Internals"; for the predictor of the motor's lowest output, the
+values in logs.
 """
 
 from __future__ import annotations
@@ -19,11 +19,22 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import LogError
 from quadpi_core.frames import Array
+from quadpi_core.logs.blackbox_encodings import (
+    BROKEN,
+    CUT,
+    ENCODINGS,
+    NULL,
+    TAG8_4S16,
+    Bytes,
+    Integers,
+    read_fields,
+    read_unsigned,
+    sign_extended,
+)
 from quadpi_core.logs.unpacking import require_unpackable
 
 # Firmwares log up to 200 fields; their header lines are shorter than 2 kB.
@@ -37,46 +48,16 @@ _LEAP_MAX_US = 10_000_000
 
 _KINDS = b"IPSGH"
 _I, _P = 0, 1
-_SIGNED_VB, _UNSIGNED_VB, _NEG_14BIT, _TAG8_8SVB, _TAG2_3S32, _TAG8_4S16, _NULL, _TAG2_3SVARIABLE = (
-    *(0, 1, 3, 6, 7, 8),
-    *(9, 10),
-)
-_ENCODINGS = {
-    _SIGNED_VB,
-    _UNSIGNED_VB,
-    _NEG_14BIT,
-    _TAG8_8SVB,
-    _TAG2_3S32,
-    _TAG8_4S16,
-    _NULL,
-    _TAG2_3SVARIABLE,
-}
 _ZERO, _PREVIOUS, _LINE, _AVERAGE, _MINTHROTTLE, _MOTOR_0, _INCREMENT, _1500, _VBATREF, _MINMOTOR = (
     *(0, 1, 2, 3, 4, 5),
     *(6, 8, 9, 11),
 )
-_PREDICTORS = {
-    _ZERO,
-    _PREVIOUS,
-    _LINE,
-    _AVERAGE,
-    _MINTHROTTLE,
-    _MOTOR_0,
-    _INCREMENT,
-    _1500,
-    _VBATREF,
-    _MINMOTOR,
-}
-# Where a frame cannot go on: the file ends within it, or its bytes are none.
-_CUT, _BROKEN = -1, -2
+_PREDICTORS = {*range(7), 8, 9, 11}
 _UINT32 = 0xFFFFFFFF
 _EVENT, _LOG_END = ord("E"), 255
 _END_OF_LOG = np.frombuffer(b"End of log", dtype=np.uint8)
 _NUMBER = re.compile(r"(-?[0-9]{1,10})|0x([0-9A-Fa-f]{1,8})")
 _TIME, _ITERATION = "time", "loopIteration"
-
-_Bytes = npt.NDArray[np.uint8]
-_Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -114,21 +95,21 @@ def decode_blackbox(flight: bytes, wanted: Sequence[str]) -> BlackboxLog:
     for name in (_TIME, _ITERATION):
         if names.count(name) != 1:
             raise LogError(f"its headers name the field {name} {names.count(name)} times, not once")
-    encoding = np.full((len(_KINDS), _FIELDS_MAX), _NULL, dtype=np.int64)
+    encoding = np.full((len(_KINDS), _FIELDS_MAX), NULL, dtype=np.int64)
     predictor, count = np.zeros_like(encoding), np.zeros(len(_KINDS), dtype=np.int64)
     for place, kind in enumerate(_KINDS.decode()):
         fields = len(names) if place in {_I, _P} else len(texts.get(f"Field {kind} encoding", "").split(","))
         if place not in {_I, _P} and f"Field {kind} encoding" not in texts:
             continue
         count[place] = fields
-        encoding[place, :fields] = _described(texts, f"Field {kind} encoding", fields, _ENCODINGS)
+        encoding[place, :fields] = _described(texts, f"Field {kind} encoding", fields, ENCODINGS)
         # What the other frames hold is not asked for, only how long they are.
         if place in {_I, _P}:
             predictor[place, :fields] = _described(texts, f"Field {kind} predictor", fields, _PREDICTORS)
     signed = np.zeros(_FIELDS_MAX, dtype=np.int64)
     if "Field I signed" in texts:
         signed[: len(names)] = _described(texts, "Field I signed", len(names), {0, 1})
-    if headers.get("Data version") != 2 and np.any(encoding == _TAG8_4S16):
+    if headers.get("Data version") != 2 and np.any(encoding == TAG8_4S16):
         raise LogError(f"its header says data version {texts.get('Data version', 'unknown')}; read is 2")
     rules = _Rules(
         encoding,
@@ -161,12 +142,12 @@ class _Rules(NamedTuple):
         numbers: :func:`_intervals` and :func:`_references`.
     """
 
-    encoding: _Integers
-    predictor: _Integers
-    sizes: _Integers
-    signed: _Integers
-    places: _Integers
-    numbers: _Integers
+    encoding: Integers
+    predictor: Integers
+    sizes: Integers
+    signed: Integers
+    places: Integers
+    numbers: Integers
 
 
 def _header(flight: bytes) -> tuple[dict[str, str], int]:
@@ -227,181 +208,33 @@ def _references(texts: Mapping[str, str]) -> tuple[int, int, int]:
 
 
 @njit(cache=True)
-def _byte(data: _Bytes, position: int) -> int:
-    return np.int64(data[position])  # type: ignore[return-value]
-
-
-@njit(cache=True)
-def _unsigned(data: _Bytes, position: int) -> tuple[int, int]:
-    """A number of up to 32 bits, seven of them in each byte, the lowest first; and where it ends."""
-    value = 0
-    for shift in range(0, 35, 7):
-        if position >= len(data):
-            return 0, _CUT
-        byte = _byte(data, position)
-        position += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, position
-    return 0, _BROKEN
-
-
-@njit(cache=True)
-def _signed(data: _Bytes, position: int) -> tuple[int, int]:
-    """The same for numbers whose lowest bit is the sign."""
-    value, position = _unsigned(data, position)
-    return (value >> 1) ^ -(value & 1), position
-
-
-@njit(cache=True)
-def _extended(value: int, bits: int) -> int:
-    """A number of the given bits, in two's complement."""
-    value &= (1 << bits) - 1
-    return value - (1 << bits) if value >> (bits - 1) else value
-
-
-@njit(cache=True)
-def _little(data: _Bytes, position: int, size: int) -> int:
-    value = 0
-    for k in range(size):
-        value |= _byte(data, position + k) << (8 * k)
-    return value
-
-
-@njit(cache=True)
-def _triple(data: _Bytes, position: int, variable: bool, values: _Integers) -> int:
-    """Three numbers of the size that the first two bits name; gives where they end."""
-    if position >= len(data):
-        return _CUT
-    lead = _byte(data, position)
-    size = lead >> 6
-    if size == 3:
-        position += 1
-        for k in range(3):
-            length = (lead >> (2 * k) & 3) + 1
-            if position + length > len(data):
-                return _CUT
-            values[k] = _extended(_little(data, position, length), 8 * length)
-            position += length
-        return position
-    if position + size >= len(data):
-        return _CUT
-    bits = 0
-    for k in range(size + 1):
-        bits = bits << 8 | _byte(data, position + k)
-    if size == 0:
-        values[0], values[1], values[2] = _extended(bits >> 4, 2), _extended(bits >> 2, 2), _extended(bits, 2)
-    elif size == 1 and variable:
-        values[0], values[1], values[2] = _extended(bits >> 9, 5), _extended(bits >> 4, 5), _extended(bits, 4)
-    elif size == 1:
-        values[0], values[1], values[2] = _extended(bits >> 8, 4), _extended(bits >> 4, 4), _extended(bits, 4)
-    elif variable:
-        values[0], values[1], values[2] = (
-            _extended(bits >> 14, 8),
-            _extended(bits >> 7, 7),
-            _extended(bits, 7),
-        )
-    else:
-        values[0], values[1], values[2] = (
-            _extended(bits >> 16, 6),
-            _extended(bits >> 8, 6),
-            _extended(bits, 6),
-        )
-    return position + size + 1
-
-
-@njit(cache=True)
-def _quadruple(data: _Bytes, position: int, values: _Integers) -> int:
-    """Four numbers of 0, 4, 8 or 16 bits, as the byte before them says; gives where they end."""
-    if position >= len(data):
-        return _CUT
-    sizes = _byte(data, position)
-    # In nibbles from here on, the higher one of a byte first.
-    nibble = 2 * (position + 1)
-    for k in range(4):
-        tag = sizes >> (2 * k) & 3
-        length = 0 if tag == 0 else 1 << (tag - 1)
-        if nibble + length > 2 * len(data):
-            return _CUT
-        value = 0
-        for _ in range(length):
-            byte = _byte(data, nibble >> 1)
-            value = value << 4 | (byte & 0xF if nibble & 1 else byte >> 4)
-            nibble += 1
-        values[k] = _extended(value, 4 * length) if length else 0
-    return (nibble + 1) >> 1
-
-
-@njit(cache=True)
-def _fields(data: _Bytes, position: int, encoding: _Integers, count: int, values: _Integers) -> int:
-    """What each field of a frame adds to its prediction; gives where the frame ends."""
-    some = np.zeros(4, dtype=np.int64)
-    place = 0
-    while place < count and position >= 0:
-        kind, group = encoding[place], 1
-        if kind == _SIGNED_VB:
-            values[place], position = _signed(data, position)
-        elif kind == _UNSIGNED_VB:
-            values[place], position = _unsigned(data, position)
-        elif kind == _NEG_14BIT:
-            value, position = _unsigned(data, position)
-            values[place] = -_extended(value, 14)
-        elif kind == _TAG8_8SVB:
-            while group < 8 and place + group < count and encoding[place + group] == _TAG8_8SVB:
-                group += 1
-            there = 1
-            if group > 1:
-                if position >= len(data):
-                    return _CUT
-                there = _byte(data, position)
-                position += 1
-            for k in range(group):
-                values[place + k] = 0
-                if there >> k & 1 and position >= 0:
-                    values[place + k], position = _signed(data, position)
-        elif kind in (_TAG2_3S32, _TAG2_3SVARIABLE, _TAG8_4S16):
-            if kind == _TAG8_4S16:
-                group = 4
-                position = _quadruple(data, position, some)
-            else:
-                group = 3
-                position = _triple(data, position, kind == _TAG2_3SVARIABLE, some)
-            group = min(group, count - place)
-            values[place : place + group] = some[:group]
-        else:
-            values[place] = 0
-        place += group
-    return position
-
-
-@njit(cache=True)
-def _event(data: _Bytes, position: int) -> tuple[int, bool]:
+def _event(data: Bytes, position: int) -> tuple[int, bool]:
     """Where an event ends, and whether it is the end of the log."""
     if position >= len(data):
-        return _CUT, False
+        return CUT, False
     kind = data[position]
     position += 1
     if kind == _LOG_END:
         for k in range(len(_END_OF_LOG)):
             if position + k >= len(data):
-                return _CUT, False
+                return CUT, False
             if data[position + k] != _END_OF_LOG[k]:
-                return _BROKEN, False
+                return BROKEN, False
         return position + len(_END_OF_LOG), True
     # Beep, resumed, disarmed, other modes of flight: one or two numbers.
     if kind in (0, 15):
-        return _unsigned(data, position)[1], False
+        return read_unsigned(data, position)[1], False
     if kind in (14, 30):
-        position = _unsigned(data, position)[1]
-        return (_unsigned(data, position)[1] if position >= 0 else position), False
+        position = read_unsigned(data, position)[1]
+        return (read_unsigned(data, position)[1] if position >= 0 else position), False
     if kind == 13:
         # A setting that was changed in flight, of single precision where the highest bit says so.
         if position >= len(data):
-            return _CUT, False
+            return CUT, False
         if data[position] < 0x80:
-            return _unsigned(data, position + 1)[1], False
-        return (position + 5 if position + 5 <= len(data) else _CUT), False
-    return _BROKEN, False
+            return read_unsigned(data, position + 1)[1], False
+        return (position + 5 if position + 5 <= len(data) else CUT), False
+    return BROKEN, False
 
 
 @njit(cache=True)
@@ -422,7 +255,7 @@ def _step(iteration: int, every: int, numerator: int, denominator: int) -> int:
 
 
 @njit(cache=True)
-def _predict(values: _Integers, before: _Integers, earlier: _Integers, rules: _Rules, kind: int) -> None:
+def _predict(values: Integers, before: Integers, earlier: Integers, rules: _Rules, kind: int) -> None:
     """Add to each value of a main frame what was predicted from the two frames before it and the headers."""
     every, numerator, denominator, minthrottle, vbatref, minmotor = rules.numbers
     for place in range(rules.sizes[kind]):
@@ -448,11 +281,11 @@ def _predict(values: _Integers, before: _Integers, earlier: _Integers, rules: _R
         elif rule == _MINMOTOR:
             value += minmotor
         value &= _UINT32
-        values[place] = _extended(value, 32) if rules.signed[place] else value
+        values[place] = sign_extended(value, 32) if rules.signed[place] else value
 
 
 @njit(cache=True)
-def _frame(data: _Bytes, position: int, rules: _Rules, values: _Integers) -> int:
+def _frame(data: Bytes, position: int, rules: _Rules, values: Integers) -> int:
     """Step over a frame or an event, with what its fields add to their predictions; gives where it ends.
 
     It is broken as well if nothing begins where it ends but the file ends not there either.
@@ -463,13 +296,13 @@ def _frame(data: _Bytes, position: int, rules: _Rules, values: _Integers) -> int
         if last:
             return stop
     elif kind >= 0 and count[kind] > 0:
-        stop = _fields(data, position + 1, rules.encoding[kind], count[kind], values)
+        stop = read_fields(data, position + 1, rules.encoding[kind], count[kind], values)
     else:
-        return _BROKEN
+        return BROKEN
     if stop < 0 or stop == len(data) or data[stop] == _EVENT:
         return stop
     following = _kind(data[stop])
-    return stop if following >= 0 and count[following] > 0 else _BROKEN
+    return stop if following >= 0 and count[following] > 0 else BROKEN
 
 
 @njit(cache=True)
@@ -480,10 +313,10 @@ def _goes_on(since: int, now: int, most: int) -> bool:
 
 @njit(cache=True)
 def _decode(
-    data: _Bytes,
+    data: Bytes,
     position: int,
     rules: _Rules,
-    chosen: _Integers,
+    chosen: Integers,
     table: Array,
 ) -> tuple[int, bool, int, int]:
     """Fill a table with the chosen fields of the main frames, as far as it has rows.
@@ -500,7 +333,7 @@ def _decode(
     builds, refused = False, -1
     while position < len(data):
         stop = _frame(data, position, rules, values)
-        if stop == _CUT:
+        if stop == CUT:
             break
         kind, whole = _kind(data[position]), stop >= 0
         if whole and (kind == _I or (kind == _P and builds)):

@@ -27,9 +27,10 @@ from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, Win
 from quadpi_core.frames import Array
 from quadpi_core.logs import decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.bag_writer import mcap_writer
-from quadpi_core.logs.bags import TOPIC_TYPES, output_topic
+from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Topic
+from quadpi_core.messages.topics import TOPIC_TYPES
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.alarm_log import reasons_by_row

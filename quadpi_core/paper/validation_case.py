@@ -19,7 +19,7 @@ from quadpi_core.evaluation.compare import common_confidence, load_models
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs
-from quadpi_core.logs.bags import bag_vehicle
+from quadpi_core.logs.bag_topics import bag_vehicle
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paper.model_cache import code_fingerprint
 from quadpi_core.parallel import Progress, ReportProgress, ignore_progress

@@ -19,10 +19,12 @@ from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import write_mcap
-from quadpi_core.logs.bags import TOPIC_TYPES, find_topic, output_topic, unpacked_topic
+from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads, Topic
+from quadpi_core.messages.topics import TOPIC_TYPES
 from quadpi_core.rotations import from_rotation_vector, rotate_body_to_world, rotation_matrix
 from quadpi_core.simulation.sensors import Sensed
 from quadpi_core.simulation.truth import Truth

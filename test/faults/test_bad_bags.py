@@ -12,8 +12,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.bag_topics import bag_topics
 from quadpi_core.logs.bag_writer import write_mcap
-from quadpi_core.logs.bags import bag_topics, read_bag, write_bag
+from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Topic

@@ -12,7 +12,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bags import bag_topics, read_bag, read_outputs, write_bag
+from quadpi_core.logs.bag_topics import bag_topics
+from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.logs.mcap_files import CHUNK, MAGIC, find_records
 from quadpi_core.messages.definitions import typestore
 

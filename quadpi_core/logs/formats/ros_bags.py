@@ -47,13 +47,13 @@ def _open(
 
 
 def _vehicle_name(path: Path) -> str:
-    from quadpi_core.logs.bags import bag_vehicle
+    from quadpi_core.logs.bag_topics import bag_vehicle
 
     return bag_vehicle(path)
 
 
 def _topic_stamps(path: Path) -> dict[str, Stamps] | None:
-    from quadpi_core.logs.bags import bag_topics, has_topic
+    from quadpi_core.logs.bag_topics import bag_topics, has_topic
 
     return None if has_topic(path, "imu") else {topic.name: topic.stamps_ns for topic in bag_topics(path)}
 

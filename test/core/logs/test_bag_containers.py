@@ -18,8 +18,9 @@ from ruamel.yaml import YAML
 from quadpi_core.errors import LogError
 from quadpi_core.logs import identify_format, read_recording
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import bag_topics
 from quadpi_core.logs.bag_writer import write_mcap
-from quadpi_core.logs.bags import bag_topics, open_recording, read_bag
+from quadpi_core.logs.bags import open_recording, read_bag
 from quadpi_core.logs.mcap_files import McapFile
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads, Topic

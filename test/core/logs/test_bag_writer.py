@@ -11,7 +11,7 @@ from rosbags.rosbag2.storage_mcap import McapReader
 from quadpi_core.logs.bag_writer import mcap_writer
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.messages.definitions import definition_text
-from quadpi_core.messages.qos import qos_of
+from quadpi_core.messages.topics import qos_of
 
 
 @pytest.fixture

@@ -19,8 +19,9 @@ from quadpi_core.flight import (
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import bag_topics, has_topic
 from quadpi_core.logs.bag_writer import write_mcap
-from quadpi_core.logs.bags import bag_topics, has_topic, output_topic, read_bag, read_outputs, write_bag
+from quadpi_core.logs.bags import output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import Topic

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service of quadpi's topics: what its nodes offer, and what its bags say that was offered."""
+"""The standard topics: the type of each, and the quality of service that nodes offer and bags record."""
 
 from __future__ import annotations
 
@@ -9,7 +9,30 @@ from typing import NamedTuple
 from rosbags.interfaces import Qos as ProfileInBag
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
+from quadpi_core.messages import sensor_messages
 from quadpi_core.results import EVENTS_KEPT
+
+# Types of messages by topic, in any namespace.
+TOPIC_TYPES = {
+    "imu": sensor_messages.IMU,
+    "erpm": sensor_messages.ERPM,
+    "rotor_speeds": sensor_messages.ROTOR_SPEEDS,
+    "mocap/pose": sensor_messages.POSE,
+    "mocap/odometry": sensor_messages.ODOMETRY,
+    "mocap/twist": sensor_messages.TWIST,
+    "odometry": sensor_messages.ODOMETRY,
+    "wind": sensor_messages.WIND,
+    "simulation/wrench": sensor_messages.WRENCH,
+    "prediction": sensor_messages.PREDICTION,
+    "extrapolation_alarm": sensor_messages.ALARM,
+    "alarm_log": sensor_messages.EVENT,
+    "truth/odometry": sensor_messages.ODOMETRY,
+    "truth/wrench": sensor_messages.WRENCH,
+    "truth/acceleration": sensor_messages.ACCELERATION,
+    "truth/rotor_speeds": sensor_messages.ROTOR_SPEEDS,
+    "truth/wind": sensor_messages.WIND,
+    "truth/reference": sensor_messages.POSE,
+}
 
 
 class Qos(NamedTuple):
