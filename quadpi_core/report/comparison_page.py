@@ -288,7 +288,7 @@ def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult]
     Args:
         comparison: of the models.
         results: predictions of each model on one flight.
-        bins: parts that the flight is cut into; of each the extremes are drawn.
+        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     models, axes, colours = comparison.models, modelled_axes(comparison), _colours(comparison)
     # Models that share a colour share an entry of the legend.

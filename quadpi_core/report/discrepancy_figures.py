@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a simulation disagrees with flights, before and after, as plotly figures."""
+"""Figures of the residuals of a simulation, before and after effects are added."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from quadpi_core.report.plots import Subplot, grid, label_axes_over_time, series
 from quadpi_core.report.style import GROUPS, MEASURED, translucent, unit
 
 BEFORE, AFTER = GROUPS[1], GROUPS[0]
-# Lines of a history per flight: before and after of each axis.
+# Lines over time of each flight: before and after for each axis.
 LINES = 2 * len(AXES)
 MAPS = (("u", "v"), ("speed", "height"), ("w", "rotor_speed"))
+# Samples that a cell of a map needs to be drawn, and bins of a variable at most.
 _FEWEST_IN_CELL, _MOST_BINS = 20, 12
 _COLUMNS = 3
 
 
 def profile_figure(profiles: Sequence[Profile]) -> go.Figure:
-    """Root mean square of the residual over the variable that tells most of it, axis by axis."""
+    """Root mean square of the residual of each axis over the variable that explains most of it."""
     rows = -(-len(profiles) // _COLUMNS)
     figure = make_subplots(rows=rows, cols=_COLUMNS, vertical_spacing=0.34 / rows, horizontal_spacing=0.08)
     for profile, subplot in zip(profiles, grid(figure, len(profiles), _COLUMNS), strict=True):
@@ -54,7 +55,7 @@ def profile_figure(profiles: Sequence[Profile]) -> go.Figure:
 
 
 def map_figure(flights: Sequence[Residual], axes: Sequence[str]) -> go.Figure:
-    """Mean residual over two variables at a time: a row per pair, a column per axis."""
+    """Mean residual over pairs of variables (rows) for each axis (columns)."""
     figure = make_subplots(
         rows=len(MAPS),
         cols=len(axes),
@@ -107,7 +108,7 @@ def map_figure(flights: Sequence[Residual], axes: Sequence[str]) -> go.Figure:
 
 
 def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Array, Array, Array]:
-    """Edges of two variables, and the mean residual in each cell (Y, X) between them; NaN where few flew."""
+    """Edges of the bins of two variables, and the mean residual in each cell (Y, X); NaN for few samples."""
     first, second = (np.concatenate([own.variables[name] for own in flights]) for name in (x, y))
     values = np.concatenate([own.beyond[:, axis] for own in flights])
     edges = round_edges(first, _MOST_BINS), round_edges(second, _MOST_BINS)
@@ -118,7 +119,7 @@ def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Ar
 
 
 def gap_figure(gap: Gap) -> go.Figure:
-    """Root mean square difference before and after, with the floor that noise sets."""
+    """Root mean square error of each axis before and after, and the floor from noise."""
     figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.17)
     for column in (1, 2):
         own = slice(3 * column - 3, 3 * column)
@@ -157,12 +158,12 @@ def gap_figure(gap: Gap) -> go.Figure:
 
 
 def residual_figure(flight: Residual, floor: Array, bins: int) -> go.Figure:
-    """Measured less simulated wrench of one flight over time, before and after.
+    """Measured − simulated wrench of one flight over time, before and after.
 
     Args:
         flight: its residuals.
-        floor: (6,) root mean square of the noise, of which twice is drawn as a band.
-        bins: parts that the flight is cut into; of each the extremes are drawn.
+        floor: (6,) root mean square of the noise; twice the floor is drawn as a band.
+        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     figure = make_subplots(rows=len(AXES), cols=1, shared_xaxes=True, vertical_spacing=0.035)
     for k in range(len(AXES)):

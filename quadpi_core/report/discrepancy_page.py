@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a simulation and flights disagree, which effect is missing, and how far it closes the gap.
+"""The result of `quadpi discrepancy` on the terminal and as a self-contained page.
 
-The same tables and sentences are shown on the terminal and on a self-contained page.
+Both show the same tables and sentences: where a simulation and flights disagree, which effect the simulation
+lacks, and how much of the gap it closes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from rich.text import Text
 
 from quadpi_core.discrepancy.acceptance import Judgement
 from quadpi_core.discrepancy.discrepancy_result import (
-    BeforeAfter,
     Discovery,
     FoundEffect,
     FoundParameter,
@@ -41,11 +41,13 @@ from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Column, Row, Table, terminal_table
 from quadpi_core.simulation.effect_registry import EFFECTS
 
-# Rows of the tables of conditions and of times; the terminal shows fewer.
+# Rows at most: of the conditions on the page and on the terminal, and of the times of the largest residuals.
 _MOST_RANGES, _MOST_ON_TERMINAL, _MOST_SEGMENTS = 12, 8, 12
-# Rejected candidates that the terminal shows of the last round of the search; the page shows all.
+# Rejected candidates of the last round of the search on the terminal; the page shows all of every round.
 _MOST_REJECTED = 3
-_FLOWN = {
+# Share of the floor's square that an axis has to exceed it by, for the closed share to be more than noise.
+_LEAST_ABOVE_FLOOR = 0.05
+_ERRORS = {
     "position_m": "position [m]",
     "velocity_m_s": "velocity [m/s]",
     "attitude_deg": "attitude [deg]",
@@ -54,27 +56,27 @@ _FLOWN = {
 
 
 def discrepancy_summary(study: Study) -> Group:
-    """Verdict, where, what, the gap before and after, and what is left to do; fits 80 characters."""
+    """Verdict, conditions, effects, the gap before and after, and what to do next, within 80 characters."""
     discovery = study.discovery
-    parts: list[RenderableType] = [Text(discrepancy_verdict(study), style="bold")]
+    parts: list[RenderableType] = [Text(_verdict(study), style="bold")]
     if study.simulation.code:
         parts.append(Text(f"Code that ran: {study.simulation.code}.", style="dim"))
     parts.append(Text())
     if study.where.telling:
         parts.append(terminal_table(_range_table(study, _MOST_ON_TERMINAL)))
     else:
-        parts += [Text(f"Where: {no_range_sentence(study)}"), Text()]
+        parts += [Text(f"Where: {_no_range_sentence(study)}"), Text()]
     if discovery.effects:
         parts.append(terminal_table(_effect_table(study)))
     parts.append(terminal_table(_judgement_table(_decisive_judgements(discovery))))
     parts.append(terminal_table(_gap_table(discovery)))
-    if study.flown_again:
-        parts.append(terminal_table(_flown_again_table(study)))
-        if note := flown_again_note(study):
+    if (flown_again := _flown_again_table(study)) is not None:
+        parts.append(terminal_table(flown_again))
+        if note := _flown_again_note(study):
             parts.append(Text(note, style="dim"))
-    parts += [Text(ambiguity_sentence(effect)) for effect in discovery.effects if effect.rivals]
+    parts += [Text(_ambiguity_sentence(effect)) for effect in discovery.effects if effect.rivals]
     if discovery.verdict != "none":
-        parts.append(Text(unexplained_sentence(discovery)))
+        parts.append(Text(_unexplained_sentence(discovery)))
     if study.not_flown:
         parts.append(Text(f"Not flown: {', '.join(study.not_flown)}.", style="dim"))
     return Group(*parts)
@@ -102,7 +104,7 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
     Page(
         title=f"quadpi: {study.simulation.name} against flights",
         about="simulation against flights",
-        verdict=discrepancy_verdict(study),
+        verdict=_verdict(study),
         facts=_facts(study),
         definitions=_DEFINITIONS,
         figures=figures,
@@ -111,15 +113,15 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         "discrepancy.html",
         bins=bins,
         ranges=_range_table(study, _MOST_RANGES) if where.telling else None,
-        no_range=no_range_sentence(study),
+        no_range=_no_range_sentence(study),
         maps=bool(loud),
         effects=[EffectSection.of(effect) for effect in discovery.effects],
         judgements=_judgement_table(discovery.found.judgements),
         reduction=percent(discovery.gap.reduction),
         gap=_gap_table(discovery),
-        flown_again=_flown_again_table(study) if study.flown_again else None,
-        flown_note=flown_again_note(study),
-        unexplained=unexplained_sentence(discovery),
+        flown_again=_flown_again_table(study),
+        flown_note=_flown_again_note(study),
+        unexplained=_unexplained_sentence(discovery),
         fly_next=list(dict.fromkeys([*to_tell_apart, *study.not_flown])),
         flights=_loudest_first(study),
         segments=_segment_table(study) if where.segments else None,
@@ -129,16 +131,15 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
 _DEFINITIONS = {
     "Residual": "Measured wrench less what the simulation gives for the measured state and rotor speeds.",
     "Residual energy": "Sum of squares of the residual of an axis, less what noise and tolerances account "
-    "for on average. A range has at least twice the root mean square that they allow; the chance that any is "
-    "named on flights in which no effect is found is 5 %.",
-    "Closed": "Share of the squares above the floor that is gone.",
-    "Probability": "Against all other effects of the library in its place, all thought equally likely "
-    "beforehand.",
+    "for on average. In a range that is named, the root mean square is at least twice what they allow; on "
+    "flights without a missing effect the chance that any range is named is 5 %.",
+    "Closed": "Share of the mean square above the floor that is gone.",
+    "Probability": "Of the effect against each other effect of the library in its place, with equal priors.",
 }
 
 
 def _loudest_first(study: Study) -> list[str]:
-    """Names of flights; those that are furthest above the noise come first in the menu."""
+    """Names of the flights for the menu, in the order of their residuals over the noise."""
     floor = study.discovery.gap.floor
     above = {own.flight: float(np.square(own.before / floor).mean()) for own in study.where.residuals}
     return sorted(above, key=lambda name: -above[name])
@@ -168,7 +169,7 @@ def _range_table(study: Study, most: int) -> Table:
 
 
 def _effect_table(study: Study) -> Table:
-    """The effects that were found, with their parameters."""
+    """The effects of the result, with their parameters."""
     columns = [
         Column("effect", is_text=True),
         Column("prob.", percent),
@@ -178,16 +179,21 @@ def _effect_table(study: Study) -> Table:
     rows: list[Row] = []
     for effect in study.discovery.effects:
         whole = {parameter.name for parameter in EFFECTS[effect.name].parameters if parameter.whole}
-        lines = [f"{p.name} {parameter_text(p, whole=p.name in whole)}" for p in effect.parameters]
+        lines = [
+            f"{p.name} {p.value:.0f}"
+            if p.name in whole
+            else f"{p.name} {number(p.value)} ({_interval(p)}) {p.unit}".rstrip()
+            for p in effect.parameters
+        ]
         if effect.shape:
-            lines.append("its law shaped by these flights")
+            lines.append("law shaped by these flights")
         rows.append([effect.name, effect.probability, " ".join(effect.axes), "\n".join(lines)])
     return Table(columns, rows, title="What")
 
 
 @dataclass(frozen=True)
 class EffectSection:
-    """What the page says about one effect; an empty text is left out."""
+    """Contents of the page on one effect; an empty text is not shown."""
 
     title: str
     description: str
@@ -209,23 +215,23 @@ class EffectSection:
             Column("unit"),
         ]
         rows: list[Row] = [
-            [p.name, f"{p.value:.0f}" if known.whole else p.value, interval_text(p, known.whole), p.unit]
+            [p.name, *((f"{p.value:.0f}", "") if known.whole else (p.value, _interval(p))), p.unit]
             for p, known in zip(found.parameters, effect.parameters, strict=True)
         ]
         shape = (f"{name.removeprefix('shape_')} {value:.2f}" for name, value in found.shape.items())
         return cls(
-            title=f"{words(found.name)} · {percent(found.probability)}",
+            title=f"{_words(found.name)} · {percent(found.probability)}",
             description=f"{summary} Shows in {', '.join(found.axes)}. {rest}",
             formula=mathml(effect.formula, display="block") if effect.formula else "",
             latex=effect.formula,
             shape=", ".join(shape),
             parameters=Table(columns, rows),
-            ambiguity=ambiguity_sentence(found) if found.rivals else "",
+            ambiguity=_ambiguity_sentence(found) if found.rivals else "",
         )
 
 
 def _decisive_judgements(discovery: Discovery) -> list[Judgement]:
-    """The candidates that were accepted, and the best of those that were rejected in the last round."""
+    """The accepted candidates, and the best of those that the last round rejected."""
     judgements = discovery.found.judgements
     last = [own for own in judgements if own.beside == judgements[-1].beside and not own.accepted]
     return [own for own in judgements if own.accepted or own in last[:_MOST_REJECTED]]
@@ -254,27 +260,35 @@ def _gap_table(discovery: Discovery) -> Table:
     gap = discovery.gap
     columns = [
         Column("axis", is_text=True),
-        Column("RMSE before", number),
-        Column("after", number),
-        Column("floor", number),
+        *(Column(heading, number) for heading in ("RMSE before", "after", "floor")),
         Column("closed", percent),
     ]
-    rows: list[Row] = [
-        [axis_cell(axis), float(gap.before[k]), float(gap.after[k]), float(gap.floor[k]), closed]
-        for k, (axis, closed) in enumerate(zip(AXES, closed_shares(discovery), strict=True))
-    ]
+    rows: list[Row] = []
+    for axis, *errors in zip(AXES, gap.before, gap.after, gap.floor, strict=True):
+        before, after, floor = map(float, errors)
+        above = before**2 - floor**2
+        is_known = above > _LEAST_ABOVE_FLOOR * floor**2
+        closed = 1.0 - max(after**2 - floor**2, 0.0) / above if is_known else None
+        rows.append([axis_cell(axis), before, after, floor, closed])
     return Table(columns, rows, title=f"Gap, flights left out in turn: {percent(gap.reduction)} closed")
 
 
-def _flown_again_table(study: Study) -> Table:
-    """Errors of flights that were flown again."""
+def _flown_again_table(study: Study) -> Table | None:
+    """Errors of flights that were flown again; None without any."""
+    if study.flown_again is None:
+        return None
+    rollout, loop = study.flown_again.rollout, study.flown_again.closed_loop
+    tests = {f"roll-out, {rollout.horizon_s:g} s": rollout.errors, "closed loop": loop.errors}
     columns = [
         Column("test", is_text=True, once=True),
         Column("error, RMS", is_text=True),
         *(Column(when, number) for when in ("before", "after", "floor")),
     ]
     rows: list[Row] = [
-        [kind, name, error.before, error.after, error.floor] for kind, name, error in flown_again_rows(study)
+        [test, name, errors[key].before, errors[key].after, errors[key].floor]
+        for test, errors in tests.items()
+        for key, name in _ERRORS.items()
+        if key in errors
     ]
     return Table(columns, rows, title="Flown again")
 
@@ -284,8 +298,7 @@ def _segment_table(study: Study) -> Table:
     columns = [
         Column("flight", is_text=True, chooses_flight=True),
         Column("axis", is_text=True),
-        Column("from [s]", "{:.0f}".format),
-        Column("to [s]", "{:.0f}".format),
+        *(Column(heading, "{:.0f}".format) for heading in ("from [s]", "to [s]")),
         Column("energy", percent),
     ]
     segments = study.where.segments[:_MOST_SEGMENTS]
@@ -293,106 +306,75 @@ def _segment_table(study: Study) -> Table:
     return Table(columns, rows)
 
 
-def discrepancy_verdict(study: Study) -> str:
-    """The result in a sentence or two."""
-    discovery, flights = study.discovery, f"{len(study.flights)} flights"
-    named = listing([effect_name(effect) for effect in discovery.effects])
-    closed = f"{percent(discovery.gap.reduction)} of the gap that noise does not explain"
+def _verdict(study: Study) -> str:
+    """The result in one or two sentences."""
+    discovery, simulation = study.discovery, study.simulation.name
     if discovery.verdict == "none":
         return (
-            f"Nothing is missing: what separates {study.simulation.name} and {flights} is within its stated "
-            "tolerances and the noise."
+            f"Nothing is missing: {simulation} and {len(study.flights)} flights differ by no more than the "
+            "tolerances of the simulation and the noise allow."
         )
+    named = listing([_name_with_rivals(effect) for effect in discovery.effects])
     if discovery.verdict == "effects":
-        return f"{study.simulation.name} lacks {named}. Adding it closes {closed}, on flights left out."
-    share = percent(discovery.unexplained)
-    unknown = f"{study.simulation.name} lacks something that no effect of the library explains."
+        closed = percent(discovery.gap.reduction)
+        return (
+            f"{simulation} lacks {named}. On flights left out, adding it closes {closed} of the gap that "
+            "noise does not explain."
+        )
+    unknown = f"{simulation} lacks something that no effect of the library explains."
     if not discovery.effects:
         return unknown
+    share = percent(discovery.unexplained)
     return (
-        f"{unknown} {named.capitalize()} comes closest, but {share} of the discrepancy that can be predicted "
-        "has no name."
+        f"{unknown} {named.capitalize()} comes closest, but leaves {share} of the predictable discrepancy "
+        "unexplained."
     )
 
 
-def effect_name(effect: FoundEffect) -> str:
-    """In words, with those that it cannot be told from."""
-    name = words(effect.name)
-    if not effect.rivals:
-        return name
-    return f"{name} (or {', or '.join(words(rival) for rival in effect.rivals)})"
+def _name_with_rivals(effect: FoundEffect) -> str:
+    rivals = f" (or {', or '.join(map(_words, effect.rivals))})" if effect.rivals else ""
+    return f"{_words(effect.name)}{rivals}"
 
 
-def words(name: str) -> str:
-    """The name of an effect as people say it."""
+def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def parameter_text(parameter: FoundParameter, *, whole: bool) -> str:
-    """Value, interval and unit of a parameter; a whole number has no interval."""
-    if whole:
-        return f"{parameter.value:.0f}"
-    return f"{number(parameter.value)} ({interval_text(parameter, whole)}) {parameter.unit}".rstrip()
+def _interval(parameter: FoundParameter) -> str:
+    """The 95 % interval of a parameter."""
+    return f"{number(parameter.lower)} … {number(parameter.upper)}"
 
 
-def interval_text(parameter: FoundParameter, whole: bool) -> str:
-    """The 95 % interval of a parameter; a whole number has none."""
-    return "" if whole else f"{number(parameter.lower)} … {number(parameter.upper)}"
-
-
-def ambiguity_sentence(effect: FoundEffect) -> str:
-    """What an effect cannot be told from, and what to fly."""
+def _ambiguity_sentence(effect: FoundEffect) -> str:
+    """Which effects explain the flights as well, and what to fly to tell them apart."""
     return (
-        f"{words(effect.name).capitalize()} explains these flights as well as "
-        f"{listing([words(rival) for rival in effect.rivals], 'or')} would. To tell them apart, fly "
+        f"{_words(effect.name).capitalize()} explains these flights as well as "
+        f"{listing(list(map(_words, effect.rivals)), 'or')} would. To tell them apart, fly "
         f"{listing(effect.shown_by)}."
     )
 
 
-def unexplained_sentence(discovery: Discovery) -> str:
-    """What is left once the effects are there."""
+def _unexplained_sentence(discovery: Discovery) -> str:
+    """What remains predictable once the effects are added."""
     if not discovery.unexplained_by:
         return "No residual is left that other flights predict: the rest is noise."
     axes = "; ".join(f"{axis} with {', '.join(by)}" for axis, by in discovery.unexplained_by.items())
     share = percent(discovery.unexplained)
-    return f"{share} of the discrepancy that can be predicted is left, and goes with: {axes}."
+    return f"{share} of the predictable discrepancy is left, and varies with: {axes}."
 
 
-def no_range_sentence(study: Study) -> str:
-    """Why no place is named."""
+def _no_range_sentence(study: Study) -> str:
+    """Why no condition is named."""
     if study.discovery.effects:
         return (
-            "No bin stands out by its size: coefficients within their tolerances could hide as much. It is "
-            "the form of the residual that tells the effect."
+            "No condition stands out by the size of its residual, which coefficients within their tolerances "
+            "could hide. The effect shows in the form of the residual."
         )
     return "No axis exceeds what noise and tolerances allow, in any condition."
 
 
-def closed_shares(discovery: Discovery) -> list[float | None]:
-    """Per axis of `AXES` the share of the squares above the floor that is closed; None where few are."""
-    shares: list[float | None] = []
-    for before, after, floor in zip(
-        discovery.gap.before, discovery.gap.after, discovery.gap.floor, strict=True
-    ):
-        above = before**2 - floor**2
-        shares.append(float(1.0 - max(after**2 - floor**2, 0.0) / above) if above > 0.05 * floor**2 else None)
-    assert len(shares) == len(AXES)
-    return shares
-
-
-def flown_again_rows(study: Study) -> list[tuple[str, str, BeforeAfter]]:
-    """What was flown again: kind of flight, quantity with its unit, errors before, after and floor."""
-    if study.flown_again is None:
-        return []
-    rollout, loop = study.flown_again.rollout, study.flown_again.closed_loop
-    kinds = ((f"roll-out, {rollout.horizon_s:g} s", rollout.errors), ("closed loop", loop.errors))
-    return [
-        (kind, name, errors[key]) for kind, errors in kinds for key, name in _FLOWN.items() if key in errors
-    ]
-
-
-def flown_again_note(study: Study) -> str:
-    """What could not be flown again, and how often intervals hold the measurement; empty for nothing."""
+def _flown_again_note(study: Study) -> str:
+    """What could not be flown again, and the coverage of a model's intervals; empty for nothing."""
     if study.flown_again is None:
         return ""
     loop, coverage = study.flown_again.closed_loop, study.flown_again.coverage

@@ -31,12 +31,15 @@ from quadpi_core.report.style import (
 
 ENVELOPE_INPUTS = ("speed", "omega_avg", "mu_x", "mu_y", "mu_z", "p", "q", "r")
 _HISTOGRAM_BINS = 60
+# Share of the samples on either side that lies beyond the bins of a histogram.
 _TAIL = 0.001
+# Lowest share on the logarithmic axis [%].
 _SHARE_FLOOR = 0.03
+# Share of the samples outside the training range from which on it is written in the figure.
 _WORTH_NOTING = 0.01
 _LIMIT_LINE = {"color": MEASURED, "width": 1, "dash": "dot"}
-_SPEED_BINS = 14
-_FEWEST_SAMPLES = 50
+# Bins of airspeed, and samples that one needs for its quantiles to be drawn.
+_SPEED_BINS, _FEWEST_SAMPLES = 14, 50
 
 Groups = Mapping[str, Sequence[FlightResult]]
 
@@ -50,7 +53,7 @@ def time_history_figure(
         result: the flight.
         metrics: its metrics per axis, as in the evaluation.
         colour: of prediction and band.
-        bins: parts that the flight is cut into; of each the extremes are drawn.
+        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     axes = list(metrics)
     figure = make_subplots(rows=len(axes), cols=1, shared_xaxes=True, vertical_spacing=0.035)
@@ -70,9 +73,9 @@ def time_history_figure(
 
 
 def coverage_figure(evaluation: Evaluation) -> go.Figure:
-    """Coverage of each axis and group with its confidence interval, against the nominal coverage.
+    """Coverage of each axis and group with its confidence interval, beside the nominal coverage.
 
-    The colours are those of the table beside it, so there is no legend.
+    The table beside the figure has the same colours, in place of a legend.
     """
     groups = evaluation.groups
     axes = list(dict.fromkeys(axis for part in groups.values() for axis in part.axes))
@@ -107,10 +110,10 @@ def coverage_figure(evaluation: Evaluation) -> go.Figure:
 
 
 def envelope_figure(groups: Groups, envelope: Envelope, training_flights: Sequence[str]) -> go.Figure:
-    """Distributions of the key inputs by group, with the range that training covered behind them.
+    """Distributions of the main inputs by group over the range of the training flights.
 
-    Shares are drawn on a logarithmic scale: the tails are what leaves the envelope. The range of the
-    airspeed, which is no input of its own, is shown where training flights are at hand.
+    Shares have a logarithmic scale, as only the tails of a distribution leave the envelope. The range of the
+    airspeed, which is not an input, is drawn if training flights are among those of the groups.
     """
     columns = 4
     figure = make_subplots(
@@ -167,7 +170,7 @@ def _note_outside(subplot: Subplot, values: Mapping[str, Array], limits: tuple[f
 
 
 def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> go.Figure:
-    """Residuals against airspeed: the band that holds `confidence` of them; mean interval dashed."""
+    """Residuals over airspeed: band of the central share `confidence`, and the mean interval, dashed."""
     columns = min(3, len(axes))
     rows = -(-len(axes) // columns)
     figure = make_subplots(
@@ -201,7 +204,7 @@ def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> g
 
 
 def _residual_bands(flights: Sequence[FlightResult], axis: str, edges: Array, tail: float) -> Array:
-    """Rows: speed, residual quantiles low and high, mean interval bounds about the prediction; per bin."""
+    """By bin of airspeed (5, K): mean speed, two quantiles of the residual, mean bounds − prediction."""
     measured, predicted, lower, upper = (
         np.concatenate([f.column(quantity, axis) for f in flights])
         for quantity in ("measured", "predicted", "lower", "upper")
@@ -234,7 +237,7 @@ def _training_limits(
 
 
 def _edges(values: Sequence[Array]) -> Array:
-    """Bin edges between the extreme quantiles of all groups, so that a lone spike does not set the scale."""
+    """Bin edges between extreme quantiles of all groups, so that a single spike does not set the scale."""
     low = min(float(np.quantile(v, _TAIL)) for v in values)
     high = max(float(np.quantile(v, 1.0 - _TAIL)) for v in values)
     return np.linspace(low, high if high > low else low + 1.0, _HISTOGRAM_BINS + 1)

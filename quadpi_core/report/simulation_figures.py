@@ -33,16 +33,16 @@ _SINGLE = {"color": INK, "width": 1.2}
 # The greatest rotor speed is drawn once a rotor exceeds this share of it.
 _NEAR_LIMIT = 0.8
 _SAMPLES = 1500
-# Vehicles drawn at most, and the length of their arms over the longest side of the space shown.
+# Largest number of vehicles, and the length of their arms over the longest side of the space shown.
 _VEHICLES, _ARM = 24, 0.035
 # No side of the space shown is shorter than this share of the longest, nor than this [m].
 _SIDE_SHARE, _SIDE_M = 0.2, 1.0
 _MARGIN = 1.08
-# Diagonal of that space on the screen: with the camera below it fills the figure, its labels within.
+# Diagonal of that space in plotly's scene: with the camera below, it fills the figure with its labels.
 _DIAGONAL = 1.55
-# Along the longest side, fewer along the others.
+# Ticks along the longest side; other sides have fewer in proportion.
 _TICKS = 7
-# Slow in green, fast in the dark: the yellow end of the scale would be lost on white.
+# From green (slow) to dark blue (fast), without the yellow end, which cannot be seen on white.
 _SPEED_COLOURS = sample_colorscale("Viridis", np.linspace(0.85, 0.0, 9))
 _SPEED_BAR = {
     "title": {"text": INPUT_LABELS["speed"], "side": "top"},
@@ -67,7 +67,7 @@ def tracking_figure(truth: Truth, bins: int) -> go.Figure:
 
     Args:
         truth: of the flight.
-        bins: parts that the flight is cut into; of each the extremes are drawn.
+        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     position, wanted = truth.position, truth.reference.position
     yaw = roll_pitch_yaw_from_quaternion(truth.attitude)[:, 2]
@@ -89,7 +89,7 @@ def tracking_figure(truth: Truth, bins: int) -> go.Figure:
 
 
 def effort_figure(truth: Truth, bins: int) -> go.Figure:
-    """Airspeed, attitude, rates, rotor speeds and wrench over time; arguments as of `tracking_figure`."""
+    """Airspeed, attitude, rates, rotor speeds and wrench over time; arguments as `tracking_figure`."""
     attitude = np.degrees(roll_pitch_yaw_from_quaternion(truth.attitude))
     rotors = "rotor speeds [rad/s]"
     rows = {
@@ -109,7 +109,7 @@ def effort_figure(truth: Truth, bins: int) -> go.Figure:
 
 
 def rotor_names(vehicle: Vehicle) -> list[str]:
-    """Where each rotor sits, such as "front left"."""
+    """Position of each rotor, such as "front left"."""
     return [
         f"{'front' if x > 0 else 'rear'} {'right' if y > 0 else 'left'}"
         for x, y, _ in vehicle.rotor_positions
@@ -121,7 +121,7 @@ def _lines(names: Sequence[str], columns: Array) -> list[_Line]:
 
 
 def _history(truth: Truth, rows: Mapping[str, Sequence[_Line]], bins: int, row_height: int) -> go.Figure:
-    """Rows of lines over one axis of time, each row with a legend of its own beside it."""
+    """Rows of lines over a shared time axis, each with its own legend to the right."""
     figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.03)
     explained: set[str] = set()
     for i, (title, lines) in enumerate(rows.items(), start=1):
@@ -148,10 +148,10 @@ def _history(truth: Truth, rows: Mapping[str, Sequence[_Line]], bins: int, row_h
 
 
 def trajectory_figure(truth: Truth) -> go.Figure:
-    """The path coloured by airspeed over its shadow on the floor, the reference dashed, the vehicle along it.
+    """The path in space, coloured by airspeed, over its shadow, with the reference and the vehicle along it.
 
-    Axes are east, north and height, which are right-handed, at equal scale. Vehicles are drawn at equal
-    distances along the path, larger than life, with the nose in another colour.
+    The axes east, north and height are right-handed and have the same scale. Vehicles are drawn at equal
+    distances along the path, enlarged, with the nose in another colour.
     """
     shown = np.unique(np.linspace(0, len(truth) - 1, _SAMPLES).astype(np.intp))
     path = world_ned_to_enu(truth.position[shown])
@@ -210,7 +210,7 @@ def _points(points: Array) -> dict[str, Any]:
 
 
 def _sides(points: Array) -> tuple[Array, Array]:
-    """Lowest and highest corner (3,) of the space to show, no side too short to see; not below the ground."""
+    """Lowest and highest corner (3,) of the space to show: each side long enough to see, above ground."""
     low, high = points.min(axis=0), points.max(axis=0)
     sides = _MARGIN * (high - low)
     sides = np.maximum(sides, max(_SIDE_M, _SIDE_SHARE * float(sides.max())))
@@ -220,7 +220,7 @@ def _sides(points: Array) -> tuple[Array, Array]:
 
 
 def _along(path: Array, longest: float) -> npt.NDArray[np.intp]:
-    """Samples of the path (N, 3) at equal distances along it, at least three arms of a vehicle apart."""
+    """Indices of samples at equal distances along the path (N, 3), at least three arms of a vehicle apart."""
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))))
     count = int(min(_VEHICLES, travelled[-1] // (3.0 * _ARM * longest) + 1))
     chosen: npt.NDArray[np.intp] = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count))
@@ -228,7 +228,7 @@ def _along(path: Array, longest: float) -> npt.NDArray[np.intp]:
 
 
 def _vehicles(truth: Truth, samples: npt.NDArray[np.intp], arm: float) -> list[tuple[str, Array, str]]:
-    """Arms and noses of the vehicle at some samples: name, lines (M, 3) with gaps, colour."""
+    """Arms and noses of the vehicle at some samples: name, lines (M, 3) with gaps of NaN, colour."""
     hubs = truth.vehicle.rotor_positions / np.linalg.norm(truth.vehicle.rotor_positions, axis=1).max()
     centre, gap = np.zeros(3), np.full(3, np.nan)
     shapes = (

@@ -25,19 +25,19 @@ from quadpi_core.version import __version__
 if TYPE_CHECKING:
     from quadpi_core.simulation.scenario import FlightPlan
 
-# A rotor within this share of its range from either end of it is at its limit.
+# A rotor is at its limit within this share of its largest speed from zero or from the largest.
 _AT_LIMIT = 0.001
 
 
 @dataclass(frozen=True)
 class FlightSummary:
-    """One simulated flight; the names are the keys of the JSON file.
+    """One simulated flight in numbers, by the keys of the JSON file.
 
     Attributes:
         effects: parameters by the name of the effect.
-        faults: of the sensors, as the scenario gives them.
-        head_wind_m_s: from the north, as an anemometer measures it; None where there is none.
-        tracking_rms_m, tracking_max_m: of the distance from the reference position.
+        faults: of the sensors, as in the scenario.
+        head_wind_m_s: from the north, as an anemometer measures it; None without an anemometer.
+        tracking_rms_m, tracking_max_m: distance from the reference position.
         tilt_max_deg: greatest angle between the thrust axis and the vertical.
         rotor_speed_range_rad_s: lowest and highest of all rotors.
         saturated_fraction: share of the time in which a rotor stands still or turns as fast as it can.
@@ -60,7 +60,7 @@ class FlightSummary:
 
 
 def summarise(plan: FlightPlan, truth: Truth) -> FlightSummary:
-    """What was planned and what was flown, in numbers."""
+    """Numbers of a flight, from its plan and its truth."""
     error, speeds = truth.position_error, truth.rotor_speeds
     highest = truth.vehicle.rotor_speed_max_rad_s
     margin = _AT_LIMIT * highest
@@ -94,7 +94,7 @@ def effects_text(effects: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def faults_text(faults: Sequence[Mapping[str, Any]]) -> str:
-    """Faults of the sensors, and when they happen, in one line."""
+    """Faults of the sensors with their times in one line."""
     return "; ".join(
         f"{fault['kind']} {fault['topic']} {fault['at_s']:g}–{fault['at_s'] + fault['for_s']:g} s"
         for fault in faults
@@ -102,7 +102,7 @@ def faults_text(faults: Sequence[Mapping[str, Any]]) -> str:
 
 
 def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Table:
-    """A row per flight, with its bag and the size of it; fits a terminal of 80 characters."""
+    """A row for each flight with the size of its bag, within 80 characters."""
     sizes = [1e-6 * bag.stat().st_size for bag in bags]
     columns = [
         Column("bag", is_text=True, wraps=True),
@@ -122,7 +122,7 @@ def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Ta
 
 
 def flight_json(scenario: str, summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> dict[str, Any]:
-    """The summaries as JSON holds them."""
+    """The content of the JSON file."""
     flights = [asdict(summary) | {"bag": str(bag)} for summary, bag in zip(summaries, bags, strict=True)]
     return {"quadpi_version": __version__, "scenario": scenario, "flights": flights}
 
@@ -161,7 +161,7 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
 
     Args:
         path: of the HTML file.
-        flights: what was planned and what was flown; at least one, of different names.
+        flights: plan and truth of each; at least one, of different names.
 
     Raises:
         OutputError: if `path` cannot be written.
@@ -186,10 +186,10 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
         verdict=_verdict(summaries),
         facts=facts | common,
         definitions={
-            "Tracking error": "Distance from the reference position at that instant; it includes what wind, "
-            "effects and demands add to the error of the controller.",
-            "Airspeed": "Of the vehicle relative to the air, gusts included.",
-            "Seed": "With the scenario and the version of quadpi it makes the same bag again, byte for byte.",
+            "Tracking error": "Distance from the reference position at the same instant. Wind, effects and "
+            "demands on roll, pitch and thrust add to the error of the controller.",
+            "Airspeed": "Speed of the vehicle relative to the air, gusts included.",
+            "Seed": "The same scenario, seed and version of quadpi make the same bag, byte for byte.",
         },
         figures=figures,
     ).write(
@@ -213,7 +213,7 @@ def _verdict(summaries: Sequence[FlightSummary]) -> str:
 
 
 def _alterations(summaries: Sequence[FlightSummary]) -> dict[str, list[str]]:
-    """Effects and faults of each flight as text; a kind that no flight has is left out."""
+    """Effects and faults of each flight as text; what no flight has is left out."""
     texts = {
         "effects": [effects_text(summary.effects) for summary in summaries],
         "faults": [faults_text(summary.faults) for summary in summaries],
@@ -230,7 +230,7 @@ def _distinct(names: Iterable[str]) -> str:
 
 
 def _page_table(summaries: Sequence[FlightSummary]) -> Table:
-    """A row per flight; alterations that all flights have alike are left out."""
+    """A row for each flight; effects and faults that all flights share are left out."""
     columns = {
         Column("flight", is_text=True, chooses_flight=True): [s.name for s in summaries],
         Column("time [s]", number): [s.duration_s for s in summaries],

@@ -43,10 +43,10 @@ from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, ter
 
 _PUBLISHED = "published"
 _TITLES = {"Forces": AXES[:3], "Moments": AXES[3:]}
-# Columns of the tables: attributes of a result, and their headings.
+# Attributes of a result that are columns of the tables, with their headings.
 _COVERAGE = {"training": "train", **dict(zip(VARIATIONS, ("model", "meas.", "both"), strict=True))}
 _WIDTH = {key: heading for key, heading in _COVERAGE.items() if key != VARIATIONS[-1]}
-# What the paper asks of valid intervals; training and combined variation are for reference only.
+# The variations that the paper judges intervals by; training and combined variation are for reference.
 _JUDGED = VARIATIONS[:2]
 _NOISE = {
     "velocity_m_s": ("velocity", "m/s"),
@@ -69,10 +69,10 @@ def validation_table(
     """Coverage and width under noise, with the paper's numbers below each method where there are some.
 
     Args:
-        results: of the same models by name, such as one for each of their settings.
+        results: of models of the same names, such as one result for each settings.
         axes: to show.
         title: of the table.
-        with_settings: whether a column tells the results of one model apart by its settings.
+        with_settings: whether a column names the settings, which distinguish the results of a model.
     """
     columns = [
         Column("axis", is_text=True, once=True),
@@ -97,7 +97,7 @@ def validation_table(
 
 
 def _cells(found: AxisValidation | PublishedAxis, confidence: float | None) -> list[Cell | Value]:
-    """Coverage and width of one row; coverage below the confidence, if there is one, is marked."""
+    """Coverage and width of one row; a coverage below the confidence, unless that is None, is marked."""
     parts: dict[str, Any] = {key: getattr(found, key, None) for key in _COVERAGE}
     cells: list[Cell | Value] = []
     for key, part in parts.items():
@@ -129,7 +129,7 @@ def validation_summary(result: Validation) -> Group:
 
 
 def validation_verdict(result: Validation) -> str:
-    """In how many axes of all models the intervals hold under each variation, and where they do not."""
+    """The page's headline: in how many axes of all models the intervals hold under each variation."""
     coverages: dict[str, list[Coverage]] = {}
     for key in _JUDGED:
         coverages[f"the {key.replace('_', ' ')}"] = own = []
@@ -196,7 +196,7 @@ def write_validation_page(
 
 
 def _flight_table(result: Validation) -> Table:
-    """Coverage of the measurements flight by flight: flights differ more than realisations do."""
+    """Coverage of the measurements of each flight: flights differ by more than realisations of noise do."""
     axes = [axis for axis in AXES if any(axis in model.axes for model in result.models.values())]
     columns = [
         Column("flight", is_text=True, once=True),
@@ -229,14 +229,14 @@ def _definitions(result: Validation) -> dict[str, str]:
 
 
 def band_figure(case: ValidationCase, place: int, spread: Spread, result: Validation, bins: int) -> go.Figure:
-    """Rows Fz, Fx, My, a column per model: its bounds, and what they have to cover.
+    """Bounds of each model (columns) on Fz, Fx and My (rows), and the variations that they have to cover.
 
     Args:
         case: that was validated.
-        place: of the flight in it.
-        spread: of that flight.
-        result: gives the coverage of the flight.
-        bins: parts that the flight is cut into; of each the extremes are drawn.
+        place: index of the flight in the case.
+        spread: of the flight over realisations.
+        result: of the validation, for the coverage of the flight.
+        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     flight = case.flights[place]
     held = {axis for model in case.models.values() for axis in model.axes}
