@@ -207,8 +207,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if samples is None or self._rate_begins:
             return
         if not self._consistency.complete:
-            self._consistency.take(RotorSpeedStream, samples.time_ns, samples.rotor_speeds)
-            self._consistency.take(ImuStream, samples.time_ns, samples.rates, samples.specific_force)
+            self._consistency.take(None, *samples)
         predicted_ns = self._results.publish(samples)
         now_ns = time.monotonic_ns()
         for time_ns in predicted_ns.tolist():

@@ -349,7 +349,7 @@ class ConsistencyWatch:
         self._found: dict[str, None] = {}
         self._judged = 0
 
-    def take(self, kind: type[Stream], *columns: NDArray[Any]) -> None:
+    def take(self, kind: type[Stream] | None, *columns: NDArray[Any]) -> None:
         """Collect samples, see :meth:`FirstSeconds.take`."""
         if self.complete:
             return

@@ -461,7 +461,7 @@ class Ekf:
 
     def _start(self) -> None:
         """Begin to estimate if the collected samples suffice, else forget those that are too old."""
-        imu = np.concatenate(self._imu)
+        imu = _joined(self._imu)
         initial = self._initial_estimate(imu)
         if initial is None:
             oldest_ns = int(imu["time_ns"][-1]) - COLLECT_NS
@@ -490,7 +490,7 @@ class Ekf:
         """From the collected poses, or without any from the velocities; None while they do not suffice."""
         if not self._measurements:
             return None
-        measurements = np.concatenate(self._measurements)
+        measurements = _joined(self._measurements)
         poses = measurements[measurements["kind"] == POSE]
         sensors, gravity = self._vehicle.noise, self._vehicle.gravity_m_s2
         if len(poses):
@@ -508,3 +508,8 @@ class Ekf:
     def _counts(self, source: int) -> dict[Outcome, int]:
         counts = self._memory.filter["counts"][0, source]
         return {outcome: int(counts[outcome]) for outcome in Outcome}
+
+
+def _joined(records: deque[Records]) -> Records:
+    """Records (1,) as one array, within microseconds: np.concatenate promotes their dtypes one by one."""
+    return np.frombuffer(bytearray().join(record.data for record in records), records[0].dtype)

@@ -18,6 +18,7 @@ from quadpi_core.config_schema import Flag, OneOf, Real, Text, Within, parse_con
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule
@@ -162,8 +163,11 @@ class AerodynamicModel:
         """Predictions, bounds and evidence for input vectors (N, 19), all axes at once.
 
         Raises:
-            ModelError: for a confidence that the calibration cannot support.
+            ModelError: for inputs of another shape, beyond whose end the compiled code would read, or a
+                confidence that the calibration cannot support.
         """
+        if inputs.ndim != 2 or inputs.shape[1] != len(INPUT_NAMES):
+            raise ModelError(f"inputs have shape {inputs.shape}, expected (N, {len(INPUT_NAMES)})")
         if confidence is None:
             confidence = self.confidence
         return self._compiled.evaluate(inputs, self._factors(confidence))

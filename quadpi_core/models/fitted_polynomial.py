@@ -23,7 +23,6 @@ from quadpi_core.models.regressors import (
     Records,
     Regressor,
     RegressorProgram,
-    check_inputs,
     rows_kernel,
 )
 from quadpi_core.models.spread import SpreadShape, leverage_of, squared_speed
@@ -154,7 +153,6 @@ class CompiledPolynomials:
 
     def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
         """Evaluate input vectors (N, 19) with half widths from :func:`.model_kind.interval_factors`."""
-        check_inputs(inputs)
         out = np.zeros((5, len(inputs), len(AXES)))
         evaluate_kernel(inputs, self.program.operations, self.axes, self.terms, self.whitening, factors, out)
         # Faster one by one than by *out.

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError, SignalError
@@ -110,8 +109,9 @@ class Monitor:
         predicted, lower, upper, leverage, relative_width = evaluation
         if self._adaptive is not None:
             lower, upper = self._adaptive.step(measured, lower, upper)
-        finite = np.empty(len(inputs), dtype=np.bool_)
-        if not _all_finite(lower, upper, measured, leverage, inputs, finite):
+        if not _all_finite(lower, upper, leverage):
+            every = np.concatenate((lower, upper, leverage), axis=1)
+            finite = np.asarray(np.isfinite(every).all(axis=1))
             prepared = prepared.where(finite)
             evaluation = Evaluation._make(column[finite] for column in evaluation)
             predicted, _, _, _, relative_width = evaluation
@@ -152,16 +152,9 @@ class Monitor:
 
 
 @njit(cache=True)
-def _all_finite(
-    lower: Array, upper: Array, measured: Array, leverage: Array, inputs: Array, finite: npt.NDArray[np.bool_]
-) -> bool:
-    """Mark the samples (U,) whose numbers are all finite; True if every sample's are."""
-    everywhere = True
-    for i in range(finite.size):
-        total = lower[i].sum() + upper[i].sum() + measured[i].sum() + leverage[i].sum() + inputs[i].sum()
-        finite[i] = np.isfinite(total)
-        everywhere &= finite[i]
-    return everywhere
+def _all_finite(lower: Array, upper: Array, leverage: Array) -> bool:
+    """Whether all numbers of the samples (U, 6) are finite."""
+    return bool(np.isfinite(lower.sum() + upper.sum() + leverage.sum()))
 
 
 class Monitors:

@@ -248,5 +248,7 @@ def _prepare(
         measured[row] = newton_euler(
             value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
         )
-        used += 1
+        # A sample one of whose numbers overflows is not usable.
+        verdict.usable = bool(np.isfinite(inputs[used].sum() + measured[used].sum()))
+        used += verdict.usable
     return used

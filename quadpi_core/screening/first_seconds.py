@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadpi_core.flight import STREAM_KINDS, ImuStream, Recording, Stream
+from quadpi_core.flight import STREAM_KINDS, ImuStream, Recording, RotorSpeedStream, Stream
 from quadpi_core.screening.consistency import findings
 from quadpi_core.screening.plausibility import finite_rows, implausibilities
 from quadpi_core.screening.wild_samples import screened
+from quadpi_core.signals.chain import RATES, ROTOR_SPEEDS, SPECIFIC_FORCE
 from quadpi_core.vehicle import Vehicle
 
 # Length of a stretch. Of the bundled and the real flights, no stretch of 12 s or longer had a finding; one of
@@ -37,7 +38,7 @@ class FirstSeconds:
     def __init__(self, source: str) -> None:
         self._source = source
         self._left = STRETCHES
-        self._kept: dict[type[Stream], list[tuple[NDArray[Any], ...]]] = {}
+        self._kept: dict[type[Stream] | None, list[tuple[NDArray[Any], ...]]] = {}
         self._start_ns: int | None = None
         self._newest_ns = 0
 
@@ -46,8 +47,13 @@ class FirstSeconds:
         """Whether no more samples are needed."""
         return self._left == 0
 
-    def take(self, kind: type[Stream], *columns: NDArray[Any]) -> Recording | None:
-        """Collect samples as they arrive, by the columns of their stream; the IMU's complete a stretch.
+    def take(self, kind: type[Stream] | None, *columns: NDArray[Any]) -> Recording | None:
+        """Collect samples as they arrive; those of the IMU complete a stretch.
+
+        Args:
+            kind: of their stream; None for samples of IMU and rotors with the columns of
+                :mod:`quadpi_core.signals.chain`.
+            columns: their stamps and values.
 
         Returns:
             The stretch, once it is complete, if the vehicle moved in it. Samples that are not finite, or
@@ -56,7 +62,7 @@ class FirstSeconds:
         if self.complete:
             return None
         self._kept.setdefault(kind, []).append(columns)
-        return self._advance(int(columns[0][-1])) if kind is ImuStream else None
+        return self._advance(int(columns[0][-1])) if kind in (ImuStream, None) else None
 
     def _advance(self, time_ns: int) -> Recording | None:
         """Advance to the stamp of an IMU sample; the stretch that it completes, if the vehicle moved."""
@@ -68,11 +74,15 @@ class FirstSeconds:
         if self._start_ns is None or time_ns - self._start_ns < STRETCH_S * 1e9:
             return None
         kept, self._kept, self._start_ns = self._kept, {}, None
-        parts: dict[str, Any] = {
-            _FIELDS[kind]: _cleaned(kind(*map(np.concatenate, zip(*parts, strict=True))))
-            for kind, parts in kept.items()
+        joined = {kind: list(map(np.concatenate, zip(*parts, strict=True))) for kind, parts in kept.items()}
+        if None in joined:
+            stamps, values = joined.pop(None)
+            joined[ImuStream] = [stamps, values[:, RATES], values[:, SPECIFIC_FORCE]]
+            joined[RotorSpeedStream] = [stamps, values[:, ROTOR_SPEEDS]]
+        streams: dict[str, Any] = {
+            _FIELDS[kind]: _cleaned(kind(*columns)) for kind, columns in joined.items() if kind
         }
-        stretch = Recording(name=self._source, vehicle="", source=self._source, **parts)
+        stretch = Recording(name=self._source, vehicle="", source=self._source, **streams)
         if not np.sqrt(np.mean(np.sum(stretch.imu.angular_velocity**2, axis=1))) >= MOVES_RAD_S:
             return None
         self._left -= 1

@@ -164,11 +164,6 @@ def test_samples_of_no_number_give_none(fitted: dict[str, FittedEnsemble], X: Ar
     assert evaluate(fitted, X[:0]).predicted.shape == (0, 6)
 
 
-def test_inputs_of_another_shape_are_refused(fitted: dict[str, FittedEnsemble], X: Array) -> None:
-    with pytest.raises(ModelError, match="shape"):
-        evaluate(fitted, X[:, :18])
-
-
 def test_networks_over_a_table_are_no_model_of_a_vehicle(X: Array) -> None:
     ensemble = random_ensemble("bootstrap", X, REGRESSORS)
     with pytest.raises(ModelError, match="Fy: networks over the columns of a table"):

@@ -18,6 +18,7 @@ from quadpi_core.screening.first_seconds import (
     FirstSeconds,
     contradictions,
 )
+from quadpi_core.signals.chain import CHANNELS, RATES, ROTOR_SPEEDS, SPECIFIC_FORCE
 from quadpi_core.vehicle import Vehicle
 from test.core.mistakes import MISTAKES
 
@@ -107,6 +108,21 @@ def test_samples_that_cannot_be_used_are_left_out(flown: Recording) -> None:
     assert not {int(flown.imu.time_ns[1000]), int(flown.imu.time_ns[2000])} & set(
         stretch.imu.time_ns.tolist()
     )
+
+
+def test_paired_samples_are_those_of_imu_and_rotors(flown: Recording) -> None:
+    """As the monitor has them: all at the stamps of the IMU."""
+    imu = flown.imu
+    values = np.zeros((len(imu), CHANNELS))
+    values[:, RATES], values[:, SPECIFIC_FORCE] = imu.angular_velocity, imu.specific_force
+    values[:, ROTOR_SPEEDS] = 700.0
+    kept = FirstSeconds("test")
+    found = [kept.take(None, imu.time_ns[k : k + 9], values[k : k + 9]) for k in range(0, len(imu), 9)]
+    (stretch,) = [one for one in found if one is not None]
+    count = len(stretch.imu)
+    np.testing.assert_array_equal(stretch.imu.angular_velocity, imu.angular_velocity[:count])
+    np.testing.assert_array_equal(stretch.imu.specific_force, imu.specific_force[:count])
+    np.testing.assert_array_equal(stretch.rotor_speeds.speeds, 700.0)
 
 
 def test_it_ends_after_its_stretches(flown: Recording) -> None:
