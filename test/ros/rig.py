@@ -113,7 +113,7 @@ class Rig:
         for topic, kind in TOPICS.items():
             self.node.create_subscription(kind, topic, self.heard[topic].append, DEEP, raw=True)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, DEEP)
-        self._clients: dict[str, Any] = {}
+        self._clients: dict[str, Client] = {}
         self._executor = EventsExecutor(context=self._context)
         self._thread = threading.Thread(target=self._spin)
         self._closing = False
@@ -254,10 +254,14 @@ class Rig:
     def call(self, kind: type, name: str, request: Any) -> Any:
         return self.call_later(kind, name, request)()
 
-    def call_later(self, kind: type, name: str, request: Any) -> Callable[[], Any]:
+    def client(self, kind: type, name: str) -> Client:
+        """A client that its server knows, made at the first call."""
         if name not in self._clients:
             self._clients[name] = known_client(self.node, kind, name, self.until)
-        answer = self._clients[name].call_async(request)
+        return self._clients[name]
+
+    def call_later(self, kind: type, name: str, request: Any) -> Callable[[], Any]:
+        answer = self.client(kind, name).call_async(request)
 
         def result() -> Any:
             self.until(answer.done)

@@ -64,11 +64,16 @@ def test_every_model_publishes(rig: Rig) -> None:
 
 
 def test_a_model_is_replaced_without_missing_a_sample(rig: Rig, folder: Path) -> None:
-    answers = [
-        rig.call_later(LoadModel, "monitor/load_model", LoadModel.Request(path=str(folder / name)))
-        for name in ("other", "no_such_model")
-    ]
-    span = rig.fly(3.0)
+    answers = []
+
+    def ask(count: int, sample: dict[str, Any]) -> dict[str, Any]:
+        if count in {50, 51}:
+            request = LoadModel.Request(path=str(folder / ("other", "no_such_model")[count - 50]))
+            answers.append(rig.call_later(LoadModel, "monitor/load_model", request))
+        return sample
+
+    rig.client(LoadModel, "monitor/load_model")
+    span = rig.fly(3.0, ask)
     replaced, refused = (answer() for answer in answers)
     assert replaced.success
     assert replaced.model.startswith("other")
