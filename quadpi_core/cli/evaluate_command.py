@@ -58,7 +58,7 @@ def evaluate(
     html_file: HtmlFile = None,
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
-    from quadpi_core.evaluation.compare import compare, given_comparison, is_model_folder
+    from quadpi_core.evaluation.evaluate import compare, given_comparison, is_model_folder
     from quadpi_core.parallel import Workers
     from quadpi_core.report.comparison_page import comparison_summary, write_comparison_page
     from quadpi_core.report.evaluation_page import evaluation_summary

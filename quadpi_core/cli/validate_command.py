@@ -53,7 +53,7 @@ def validate(
     html_file: HtmlFile = None,
 ) -> None:
     """Put noise on simulated flights a thousand times: do the intervals hold? The paper's tables."""
-    from quadpi_core.evaluation.compare import is_model_folder
+    from quadpi_core.evaluation.evaluate import is_model_folder
     from quadpi_core.paper.published import published_case, published_tables
     from quadpi_core.paper.realisations import run_realisations
     from quadpi_core.paper.validation_case import given_case

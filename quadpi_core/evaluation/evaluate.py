@@ -5,16 +5,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from quadpi_core.errors import ModelError
 from quadpi_core.evaluation.alarm_assessment import alarm_of_flight
-from quadpi_core.evaluation.evaluation_result import Evaluation
+from quadpi_core.evaluation.evaluation_result import (
+    ComparedEvaluation,
+    Comparison,
+    Evaluation,
+    PublishedTable,
+)
 from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
-from quadpi_core.identification.prepared_flights import PreparedFlight
+from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
+from quadpi_core.logs import is_log_folder
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.monitor.adaptive import AdaptiveFactor
+from quadpi_core.parallel import DEFAULT_WORKERS, Workers
+from quadpi_core.version import __version__
 
 
 def predict_flight(
@@ -98,3 +109,130 @@ def judge(
         at_confidence=at,
     )
     return results, replace(evaluation, data_quality={flight.name: flight.quality for flight in flights})
+
+
+def is_model_folder(path: Path) -> bool:
+    """Whether a path that may be that of a model or of a flight is of a model: a folder that is no bag."""
+    return (path / MODEL_FILE).is_file() or (path.is_dir() and not is_log_folder(path))
+
+
+def load_models(folders: Sequence[Path]) -> dict[str, AerodynamicModel]:
+    """Stored models by name.
+
+    Raises:
+        ModelError: for what is no model, and two of the same name.
+    """
+    models: dict[str, AerodynamicModel] = {}
+    for folder in folders:
+        model = AerodynamicModel.load(folder)
+        if model.name in models:
+            raise ModelError(f"{folder}: another model is called {model.name}; rename one of the folders")
+        models[model.name] = model
+    return models
+
+
+def common_confidence(models: Mapping[str, AerodynamicModel], confidence: float | None) -> float:
+    """The confidence that is asked for, else that of all models.
+
+    Raises:
+        ModelError: if none is asked for and theirs differ.
+    """
+    if confidence is not None:
+        return confidence
+    levels = {model.confidence for model in models.values()}
+    if len(levels) > 1:
+        raise ModelError("the models have different confidences: give one with --confidence")
+    return levels.pop()
+
+
+@dataclass(frozen=True)
+class ComparisonCase:
+    """Models and the flights to judge them on.
+
+    Attributes:
+        models: of the vehicle that flew, by the name that they have in the result.
+        flights: the same flights after each low-pass (Hz) that the models take.
+        groups: names of the flights in each group.
+        confidence: nominal coverage of the intervals.
+        published: numbers to set beside, as of :func:`quadpi_core.paper.published.published_table`.
+    """
+
+    models: Mapping[str, AerodynamicModel]
+    flights: Mapping[float, Sequence[PreparedFlight]]
+    groups: Mapping[str, Sequence[str]]
+    confidence: float
+    published: PublishedTable | None = None
+
+
+def given_comparison(
+    folders: Sequence[Path],
+    groups: Mapping[str, Sequence[Path]],
+    *,
+    vehicle: str | None = None,
+    confidence: float | None = None,
+    workers: Workers = DEFAULT_WORKERS,
+) -> ComparisonCase:
+    """Stored models and the flights in files; each flight is read once for each low-pass.
+
+    Args:
+        folders: of the models, of one vehicle.
+        groups: files of the flights in each group; a flight may be in several.
+        vehicle: name or path of the vehicle file; default: the one that the first model names.
+        confidence: of the intervals; default: the models' own.
+        workers: that read the files.
+
+    Raises:
+        ModelError: for what is no model of the vehicle, two models of one name, and confidences that differ
+            where none is given.
+        LogError, SignalError, VehicleError, ParallelError: for what cannot be read.
+    """
+    models = load_models(folders)
+    the_vehicle = next(iter(models.values())).load_vehicle(vehicle)
+    for model in models.values():
+        model.require(the_vehicle)
+    level = common_confidence(models, confidence)
+    files = list(dict.fromkeys(path for members in groups.values() for path in members))
+    flights = {
+        cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers)
+        for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
+    }
+    names = (flight.name for flight in next(iter(flights.values())))
+    name_of = dict(zip(files, names, strict=True))
+    named = {name: [name_of[path] for path in members] for name, members in groups.items()}
+    return ComparisonCase(models, flights, named, level)
+
+
+def compare(
+    case: ComparisonCase, *, adaptive: bool = False
+) -> tuple[dict[str, list[FlightResult]], Comparison]:
+    """Predict each flight with each model, and judge the intervals.
+
+    Args:
+        case: of at least one model.
+        adaptive: see :func:`quadpi_core.evaluation.evaluate.predict_flight`.
+
+    Returns:
+        One result per flight of each model, and the metrics.
+
+    Raises:
+        EvaluationError: for groups and flights that do not fit.
+        ModelError: for a confidence that a model has no intervals of.
+    """
+    results: dict[str, list[FlightResult]] = {}
+    evaluations: dict[str, ComparedEvaluation] = {}
+    for name, model in case.models.items():
+        results[name], evaluation = judge(
+            model, case.flights[model.cutoff_hz], case.groups, case.confidence, adaptive=adaptive
+        )
+        evaluations[name] = ComparedEvaluation(
+            **vars(evaluation), settings=model.settings, cutoff_hz=model.cutoff_hz
+        )
+    return results, Comparison(
+        quadpi_version=__version__,
+        vehicle=next(iter(case.models.values())).vehicle,
+        confidence=case.confidence,
+        adaptive=adaptive,
+        groups={name: list(members) for name, members in case.groups.items()},
+        published=case.published,
+        models=evaluations,
+    )

@@ -37,7 +37,7 @@ class AxisMetrics:
     Attributes:
         picp: coverage, the fraction of measurements inside their interval.
         picp_ci: 95 % confidence interval of the coverage (low, high), see
-            :func:`quadpi_core.evaluation.coverage_interval.coverage_interval`.
+            :func:`quadpi_core.evaluation.metrics.coverage_interval`.
         mpiw: mean width of the interval.
         nmpiw: mean width over the range of the measured training data.
         rmse: root mean square of measured − predicted.

@@ -12,7 +12,6 @@ import numpy as np
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment, Assessed, FlightAlarm, assess
-from quadpi_core.evaluation.coverage_interval import coverage_interval, effective_sample_size
 from quadpi_core.evaluation.evaluation_result import (
     AxisMetrics,
     CoverageWidthCriterion,
@@ -20,7 +19,7 @@ from quadpi_core.evaluation.evaluation_result import (
     FlightEvaluation,
     GroupEvaluation,
 )
-from quadpi_core.evaluation.metrics import by_bin, round_edges
+from quadpi_core.evaluation.metrics import by_bin, coverage_interval, effective_sample_size, round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS

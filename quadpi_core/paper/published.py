@@ -15,7 +15,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadpi_core.evaluation.compare import ComparisonCase
+from quadpi_core.evaluation.evaluate import ComparisonCase
 from quadpi_core.evaluation.evaluation_result import PublishedMetrics
 from quadpi_core.flight import Flight
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.errors import LogError, QuadpiError, SignalError
-from quadpi_core.evaluation.compare import common_confidence, load_models
+from quadpi_core.evaluation.evaluate import common_confidence, load_models
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_inputs

@@ -7,7 +7,7 @@ each; targets (A, 1 or M, C, n) hold C numbers per sample; weights (M, n) add up
 its training samples and are zero elsewhere. Everything is standardised. Indicators are stored as floats, one
 or zero, in the tensor that they are computed from: boolean tensors and their products with floats are slower.
 
-Gradients are written by hand, in place: with those of :mod:`.passes` a training step takes less than half the
+Gradients are written by hand, in place: with those of :mod:`.train` a training step takes less than half the
 time of autograd on the same batched products (`training_vs_batched_autograd`). The formula stands above each.
 """
 

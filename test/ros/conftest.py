@@ -19,10 +19,9 @@ from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_polynomial import FittedPolynomial
+from quadpi_core.models.fitted_polynomial import FittedPolynomial, SpreadShape
 from quadpi_core.models.interval_rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
-from quadpi_core.models.spread import SpreadShape
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:

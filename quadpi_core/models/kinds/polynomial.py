@@ -17,7 +17,15 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.axis_estimator import AxisEstimator, fit_of
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.fitted_polynomial import CompiledPolynomials, FittedPolynomial
+from quadpi_core.models.fitted_polynomial import (
+    CompiledPolynomials,
+    FittedPolynomial,
+    PlacedErrors,
+    SpreadShape,
+    fit_shape,
+    leverage_of,
+    squared_speed,
+)
 from quadpi_core.models.interval_rules import (
     ResidualRule,
     Rule,
@@ -28,7 +36,6 @@ from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_gram
 from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, select
-from quadpi_core.models.spread import PlacedErrors, SpreadShape, fit_shape, leverage_of, squared_speed
 from quadpi_core.parallel import Progress, ReportProgress
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]

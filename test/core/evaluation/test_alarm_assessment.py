@@ -52,7 +52,7 @@ def test_a_rate_takes_a_minute(duration_s, stated):
     assert (found.false_alarms_per_hour is not None) is stated
     sentence = alarm_sentence(found)
     assert ("per hour" in sentence) is stated
-    assert ("too short to state" in sentence) is not stated
+    assert ("too short for a rate" in sentence) is not stated
 
 
 def test_flights_add_up_to_a_minute_and_what_was_not_monitored_does_not_count():
@@ -72,4 +72,4 @@ def test_the_bundled_flight_that_leaves_the_envelope_raises_no_false_alarm(quadp
     assert alarm["false_alarms"] == 0
     assert alarm["alarms_outside"] > 0
     assert alarm["false_alarms_per_hour"] is None
-    assert "too short to state" in ran.output
+    assert "too short for a rate" in ran.output

@@ -17,12 +17,11 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_polynomial import FittedPolynomial
+from quadpi_core.models.fitted_polynomial import FittedPolynomial, SpreadShape
 from quadpi_core.models.interval_rules import ResidualRule
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import FittedAxis
 from quadpi_core.models.regressors import Regressor, RegressorProgram
-from quadpi_core.models.spread import SpreadShape
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.vehicle import Vehicle

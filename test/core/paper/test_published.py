@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from quadpi_core.evaluation.compare import compare
+from quadpi_core.evaluation.evaluate import compare
 from quadpi_core.evaluation.evaluation_result import Comparison, PublishedMetrics
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel

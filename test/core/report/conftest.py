@@ -18,10 +18,9 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_polynomial import FittedPolynomial
+from quadpi_core.models.fitted_polynomial import FittedPolynomial, SpreadShape
 from quadpi_core.models.interval_rules import LEVELS, HeldOutRule
 from quadpi_core.models.regressors import Regressor
-from quadpi_core.models.spread import SpreadShape
 from quadpi_core.report.live_figure import LiveReplay
 from quadpi_core.report.table import markdown_table
 

@@ -11,7 +11,6 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs PyTorch")
 
 from quadpi_core.errors import ModelError  # noqa: E402
-from quadpi_core.training import passes  # noqa: E402
 from quadpi_core.training import train as training_module  # noqa: E402
 from quadpi_core.training.batches import Batch, Samples  # noqa: E402
 from quadpi_core.training.losses import (  # noqa: E402
@@ -192,7 +191,7 @@ def interrupt(seen: list[int]) -> Callable[[TrainingState], None]:
 def test_numbers_of_the_networks_give_what_pytorch_predicts(
     together: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(passes, "_TOGETHER", together)
+    monkeypatch.setattr(training_module, "_TOGETHER", together)
     samples = samples_for(quality_driven())
     training = train(samples, quality_driven(), SCHEDULE)
     predictions = training.predictions(slice(1, 3))
