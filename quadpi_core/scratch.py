@@ -51,10 +51,20 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
             made.append(_free_name(place))
         yield made[-1]
     finally:
-        for folder in made:
-            shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
+        try:
+            _remove(made)
+        except BaseException:
+            # A signal has interrupted the removal: finish it before the run ends.
+            _remove(made)
+            raise
+        finally:
+            if lock is not None:
+                os.close(lock)
+
+
+def _remove(folders: list[Path]) -> None:
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def is_being_replaced(path: Path) -> bool:
