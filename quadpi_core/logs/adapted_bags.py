@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a bag whose messages other packages define."""
+"""Topics of a bag with messages that other packages define."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class AdaptedTopic(NamedTuple):
 def find_adapted(
     bag: Bag, settings: AdapterSettings | None, present: Collection[str]
 ) -> dict[str, AdaptedTopic]:
-    """The topics that the settings ask for, by kind of stream; topics are known by their type.
+    """Topics that the settings configure, by kind of stream; a topic is recognised by its type.
 
-    Logs topics that could be read if the settings said how.
+    Logs a warning for topics that could be read if they were configured.
 
     Args:
         bag: open.
         settings: None where the user gave none.
-        present: kinds of which the bag holds the standard topic.
+        present: kinds for which the bag has a standard topic.
 
     Raises:
         LogError: naming bag and topic, for a kind that no topic or several topics give.
@@ -86,7 +86,7 @@ def _only(bag: Bag, kind: str, chosen: list[AdaptedTopic], asked: str | None) ->
 
 
 class AdaptedReading:
-    """Unpacks the messages of a topic, some at a time, and counts what they give.
+    """Unpacks the messages of a topic in parts, and counts the samples.
 
     Raises:
         LogError: naming bag and topic, if the bag holds no definition that can be used.
@@ -114,7 +114,7 @@ class AdaptedReading:
 
         Args:
             topic: its next messages.
-            before: how many came before them.
+            before: number of messages before them.
 
         Raises:
             LogError: naming bag, topic and sample, for messages that cannot be read.
@@ -131,10 +131,10 @@ class AdaptedReading:
         return stream
 
     def finish(self, count: int) -> None:
-        """Log how many of all `count` messages gave no sample, and why.
+        """Log how many of all `count` messages were dropped, by reason.
 
         Raises:
-            LogError: if none gave one.
+            LogError: if all were dropped.
         """
         dropped = "; ".join(f"{number}: {reason}" for reason, number in self._unpacker.dropped.most_common())
         if self._samples == 0:

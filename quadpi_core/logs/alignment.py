@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time offset between two sources by cross-correlation of a signal that both saw."""
+"""Time offset between two sources by cross-correlation of a signal that both measured."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from quadpi_core.signals.resample import interpolate
 
 MIN_CORRELATION = 0.5
 MIN_OVERLAP_S = 2.0
-# Differentiating motion-capture attitudes amplifies their noise; a quadrotor's turns lie below this.
+# Differentiating motion-capture attitudes amplifies noise; a quadrotor's rotations are slower than this.
 POSE_CUTOFF_HZ = 8.0
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the clock of one source maps to the reference's.
+    """Offset of the clock of one source from the reference's.
 
     Attributes:
         offset_s: to be added to the other source's stamps.
@@ -64,9 +64,9 @@ def time_offset(
         reference_ns: (N,) stamps.
         reference: (N, C) the shared signal, for example body rates in rad/s.
         other_ns: (M,) stamps.
-        other: (M, C) the same signal as the other source saw it.
-        max_offset_s: largest offset looked at, either way.
-        cutoff_hz: of a zero-phase low-pass over both signals, where noise would drown what they share.
+        other: (M, C) the same signal as measured by the other source.
+        max_offset_s: largest offset that is searched, in either direction.
+        cutoff_hz: of a zero-phase low-pass of both signals, where noise would hide what they share.
         what: name of the pair, for messages.
 
     Raises:
@@ -147,14 +147,14 @@ def _normalised(x: Array, x_there: Array, y: Array, y_there: Array) -> Array:
 
 
 def _root(power: Array) -> Array:
-    """Square root, away from zero, where the transform leaves rounding errors of either sign."""
+    """Square root with a floor: the transform leaves rounding errors of either sign near zero."""
     floor = max(1e-12 * float(power.max()), np.finfo(float).tiny)
     root: Array = np.sqrt(np.maximum(power, floor))
     return root
 
 
 def _peak_shift(values: Array, peak: int) -> float:
-    """Where, in samples from `peak`, the parabola through it and its neighbours has its maximum."""
+    """Offset from `peak`, in samples, of the maximum of the parabola through it and its neighbours."""
     if peak in {0, len(values) - 1}:
         return 0.0
     left, middle, right = values[peak - 1 : peak + 2]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the readers of autopilot logs share: stamps that rise, states put together, notes to the user."""
+"""Steps that readers of autopilot logs share: rising stamps, states from separate messages, notes."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _GAP_NS = 1_000_000_000
 
 
 def note(source: str, text: str) -> None:
-    """Tell the user of something that the import of a log did or assumed."""
+    """Warn the user of something that the import of a log did or assumed."""
     _log.warning("%s: %s", source, text)
 
 
 def usable(source: str, stream: _AnyStream) -> _AnyStream | None:
-    """The stream without samples whose stamp does not rise or that are not finite, and how many they were.
+    """The stream without samples that are not finite or whose stamp does not rise; None if none is left.
 
-    Autopilots log a sample twice now and then, or stamp in milliseconds faster than that. None if nothing is
-    left.
+    Autopilots sometimes log a sample twice, or stamp in milliseconds at more than 1 kHz. A note gives the
+    number of dropped samples.
     """
     finite = finite_rows(*(getattr(stream, column.name) for column in fields(stream)))
     kept = np.flatnonzero(finite)
@@ -52,7 +52,7 @@ def usable(source: str, stream: _AnyStream) -> _AnyStream | None:
 
 
 def _rises(time_ns: Stamps) -> npt.NDArray[np.bool_]:
-    """The most samples (N,) whose stamps rise: one stamp that is far ahead costs no later ones.
+    """Mask (N,) of the most samples with rising stamps: one stamp far ahead does not drop later ones.
 
     Source: longest increasing subsequence, by patience sorting.
     """
@@ -76,10 +76,10 @@ def _rises(time_ns: Stamps) -> npt.NDArray[np.bool_]:
 
 
 def require_imu(source: str, imu: ImuStream | None, needed: str) -> ImuStream:
-    """The IMU stream, without which a log is of no use.
+    """The IMU stream.
 
     Raises:
-        LogError: saying which messages of the log would have held it.
+        LogError: for a log without one, naming the messages that would hold it.
     """
     if imu is None:
         raise LogError(f"{source}: topic imu: the log holds no samples of gyro and accelerometer ({needed})")
@@ -93,7 +93,7 @@ def odometry_of(
     attitude: tuple[Stamps, Array],
     imu: ImuStream,
 ) -> OdometryStream | None:
-    """A fused state out of what an autopilot logs in separate messages; None where they do not overlap.
+    """Odometry from position, velocity and attitude in separate messages; None where they do not overlap.
 
     Args:
         time_ns: (N,) of position and velocity.
@@ -115,7 +115,7 @@ def odometry_of(
 
 
 def rising(time_ns: Stamps, *columns: Array) -> tuple[Stamps, tuple[Array, ...]]:
-    """Samples whose stamp rises and that are finite, of helper signals that are no stream themselves."""
+    """Samples of auxiliary signals that are finite and whose stamp rises."""
     kept = np.flatnonzero(finite_rows(*columns))
     kept = kept[_rises(time_ns[kept])]
     return time_ns[kept], tuple(values[kept] for values in columns)
@@ -124,7 +124,7 @@ def rising(time_ns: Stamps, *columns: Array) -> tuple[Stamps, tuple[Array, ...]]
 def rotors_together(
     controllers: Sequence[tuple[Stamps, Array]], order: RotorOrder, vehicle: Vehicle | None
 ) -> RotorSpeedStream | None:
-    """Rotor speeds that were logged one controller at a time, on the stamps of the one that was logged most.
+    """Rotor speeds of controllers that are logged separately, at the stamps of the one with most samples.
 
     Args:
         controllers: stamps (K,) and speeds (K, 1) of each, in the vehicle's rotor order; rising stamps.

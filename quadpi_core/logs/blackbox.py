@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Blackbox logs: header lines, then frames whose fields hold the error of a predictor, in few bytes.
+"""Decoder of Blackbox logs: header lines, then frames whose fields are the residuals of a predictor.
 
-A log has frames of the main loop (I: by themselves; P: on top of those before), others that are only stepped
-over (S, G, H) and events (E). There are no lengths and no checksums: a frame is whole if the byte after it
-begins another one and its time goes on from the one before. Behind a frame that is not, the search goes on
-from its second byte, and P frames count again from the next I frame on.
+A log has frames of the main loop (I: intra, P: predicted from the frames before), others that are skipped
+(S, G, H) and events (E). There are no lengths and no checksums: a frame counts as whole if the byte behind
+it starts another one and its time continues that of the frame before. After a damaged frame the search
+resumes at its second byte, and P frames are used again from the next I frame on.
 
 Source: Betaflight's documentation, "Blackbox Internals"; for the predictor of the motor's lowest output, the
 values in logs.
@@ -40,10 +40,10 @@ from quadpi_core.logs.unpacking import require_unpackable
 # Firmwares log up to 200 fields; their header lines are shorter than 2 kB.
 _FIELDS_MAX = 256
 _HEADER_LINE_MAX = 8192
-# Behind a damaged frame it is read again from its second byte on: so many fields for each byte of the flight,
-# before all that is left counts as damaged. Bytes of chance take about four.
+# Largest number of fields read again behind damaged frames, per byte of the flight, before the rest counts as
+# damaged; random bytes take about four.
 _REREAD_MAX = 16
-# Longer than any pause of a logger that goes on by itself, in µs.
+# Largest step in time from frame to frame, in µs: longer than any pause of a logger that resumes by itself.
 _LEAP_MAX_US = 10_000_000
 
 _KINDS = b"IPSGH"
@@ -66,10 +66,10 @@ class BlackboxLog:
 
     Attributes:
         headers: those that are whole numbers, by name.
-        columns: (N,) of the main frames, in the units of the log; `time` in µs goes on where its 32 bits end.
-        ended: whether the logger ended it.
-        damaged_at: place in the flight of the first byte that is part of no frame; None without one.
-        damaged_bytes: how many there are.
+        columns: (N,) of the main frames, in the units of the log; `time` in µs is unwrapped beyond 32 bits.
+        ended: whether the log has an end event.
+        damaged_at: position in the flight of the first byte outside frames; None without one.
+        damaged_bytes: number of such bytes.
     """
 
     headers: Mapping[str, int]
@@ -80,7 +80,7 @@ class BlackboxLog:
 
 
 def decode_blackbox(flight: bytes, wanted: Sequence[str]) -> BlackboxLog:
-    """The wanted columns of one flight, those of them that it has.
+    """Those of the wanted columns that one flight has.
 
     Args:
         flight: from its first header line on.
@@ -103,7 +103,7 @@ def decode_blackbox(flight: bytes, wanted: Sequence[str]) -> BlackboxLog:
             continue
         count[place] = fields
         encoding[place, :fields] = _described(texts, f"Field {kind} encoding", fields, ENCODINGS)
-        # What the other frames hold is not asked for, only how long they are.
+        # Of the other frames only the length is needed.
         if place in {_I, _P}:
             predictor[place, :fields] = _described(texts, f"Field {kind} predictor", fields, _PREDICTORS)
     signed = np.zeros(_FIELDS_MAX, dtype=np.int64)
@@ -132,13 +132,13 @@ def decode_blackbox(flight: bytes, wanted: Sequence[str]) -> BlackboxLog:
 
 
 class _Rules(NamedTuple):
-    """How frames are made.
+    """Layout of the frames of a log.
 
     Attributes:
         encoding, predictor: (5, F) of each field, by kind of frame as `_KINDS`.
-        sizes: (5,) how many fields; 0 for a kind that the log has not.
-        signed: (F,) whether a field of main frames is.
-        places: of the fields time, loopIteration and motor[0].
+        sizes: (5,) number of fields; 0 for a kind that the log does not have.
+        signed: (F,) whether a field of main frames is signed.
+        places: indices of the fields time, loopIteration and motor[0].
         numbers: :func:`_intervals` and :func:`_references`.
     """
 
@@ -157,7 +157,7 @@ def _header(flight: bytes) -> tuple[dict[str, str], int]:
     while flight.startswith(b"H ", position):
         end = flight.find(b"\n", position, position + _HEADER_LINE_MAX)
         line = flight[position:end]
-        # A frame of the kind H may begin alike.
+        # A frame of kind H may begin with the same bytes.
         if end < 0 or b":" not in line or not line.isascii():
             break
         name, _, text = line[2:].decode().partition(":")
@@ -189,9 +189,9 @@ def _place(names: Sequence[str], name: str) -> int:
 
 
 def _intervals(texts: Mapping[str, str]) -> tuple[int, int, int]:
-    """Which iterations of the main loop are logged: one of N in an I frame, M of K in a P frame."""
+    """Logged iterations of the main loop: one in N as an I frame, M in K as a P frame."""
     first, _, second = texts.get("P interval", "1/1").partition("/")
-    # Early firmwares write a share, later ones the interval.
+    # Early firmware writes a fraction, later firmware the interval.
     share = (first, second) if second else ("1", first)
     found = [_whole(text) for text in (texts.get("I interval", "32"), *share)]
     every, numerator, denominator = (1 if number is None or number < 1 else number for number in found)
@@ -199,7 +199,7 @@ def _intervals(texts: Mapping[str, str]) -> tuple[int, int, int]:
 
 
 def _references(texts: Mapping[str, str]) -> tuple[int, int, int]:
-    """Numbers that predictors refer to: minthrottle, vbatref, the lowest output of a motor."""
+    """Constants of predictors: minthrottle, vbatref, the lowest output of a motor."""
     minimum, battery, output = (
         _whole(texts.get(name, "").partition(",")[0]) or 0
         for name in ("minthrottle", "vbatref", "motorOutput")
@@ -209,7 +209,7 @@ def _references(texts: Mapping[str, str]) -> tuple[int, int, int]:
 
 @njit(cache=True)
 def _event(data: Bytes, position: int) -> tuple[int, bool]:
-    """Where an event ends, and whether it is the end of the log."""
+    """Position behind an event, and whether it is the end of the log."""
     if position >= len(data):
         return CUT, False
     kind = data[position]
@@ -221,14 +221,14 @@ def _event(data: Bytes, position: int) -> tuple[int, bool]:
             if data[position + k] != _END_OF_LOG[k]:
                 return BROKEN, False
         return position + len(_END_OF_LOG), True
-    # Beep, resumed, disarmed, other modes of flight: one or two numbers.
+    # Sync beep, disarmed; then logging resumed, flight mode: one or two numbers.
     if kind in (0, 15):
         return read_unsigned(data, position)[1], False
     if kind in (14, 30):
         position = read_unsigned(data, position)[1]
         return (read_unsigned(data, position)[1] if position >= 0 else position), False
     if kind == 13:
-        # A setting that was changed in flight, of single precision where the highest bit says so.
+        # In-flight adjustment; a single-precision number where the highest bit is set.
         if position >= len(data):
             return CUT, False
         if data[position] < 0x80:
@@ -247,7 +247,7 @@ def _kind(byte: int) -> int:
 
 @njit(cache=True)
 def _step(iteration: int, every: int, numerator: int, denominator: int) -> int:
-    """From an iteration of the main loop to the next one that is logged."""
+    """Number of iterations of the main loop to the next one that is logged."""
     since = iteration % every
     phase = (since + numerator - 1) % denominator
     to_next = 1 if (phase + 1) % denominator < numerator else denominator - phase
@@ -256,7 +256,7 @@ def _step(iteration: int, every: int, numerator: int, denominator: int) -> int:
 
 @njit(cache=True)
 def _predict(values: Integers, before: Integers, earlier: Integers, rules: _Rules, kind: int) -> None:
-    """Add to each value of a main frame what was predicted from the two frames before it and the headers."""
+    """Add to the residuals of a main frame the predictions from the two frames before it and the headers."""
     every, numerator, denominator, minthrottle, vbatref, minmotor = rules.numbers
     for place in range(rules.sizes[kind]):
         rule, value = rules.predictor[kind, place], values[place]
@@ -265,7 +265,7 @@ def _predict(values: Integers, before: Integers, earlier: Integers, rules: _Rule
         elif rule == _LINE:
             value += 2 * before[place] - earlier[place]
         elif rule == _AVERAGE:
-            # To zero, as the firmware divides.
+            # Rounded toward zero, as in the firmware.
             total = before[place] + earlier[place]
             value += total // 2 if total >= 0 else -(-total // 2)
         elif rule == _MINTHROTTLE:
@@ -286,9 +286,9 @@ def _predict(values: Integers, before: Integers, earlier: Integers, rules: _Rule
 
 @njit(cache=True)
 def _frame(data: Bytes, position: int, rules: _Rules, values: Integers) -> int:
-    """Step over a frame or an event, with what its fields add to their predictions; gives where it ends.
+    """Read the residuals of a frame or step over an event; returns the position behind it.
 
-    It is broken as well if nothing begins where it ends but the file ends not there either.
+    It also counts as broken if neither another frame nor the end of the file follows.
     """
     kind, count = _kind(data[position]), rules.sizes
     if data[position] == _EVENT:
@@ -307,7 +307,7 @@ def _frame(data: Bytes, position: int, rules: _Rules, values: Integers) -> int:
 
 @njit(cache=True)
 def _goes_on(since: int, now: int, most: int) -> bool:
-    """Whether a counter of 32 bits has not gone back, and not by more than `most`."""
+    """Whether a 32-bit counter has advanced by at most `most`."""
     return (now - since) & _UINT32 <= most
 
 
@@ -319,17 +319,17 @@ def _decode(
     chosen: Integers,
     table: Array,
 ) -> tuple[int, bool, int, int]:
-    """Fill a table with the chosen fields of the main frames, as far as it has rows.
+    """Fill a table with the chosen fields of the main frames, up to its number of rows.
 
     Returns:
-        How many main frames there are, whether the log has an end, the first damaged byte, and how many
-        there are.
+        Number of main frames, whether the log has an end, position of the first damaged byte, and number of
+        damaged bytes.
     """
     time, iteration, _ = rules.places
     values = np.zeros(rules.encoding.shape[1], dtype=np.int64)
     before, earlier = np.zeros_like(values), np.zeros_like(values)
     rows, damaged_at, damaged, reread = 0, 0, 0, 0
-    # Whether P frames have something to build on; the time of an I frame that was refused for it.
+    # Whether a valid frame precedes, for P frames to be predicted from; time of an I frame that was refused.
     builds, refused = False, -1
     while position < len(data):
         stop = _frame(data, position, rules, values)
@@ -342,7 +342,7 @@ def _decode(
                 _goes_on(before[time], values[time], _LEAP_MAX_US)
                 and _goes_on(before[iteration], values[iteration], _UINT32 >> 1)
             )
-            # Two I frames that agree are right, and the one before them was not.
+            # Two refused I frames that agree with each other are right, and the frame before them was wrong.
             if not whole and kind == _I:
                 whole = refused >= 0 and _goes_on(refused, values[time], _LEAP_MAX_US)
                 refused = values[time]

@@ -30,7 +30,7 @@ def _byte(data: Bytes, position: int) -> int:
 
 @njit(cache=True)
 def read_unsigned(data: Bytes, position: int) -> tuple[int, int]:
-    """A number of up to 32 bits, seven of them in each byte, the lowest first; and where it ends."""
+    """A number of up to 32 bits, seven in each byte, lowest first; and the position behind it."""
     value = 0
     for shift in range(0, 35, 7):
         if position >= len(data):
@@ -45,14 +45,14 @@ def read_unsigned(data: Bytes, position: int) -> tuple[int, int]:
 
 @njit(cache=True)
 def _read_signed(data: Bytes, position: int) -> tuple[int, int]:
-    """The same for numbers whose lowest bit is the sign."""
+    """A signed number in zigzag encoding, and the position behind it."""
     value, position = read_unsigned(data, position)
     return (value >> 1) ^ -(value & 1), position
 
 
 @njit(cache=True)
 def sign_extended(value: int, bits: int) -> int:
-    """A number of the given bits, in two's complement."""
+    """The number in the lowest bits, read as two's complement."""
     value &= (1 << bits) - 1
     return value - (1 << bits) if value >> (bits - 1) else value
 
@@ -67,7 +67,7 @@ def _little(data: Bytes, position: int, size: int) -> int:
 
 @njit(cache=True)
 def _triple(data: Bytes, position: int, variable: bool, values: Integers) -> int:
-    """Three numbers of the size that the first two bits name; gives where they end."""
+    """Three numbers whose size the first two bits give; returns the position behind them."""
     if position >= len(data):
         return CUT
     lead = _byte(data, position)
@@ -104,11 +104,11 @@ def _triple(data: Bytes, position: int, variable: bool, values: Integers) -> int
 
 @njit(cache=True)
 def _quadruple(data: Bytes, position: int, values: Integers) -> int:
-    """Four numbers of 0, 4, 8 or 16 bits, as the byte before them says; gives where they end."""
+    """Four numbers of 0, 4, 8 or 16 bits, by the byte before them; returns the position behind them."""
     if position >= len(data):
         return CUT
     sizes = _byte(data, position)
-    # In nibbles from here on, the higher one of a byte first.
+    # Position in nibbles from here on, the higher one of a byte first.
     nibble = 2 * (position + 1)
     for k in range(4):
         tag = sizes >> (2 * k) & 3
@@ -126,7 +126,7 @@ def _quadruple(data: Bytes, position: int, values: Integers) -> int:
 
 @njit(cache=True)
 def read_fields(data: Bytes, position: int, encoding: Integers, count: int, values: Integers) -> int:
-    """What each field of a frame adds to its prediction; gives where the frame ends."""
+    """Residuals of the fields of a frame; returns the position behind the frame."""
     some = np.zeros(4, dtype=np.int64)
     place = 0
     while place < count and position >= 0:

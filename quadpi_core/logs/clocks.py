@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far the clock of another computer is from this one's: live by exchanges or arrivals, and of a log.
+"""Offset between the clock of another computer and this one's: live from exchanges or arrivals, and for logs.
 
 Every number here is in nanoseconds. The offset is this computer's clock minus the other's.
 """
@@ -22,21 +22,21 @@ _WINDOW_NS = 10_000_000_000
 _BUCKET_NS = 1_000_000_000
 # How often the offset is estimated again.
 _ESTIMATE_NS = 10_000_000
-# Stamps that are too early by so much, or too late by a second, are moved at once. Smaller errors are worked
-# off at a share of the sender's time, the larger the error the faster, so that stamps keep rising.
+# An error beyond these is corrected at once. A smaller one is removed gradually, at a share of the sender's
+# time that grows with the error (size in ns, share), so that stamps keep rising.
 _EARLY_NS, _LATE_NS = 50_000_000, 1_000_000_000
 _SLEWS = ((5_000_000, 0.5), (500_000, 0.05), (0, 1e-3))
-# Answers that took longer say nothing.
+# Answers with a longer round trip are ignored.
 _ROUND_TRIP_MAX_NS = 1_000_000_000
 
 
 class Offset(NamedTuple):
-    """What is known of an offset.
+    """Estimate of a clock offset.
 
     Attributes:
-        offset_ns: add it to the other clock's stamps.
-        uncertainty_ns: bound of its error; None where the delay of the link is part of the offset, which
-            arrivals alone cannot tell.
+        offset_ns: to be added to the other clock's stamps.
+        uncertainty_ns: bound of its error; None for an estimate from arrivals alone, which includes the
+            unknown delay of the link.
         exchanged: whether it comes from exchanges.
     """
 
@@ -46,7 +46,7 @@ class Offset(NamedTuple):
 
 
 class _Exchange(NamedTuple):
-    """The offset lies between low and high: the other clock was read after sending and before receiving."""
+    """Bounds of the offset: the other clock was read after sending and before receiving."""
 
     at_ns: int
     low_ns: int
@@ -54,20 +54,19 @@ class _Exchange(NamedTuple):
 
 
 class _Arrival(NamedTuple):
-    """The offset lies below: the stamp was made before its message arrived."""
+    """Upper bound of the offset: the stamp was made before its message arrived."""
 
     at_ns: int
     high_ns: int
 
 
 class ClockOffset:
-    """Offset to the clock of a sender, as exchanges of stamps or, without an answer, arrivals tell it.
+    """Estimator of the offset to a sender's clock, from exchanges of stamps or from arrivals alone.
 
-    An exchange bounds the offset on both sides, an arrival from above; bounds of the last ten seconds,
-    widened by what clocks may have drifted since, leave an interval whose centre is the estimate. Without any
-    exchange the earliest arrival relative to its stamp counts: the offset then contains the smallest delay
-    of the link. The applied offset follows slowly, so that the spacing of stamps stays that of the sender;
-    O(1) per call.
+    An exchange bounds the offset on both sides, an arrival from above. The estimate is the centre of the
+    intersection of the bounds of the last ten seconds, each widened by the largest drift since. Without an
+    exchange it is the smallest arrival minus stamp, which includes the smallest delay of the link. The
+    applied offset follows slowly, so that stamps keep the sender's spacing; O(1) per call.
     """
 
     def __init__(self) -> None:
@@ -81,14 +80,14 @@ class ClockOffset:
         self.restarts = 0
 
     def exchange(self, sent_ns: int, remote_ns: int, received_ns: int) -> None:
-        """Take an answer: sent and received by this clock, stamped by the other in between."""
+        """Add an exchange: sent and received by this clock, stamped by the other in between."""
         round_trip = received_ns - sent_ns
         if not 0 <= round_trip <= _ROUND_TRIP_MAX_NS:
             return
         self._exchanges.append(_Exchange(received_ns, sent_ns - remote_ns, received_ns - remote_ns))
 
     def arrival(self, remote_ns: int, arrival_ns: int) -> None:
-        """Take the stamp of a message and when it arrived."""
+        """Add the stamp of a message and the time of its arrival."""
         if self._last_remote_ns is not None and remote_ns < self._last_remote_ns - _BUCKET_NS:
             self._forget()
         self._last_remote_ns = remote_ns
@@ -100,7 +99,7 @@ class ClockOffset:
             self._arrivals[-1] = newest._replace(high_ns=offset)
 
     def _forget(self) -> None:
-        """The sender has begun again."""
+        """Start again after a restart of the sender."""
         self._exchanges.clear()
         self._arrivals.clear()
         self._applied = None
@@ -108,7 +107,7 @@ class ClockOffset:
         self.restarts += 1
 
     def estimate(self, now_ns: int) -> Offset | None:
-        """The best offset at a time, not slewed; None before anything has arrived."""
+        """Best estimate at a time, without slewing; None before the first message."""
         exchanges = [known for known in self._exchanges if now_ns - known.at_ns <= _WINDOW_NS]
         if not exchanges:
             highs = [known.high_ns for known in self._arrivals]
@@ -122,8 +121,8 @@ class ClockOffset:
         return Offset((low + high) // 2, (high - low + 1) // 2, exchanged=True)
 
     def to_local(self, remote_ns: int, now_ns: int) -> int:
-        """A stamp of the sender by this computer's clock; `arrival` or `exchange` must have been called."""
-        # In both directions, as this computer's clock may be set back.
+        """Convert a sender's stamp to this computer's clock, after a call of `arrival` or `exchange`."""
+        # Of either sign: this computer's clock may be set back.
         if abs(now_ns - self._estimated_ns) > _ESTIMATE_NS or self._applied is None:
             estimate = self.estimate(now_ns)
             self._goal = self._goal if estimate is None else estimate.offset_ns
@@ -151,7 +150,7 @@ class Line(NamedTuple):
     slope: float
 
     def to_local(self, remote_ns: Stamps) -> Stamps:
-        """Stamps (N,) of the other clock by this one."""
+        """Convert stamps (N,) of the other clock to this one."""
         local: Stamps = remote_ns + np.rint(
             self.offset_ns + self.slope * (remote_ns - self.origin_ns)
         ).astype(np.int64)
@@ -159,11 +158,11 @@ class Line(NamedTuple):
 
 
 def line_below(remote_ns: Stamps, arrival_ns: Stamps) -> Line:
-    """The line that no message arrives before, as close to the arrivals as it can be: clock offset and drift.
+    """Clock offset and drift: the highest line below all arrivals.
 
     Args:
         remote_ns: (N,) stamps of the sender, N > 0.
-        arrival_ns: (N,) when they arrived; delays are what is left above the line.
+        arrival_ns: (N,) times of arrival; the distance above the line is the variable delay.
     """
     origin = int(remote_ns[0])
     elapsed = (remote_ns - origin).astype(np.float64)

@@ -3,9 +3,9 @@
 """Records of an ArduPilot DataFlash log (.BIN) as arrays.
 
 Layout: every record is 0xA3 0x95, its type, and packed little-endian values. Records of type 128 (FMT) give
-type, length, name, one format letter per value, and the columns. A log that is damaged goes on with the next
-record that another one follows; pymavlink's DFReader stops at an unknown type, and a length of zero stops it
-for ever.
+type, length, name, one format letter per value, and the columns. After damage, reading resumes at the next
+record that is followed by another one; pymavlink's DFReader stops at an unknown type, and hangs on a length
+of zero.
 
 Source: ardupilot.org, "Logging Messages"; AP_Logger's README.
 """
@@ -53,7 +53,7 @@ _LETTERS: MappingProxyType[str, tuple[str, float]] = MappingProxyType(
         "a": ("V64", 1.0),
     }
 )
-# Names with another meaning in the layout of a record.
+# Column names that numpy or the layout of a record reserves.
 _NO_COLUMNS = ("", "head")
 _TIME_UNITS = MappingProxyType({"TimeUS": 1_000, "TimeMS": 1_000_000})
 
@@ -64,7 +64,7 @@ class Messages:
 
     Attributes:
         records: (N,) as packed in the log.
-        factors: of each column of numbers, to what its name means.
+        factors: from each numeric column to its unit.
     """
 
     records: npt.NDArray[np.void]
@@ -77,7 +77,7 @@ class Messages:
         return column in self.factors
 
     def holds(self, *columns: str) -> bool:
-        """Whether there are these columns of numbers, and stamps; a damaged log may name them otherwise."""
+        """Whether the log has these numeric columns and stamps; in a damaged log names may differ."""
         return all(column in self for column in columns) and any(name in self for name in _TIME_UNITS)
 
     def column(self, name: str) -> Array:
@@ -98,7 +98,7 @@ class Messages:
         """Stamps (N,) since the boot of the autopilot."""
         for name, factor in _TIME_UNITS.items():
             if name in self:
-                # Counters are unsigned and 64 bits wide; what does not fit is damage and falls as not rising.
+                # Unsigned 64-bit counters; one too large for nanoseconds is damage, dropped as not rising.
                 ticks = np.minimum(self.records[name].astype(np.uint64), np.uint64(2**62 // factor))
                 return ticks.astype(np.int64) * factor
         raise KeyError("TimeUS")
@@ -120,13 +120,13 @@ class _Format:
 
 @dataclass(frozen=True)
 class DataFlash:
-    """What a log holds.
+    """Content of a log.
 
     Attributes:
         messages: by their name; names without records are left out.
-        skipped: bytes that belong to no record.
+        skipped: number of bytes outside records.
         first_skipped: offset of the first of them.
-        cut_off: offset of a record that the file ends in, or None.
+        cut_off: offset of a last record that is not whole, or None.
     """
 
     messages: dict[str, Messages]
@@ -166,7 +166,7 @@ def decode_dataflash(source: str, data: bytes) -> DataFlash:
 
 
 def _length(data: bytes, position: int, formats: dict[int, _Format]) -> int:
-    """Length of the record at a position, 0 if there is none of a known type."""
+    """Length of the record at a position; 0 if it is of an unknown type or not a record."""
     if data[position : position + 2] != HEAD or position + 2 >= len(data):
         return 0
     known = formats.get(data[position + 2])
@@ -174,7 +174,7 @@ def _length(data: bytes, position: int, formats: dict[int, _Format]) -> int:
 
 
 def _next_record(data: bytes, start: int, formats: dict[int, _Format]) -> int:
-    """Where the next record begins that another one follows, or the end."""
+    """Position of the next record that is followed by another one, or the end."""
     position = data.find(HEAD, start)
     while position >= 0:
         length = _length(data, position, formats)
@@ -186,7 +186,7 @@ def _next_record(data: bytes, start: int, formats: dict[int, _Format]) -> int:
 
 
 def _define(data: bytes, position: int, formats: dict[int, _Format]) -> None:
-    """Take up the format that an FMT record gives, unless it is damaged or there already."""
+    """Register the format in an FMT record, unless it is damaged or already known."""
     record = np.frombuffer(data, formats[_FMT].layout, 1, position)[0]
     number, length = int(record["Type"]), int(record["Length"])
     name, letters, columns = (record[key].decode(errors="replace") for key in ("Name", "Format", "Columns"))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Flights recognised by what their sensors saw: a copy of a flight must not leak across a split."""
+"""Recognition of duplicate flights by their sensor values: a copy must not leak across a split."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
 
-# Of a column that is hashed later: what is held in memory, and what is read of it at once.
+# For a column that is hashed later: bytes held in memory before a file takes them, and bytes read at once.
 _WAITING_BYTES, _READ_AT_ONCE = 1 << 22, 1 << 20
 
 
@@ -22,7 +22,7 @@ def recording_hash(recording: Recording) -> str:
     """SHA-256 of the IMU and rotor-speed samples: the same for a log, its bag and a copy of either.
 
     Stamps count from the first IMU sample in microseconds and values are rounded to single precision, so
-    neither a shifted clock nor the rounding of a conversion tells copies apart.
+    neither a shifted clock nor the rounding of a conversion makes copies differ.
     """
     rotors = recording.rotor_speeds
     with RunningHash(recording.imu.time_ns, None if rotors is None else rotors.time_ns) as running:
@@ -33,11 +33,11 @@ def recording_hash(recording: Recording) -> str:
 class RunningHash(ExitStack):
     """The hash of a recording that comes in parts; see :func:`recording_hash`.
 
-    What is hashed last waits in temporary files without a name.
+    Columns that are hashed last wait in temporary files without a name.
 
     Args:
         imu_ns: (N,) stamps of all IMU samples.
-        rotors_ns: (M,) those of the rotor speeds; None where there are none.
+        rotors_ns: (M,) stamps of the rotor speeds; None for a recording without them.
     """
 
     def __init__(self, imu_ns: Stamps, rotors_ns: Stamps | None) -> None:
@@ -50,14 +50,14 @@ class RunningHash(ExitStack):
         self._hash_stamps(imu_ns)
 
     def add(self, part: Recording) -> None:
-        """Take the samples that come next."""
+        """Add the next samples."""
         self._digest.update(_bytes(part.imu.angular_velocity))
         self._force.write(_bytes(part.imu.specific_force))
         if part.rotor_speeds is not None:
             self._speeds.write(_bytes(part.rotor_speeds.speeds))
 
     def hexdigest(self) -> str:
-        """Of all samples; none can be added then."""
+        """Hash of all samples; none can be added afterwards."""
         self._hash_file(self._force)
         if self._rotors_ns is not None:
             self._hash_stamps(self._rotors_ns)
@@ -74,7 +74,7 @@ class RunningHash(ExitStack):
 
 
 def _waiting() -> IO[bytes]:
-    """A file that is written, and read later; without a name, so that nothing is left of it."""
+    """A temporary file without a name, so that it never remains."""
     return tempfile.SpooledTemporaryFile(_WAITING_BYTES)
 
 

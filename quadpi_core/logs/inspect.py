@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording holds and what looks wrong with it; takes recordings that no check has passed."""
+"""Contents of a recording and what looks wrong with it; the recording need not have passed any check."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TopicReport:
         jitter_ms: spread of the intervals, half the range between their 5 and 95 % quantiles.
         gaps: intervals longer than GAP_INTERVALS median ones.
         repeated, backward: stamps equal to the one before, or before it.
-        not_finite: samples with a value that is no number.
+        not_finite: samples with a value that is not finite.
     """
 
     topic: str
@@ -104,7 +104,7 @@ def inspect_blocks(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle |
         blocks: gives them from the first on; they are read twice.
         vehicle: that flew; without one what depends on its limits is not judged.
     """
-    # Of numbers without bound: what overflows shows as such.
+    # Unchecked numbers may overflow, which shows as a finding.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return _inspect(blocks, vehicle)
 
@@ -145,7 +145,7 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
 
 
 def with_names_of_bag(inspection: Inspection, names: Mapping[str, str]) -> Inspection:
-    """Call topics what they are called in the bag, instead of the streams that their messages become.
+    """Name topics as in the bag, instead of by the streams that their messages become.
 
     Args:
         inspection: of a recording that was read from a bag.
@@ -173,7 +173,7 @@ def _inconsistencies(
     streams: Mapping[str, StreamSurvey],
     values: Mapping[str, ValueCheck],
 ) -> Iterator[str]:
-    """What the consistency check says; it takes what `import` would have made of the recording."""
+    """Findings of the consistency check, on the recording as `import` would convert it."""
     try:
         for name, stream in streams.items():
             check_stamps(stream.topic, stream.usable_ns)
@@ -223,11 +223,11 @@ def _timing(topic: str, time_ns: Stamps) -> TopicReport:
 
 
 class _Summary:
-    """What the values of a topic are like, which comes in parts.
+    """Running summary of the values of a topic that is added in parts.
 
     Attributes:
         count: of samples.
-        not_finite: of those with a value that is no number.
+        not_finite: number of samples with a value that is not finite.
         runs: by the name of a quantity, how long it stays the same; each rotor is a sensor of its own.
         ranges: of quantities that show what was flown.
         jumps: (4,) how often each rotor speed halves or doubles between samples; zeros of other topics.
@@ -241,7 +241,7 @@ class _Summary:
         self._last_speeds = np.empty((0, ROTORS))
 
     def add(self, stream: Stream) -> None:
-        """Take the samples that come next."""
+        """Add the next samples."""
         columns = _columns(stream)
         self.count += len(stream)
         if len(stream):
@@ -258,7 +258,7 @@ class _Summary:
 
 
 class _LongestRun:
-    """Finds the longest run of equal rows, which come in parts; of equally long ones the first."""
+    """Longest run of equal rows that are added in parts; the first of equally long ones."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -267,7 +267,7 @@ class _LongestRun:
         self._last: Array | None = None
 
     def add(self, rows: Array) -> None:
-        """Take the rows (N, C) that come next."""
+        """Add the next rows (N, C)."""
         if len(rows) == 0:
             return
         joined = rows if self._last is None else np.concatenate((self._last, rows))
@@ -293,7 +293,7 @@ class _LongestRun:
 
 
 class _RunningRange:
-    """The range of a quantity that comes in parts; the median of a long flight is that of some samples."""
+    """Range of a quantity that is added in parts; the median of a long flight is that of some samples."""
 
     def __init__(self, quantity: str, unit: str) -> None:
         self._quantity, self._unit = quantity, unit
@@ -301,7 +301,7 @@ class _RunningRange:
         self._known = EvenRows()
 
     def add(self, values: Array) -> None:
-        """Take the values (N,) that come next; those not finite are passed over."""
+        """Add the next values (N,); those that are not finite are skipped."""
         known = values[np.isfinite(values)]
         self._known.add(known)
         self._lowest = min(self._lowest, float(known.min(initial=np.inf)))
@@ -315,7 +315,7 @@ class _RunningRange:
 
 
 def _columns(stream: Stream) -> dict[str, Array]:
-    """What was measured (N, C), by the name of the field; neither stamps nor the axes that a sample is in."""
+    """Measured columns (N, C) by field name, without stamps and masks of axes."""
     columns = {column.name: getattr(stream, column.name) for column in fields(stream)}
     return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
 
@@ -337,7 +337,7 @@ def _timing_findings(topic: TopicReport) -> Iterator[str]:
 
 
 def _frozen_findings(stream: StreamSurvey, summary: _Summary) -> Iterator[str]:
-    """Quantities that stay the same for longer than FROZEN_S."""
+    """Findings on quantities that stay the same for longer than FROZEN_S."""
     if len(stream.time_ns) == 0:
         return
     for name, run in summary.runs.items():
@@ -413,7 +413,7 @@ def _envelope(summaries: Mapping[str, _Summary], recording: Recording) -> Iterat
 
 
 def _quantities(stream: Stream) -> Iterator[tuple[str, str, Array]]:
-    """Name, unit and values (N,) of what shows how a topic's samples were flown."""
+    """Name, unit and values (N,) of the quantities that describe the flown envelope."""
     if isinstance(stream, OdometryStream):
         yield "speed", "m/s", np.linalg.norm(stream.velocity, axis=1)
     if isinstance(stream, OdometryStream | PoseStream):

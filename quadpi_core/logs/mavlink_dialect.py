@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The MAVLink messages that quadpi knows: pymavlink's ardupilotmega dialect, and two that it lacks.
+"""MAVLink messages that quadpi decodes: pymavlink's ardupilotmega dialect and two that it lacks.
 
 ESC_INFO (290) and ESC_STATUS (291) of common.xml are marked as work in progress there, so that pymavlink
 leaves them out; PX4 sends them. docs/mavlink.md shows them as XML.
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from quadpi_core.errors import require_library
 
-# "all" and "common" lack either ArduPilot's ESC telemetry or import far more.
+# "common" lacks ArduPilot's ESC telemetry, and "all" imports far more.
 _DIALECT = "pymavlink.dialects.v20.ardupilotmega"
 _LETTERS = {
     "uint8_t": "B",
@@ -33,7 +33,7 @@ class _Field(NamedTuple):
 
 
 class _Definition(NamedTuple):
-    """A message: fields in the order of the XML, which the wire sorts by the size of their type."""
+    """A message with its fields in the order of the XML; on the wire they are sorted by size."""
 
     message_id: int
     name: str
@@ -72,7 +72,7 @@ _ESC_STATUS = _Definition(
 
 
 def load_dialect() -> Any:
-    """The module of pymavlink of messages, with ESC_INFO and ESC_STATUS among them.
+    """The module of pymavlink's message types, with ESC_INFO and ESC_STATUS added.
 
     Raises:
         LogError: if pymavlink is not installed.

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""MAVLink frames out of bytes: checksums, signatures, lost packets, and noise in between.
+"""Parser of MAVLink packets in a stream of bytes: checksums, signatures, lost packets, noise in between.
 
-pymavlink's own parser drops up to 280 bytes after a marker byte in noise, with the packets among them: of 2
-000 packets with 20 random bytes before each it finds 1 357, with a stray marker before each none. This one
-removes bytes only for a frame whose checksum holds, and finds all.
+pymavlink's own parser drops up to 280 bytes after a marker byte in noise, including the packets among them:
+of 2 000 packets with 20 random bytes before each it finds 1 357, with a stray marker before each none. This
+parser consumes bytes as a packet only if the checksum matches, and finds all of them.
 
 Source: mavlink.io, "Packet Serialization" and "Message Signing".
 """
@@ -24,22 +24,22 @@ from quadpi_core.logs.mavlink_dialect import load_dialect
 
 MARKERS = (0xFD, 0xFE)
 _V2_MARKER = 0xFD
-# What may begin a packet: of version 2 with flags that are known, as far as they are there.
+# Possible start of a packet; one of version 2 has only known flags, as far as its bytes have arrived.
 _BEGIN = re.compile(rb"\xfd(?:.?\Z|.[\x00\x01])|\xfe", re.DOTALL)
 _V2_HEADER, _V1_HEADER = 10, 6
 _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED = 0x01
 _SEQUENCES = 256
-# A larger step is a sender that began again.
+# A larger step in the sequence means that the sender has restarted.
 _LOST_AT_MOST = 128
-# Signatures count units of 10 µs since 2015; a new sender may lie this far behind us (one minute).
+# Signature stamps count units of 10 µs since 2015; that of a new sender may be one minute old.
 _SIGNATURE_EPOCH_S = 1_420_070_400
 _SIGNATURE_UNITS_PER_S = 100_000
 _SIGNATURE_AGE = 60 * _SIGNATURE_UNITS_PER_S
 
 
 class Frame(NamedTuple):
-    """A packet whose checksum, and signature if there is a key, hold."""
+    """A packet with a valid checksum, and a valid signature where a key is set."""
 
     message_id: int
     system: int
@@ -49,15 +49,15 @@ class Frame(NamedTuple):
 
 @dataclass
 class FrameCounts:
-    """What went through a :class:`Framer`.
+    """Counts of what a :class:`Framer` has seen.
 
     Attributes:
-        frames: packets taken.
-        checksum_errors: markers that looked like the beginning of a known packet, with a wrong checksum.
-        noise_bytes: bytes that belong to no packet.
-        lost: packets missing from the sequence numbers.
-        refused_signatures: packets without the right signature.
-        unknown: packets of messages that no dialect knows.
+        frames: packets with a valid checksum.
+        checksum_errors: possible packets of a known message with an invalid checksum.
+        noise_bytes: bytes outside packets.
+        lost: packets missing according to the sequence numbers.
+        refused_signatures: packets without a valid signature.
+        unknown: packets of messages that the dialect does not define.
     """
 
     frames: int = 0
@@ -69,7 +69,7 @@ class FrameCounts:
 
 
 class Verifier:
-    """Accepts packets that are signed with a key, each once.
+    """Verifies signatures with a key, and accepts each packet once.
 
     Args:
         key: 32 bytes.
@@ -82,10 +82,10 @@ class Verifier:
         self._last: dict[tuple[int, int, int], int] = {}
 
     def accepts(self, data: bytes, system: int, component: int) -> bool:
-        """Whether the signature at the end of a packet is right and newer than the sender's last one."""
+        """Whether the signature at the end of a packet is valid and newer than the sender's last one."""
         link, stamp = data[-_SIGNATURE], int.from_bytes(data[-12:-6], "little")
         expected = hashlib.sha256(self._key + data[:-6]).digest()[:6]
-        # The signature is looked at first: no forged packet may move the clock of a sender.
+        # Verified before the stamp is used: a forged packet must not advance the clock of a sender.
         if not hmac.compare_digest(expected, data[-6:]):
             return False
         sender = (link, system, component)
@@ -97,22 +97,21 @@ class Verifier:
 
 
 def signature_stamp(seconds: float) -> int:
-    """The stamp of a signature that is made then, in seconds since 1970."""
+    """Signature stamp of a time in seconds since 1970."""
     return int((seconds - _SIGNATURE_EPOCH_S) * _SIGNATURE_UNITS_PER_S)
 
 
 def signing_key(passphrase: str) -> bytes:
-    """The key that ground stations make of a passphrase: its SHA-256."""
+    """Key that ground stations derive from a passphrase: its SHA-256."""
     return hashlib.sha256(passphrase.encode()).digest()
 
 
 @dataclass
 class Framer:
-    """Cuts a stream of bytes, or datagrams, into packets.
+    """Splits a stream of bytes, or datagrams, into packets.
 
     Args:
-        verifier: with one, unsigned and wrongly signed packets are refused; without, signatures are not
-            looked at and the checksum alone counts.
+        verifier: refuses unsigned and wrongly signed packets; None ignores signatures.
     """
 
     verifier: Verifier | None = None
@@ -127,11 +126,11 @@ class Framer:
         self._sizes = {number: kind.unpacker.size for number, kind in dialect.mavlink_map.items()}
 
     def feed(self, data: bytes, *, complete: bool = False) -> list[Frame]:
-        """The packets that are complete now.
+        """Packets completed by new bytes.
 
         Args:
-            data: what arrived.
-            complete: whether no packet goes on beyond it, as in a datagram or at the end of a file.
+            data: received bytes.
+            complete: whether no packet continues after them, as in a datagram or at the end of a file.
         """
         buffer = self._buffer
         buffer += data
@@ -152,18 +151,17 @@ class Framer:
         return frames
 
     def packet(self, data: bytes) -> Frame | None:
-        """The packet that these bytes are, from the first to the last; None if they are none, or refused.
+        """The packet that exactly these bytes form; None if they do not form one, or it is refused.
 
-        What is inside them is not looked for, as :meth:`feed` does.
+        Unlike :meth:`feed` it does not search for packets inside them.
         """
         frame = self._frame(data, 0, len(data)) if frame_length(data, 0) == len(data) else None
         return frame if frame is not None and self._is_welcome(frame) else None
 
     def _skip(self, position: int) -> int:
-        """The next place at which a packet may begin.
+        """Position of the next possible start of a packet.
 
-        The search ends at the first one, of either version: one search for each would walk through the whole
-        rest again and again.
+        One search for either version: a search for each would scan the rest of the buffer at every call.
         """
         found = _BEGIN.search(self._buffer, position + 1)
         following = found.start() if found else len(self._buffer)
@@ -171,19 +169,19 @@ class Framer:
         return following
 
     def _frame(self, buffer: bytes | bytearray, position: int, length: int) -> Frame | None:
-        """The packet at a position, or None if its checksum says that it is none."""
+        """The packet at a position; None if its checksum does not match."""
         is_v2 = buffer[position] == _V2_MARKER
         at, width = (position + 7, 3) if is_v2 else (position + 5, 1)
         message_id = int.from_bytes(buffer[at : at + width], "little")
         extra = self._extra.get(message_id)
         if extra is not None and not is_v2 and buffer[position + 1] > self._sizes[message_id]:
-            # Only in version 2 may later fields follow. A row of markers looks like such packets.
+            # Only version 2 allows extension fields. A run of marker bytes would look like such packets.
             return None
         data = bytes(buffer[position : position + length])
         system, component = (data[5], data[6]) if is_v2 else (data[3], data[4])
         frame = Frame(message_id, system, component, data)
         if extra is None:
-            # The checksum of an unknown message cannot be verified: another packet must follow.
+            # The checksum of an unknown message cannot be verified: require another packet behind it instead.
             follows = position + length
             if follows < len(buffer) and buffer[follows] not in MARKERS:
                 return None
@@ -218,7 +216,7 @@ class Framer:
 
 
 def frame_length(buffer: bytes | bytearray, position: int) -> int | None:
-    """Length of the packet at a position; 0 if none begins there, None if too few bytes are there to say."""
+    """Length of the packet at a position; 0 if none starts there, None if more bytes are needed to tell."""
     if position >= len(buffer):
         return None
     marker = buffer[position]
@@ -235,16 +233,16 @@ def frame_length(buffer: bytes | bytearray, position: int) -> int | None:
 
 
 class MessageDecoder:
-    """Messages out of packets whose checksum holds, as named tuples of the dialect's fields."""
+    """Decodes the payload of valid packets into named tuples with the fields of the dialect."""
 
     def __init__(self) -> None:
         self._layouts: dict[int, _Layout] = {}
         self._kinds = load_dialect().mavlink_map
 
     def decode(self, frame: Frame) -> Any:
-        """The message of a packet of a known type; `type(message).__name__` is its name.
+        """The message in a packet of a known type; `type(message).__name__` is its name.
 
-        Arrays are tuples; zeros that MAVLink 2 cut off at the end are filled in.
+        Arrays are tuples; trailing zeros that MAVLink 2 truncates are restored.
         """
         layout = self._layouts.get(frame.message_id)
         if layout is None:
@@ -257,7 +255,7 @@ class MessageDecoder:
 
 
 class _Layout(NamedTuple):
-    """How the payload of one type of message becomes its fields."""
+    """Layout of the payload of one message type."""
 
     unpack: struct.Struct
     places: tuple[int | slice, ...]
@@ -268,7 +266,7 @@ class _Layout(NamedTuple):
         places: list[int | slice] = []
         start = 0
         for length, size in zip(kind.lengths, kind.array_lengths, strict=True):
-            # Text is one value, however long.
+            # Text is one value of any length.
             is_array = size > 0 and length > 1
             places.append(slice(start, start + length) if is_array else start)
             start += length if is_array else 1

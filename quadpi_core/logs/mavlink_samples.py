@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""One decoder from MAVLink messages to samples of the core, for the live bridge and for .tlog files alike.
+"""Decoding of MAVLink messages into samples of the core, for both the live bridge and .tlog files.
 
-MAVLink's body axes are forward-right-down and its worlds north-east-down unless a message says otherwise. Its
-stamps count from the boot of the sender, or from 1970; some messages carry none.
+MAVLink's body axes are forward-right-down and its world is north-east-down unless a message names other
+frames. Stamps count from the boot of the sender or from 1970; some messages have no stamp.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ SOURCES = {
 }
 
 _EPOCH_US = 10**15
-# A later stamp, past the year 2090, is none.
+# Later stamps, after the year 2090, are invalid.
 LATEST_US = 4 * 10**15
 _NOT_FINITE = "values that are not finite"
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _ACCELEROMETER_AND_GYRO = 0x3F
 _ESCS_PER_MESSAGE = 4
 _FIRST_CONTROLLERS = 0xF
-# Speeds of one rotor older than this are not put beside newer ones of another.
+# Largest difference in time between the speeds of the rotors in one sample.
 _ROTOR_SPREAD_S = 0.05
-# An attitude is carried on by its rates for no longer.
+# Longest extrapolation of an attitude by its rates.
 _ATTITUDE_AGE_S = 0.2
 # frame_id of ODOMETRY: local NED, ENU, forward-right-down, forward-left-up. child_frame_id: body FRD, FLU.
 _LOCAL_NED, _LOCAL_ENU, _LOCAL_FRD, _LOCAL_FLU = 1, 4, 20, 21
@@ -62,10 +62,10 @@ class Sample(NamedTuple):
     """One sample of a topic.
 
     Attributes:
-        topic: of the stream that it belongs to.
-        source: message that it came in.
-        clock_us: by the clock of the sender; None where the message carries no stamp.
-        values: a row in the order of the stream's fields.
+        topic: of its stream.
+        source: name of the message.
+        clock_us: stamp by the clock of the sender; None for a message without one.
+        values: row in the order of the stream's fields.
     """
 
     topic: str
@@ -75,7 +75,7 @@ class Sample(NamedTuple):
 
 
 def stream_of(topic: str, time_ns: Stamps, rows: Array) -> Stream:
-    """The stream of rows (N, width) of samples of one topic."""
+    """Stream of one topic from the rows (N, width) of its samples."""
     if topic == "imu":
         return ImuStream(time_ns, rows[:, :3], rows[:, 3:])
     if topic == "rotor_speeds":
@@ -91,22 +91,22 @@ def is_epoch(clock_us: int) -> bool:
 
 
 def is_autopilot(heartbeat: Any) -> bool:
-    """Whether a heartbeat is that of a vehicle's autopilot; companions may call themselves one of no kind."""
+    """Whether a heartbeat comes from the autopilot of a vehicle, not from a companion or ground station."""
     is_vehicle = heartbeat.type not in (GROUND_STATION, ONBOARD_CONTROLLER)
     return is_vehicle and heartbeat.autopilot != AUTOPILOT_INVALID
 
 
 class MavlinkSamples:
-    """Turns the messages of one vehicle into samples, one message at a time; what it refuses is counted.
+    """Decodes the messages of one vehicle into samples, one at a time, and counts refused messages by reason.
 
-    Any payload is taken or refused; none raises an exception.
+    No payload raises an exception.
 
     Args:
-        vehicle: gives the pole pairs where speeds are electrical; may be None where they are not.
-        order: of the rotors; the unit is rpm unless it says erpm.
+        vehicle: its pole pairs are needed for electrical speeds only; may be None otherwise.
+        order: speed controller of each rotor, and the unit: rpm unless it is erpm.
 
     Attributes:
-        refused: how many messages of each kind were refused, by "NAME: reason".
+        refused: number of refused messages by "NAME: reason".
         autopilot: MAV_AUTOPILOT of the last heartbeat, or None.
     """
 
@@ -147,17 +147,17 @@ class MavlinkSamples:
         return frozenset(self._decoders)
 
     def decode(self, message: Any, arrival_s: float) -> Sample | None:
-        """The sample that a message completes; None if it completes none or is refused.
+        """The sample that a message completes; None if it does not complete one or is refused.
 
         Args:
             message: of :class:`quadpi_core.logs.mavlink_frames.MessageDecoder`.
-            arrival_s: when it arrived, by any steady clock.
+            arrival_s: time of its arrival by any steady clock.
         """
         name = type(message).__name__
         decoder = self._decoders.get(name)
         if decoder is None:
             return None
-        # A decoder may keep the stamp for later samples.
+        # Checked before decoding: decoders keep stamps for later samples.
         if getattr(message, "time_usec", 0) > LATEST_US or getattr(message, "usec", 0) > LATEST_US:
             return self._refuse(name, "an impossible stamp")
         sample = decoder(message, arrival_s)
@@ -166,7 +166,7 @@ class MavlinkSamples:
         return sample
 
     def _refuse(self, name: str, reason: str) -> Sample | None:
-        """Count a message that gives no sample, which is what this returns."""
+        """Count a refused message; returns the sample that it does not give."""
         self.refused[f"{name}: {reason}"] += 1
         return None
 
@@ -214,7 +214,7 @@ class MavlinkSamples:
         velocity = self._finite("LOCAL_POSITION_NED", (m.vx, m.vy, m.vz))
         if velocity is None:
             return None
-        attitude = _carried_on(attitude, rates, ahead_s)
+        attitude = _extrapolated(attitude, rates, ahead_s)
         velocity = rotate_world_to_body(attitude, velocity)
         row = np.concatenate(((m.x, m.y, m.z), attitude, velocity, rates))
         return Sample("odometry", "LOCAL_POSITION_NED", m.time_boot_ms * 1000, row)
@@ -239,7 +239,7 @@ class MavlinkSamples:
         elif m.frame_id not in {_LOCAL_NED, _LOCAL_FRD}:
             return self._refuse("ODOMETRY", f"frame_id {m.frame_id} is not known")
         if np.isnan(np.concatenate((velocity, rates))).any():
-            # What comes from motion capture alone has no velocity.
+            # ODOMETRY from motion capture has no velocity.
             return Sample("mocap/pose", "ODOMETRY pose", m.time_usec, np.concatenate((position, attitude)))
         row = np.concatenate((position, attitude, velocity, rates))
         return Sample("odometry", "ODOMETRY", m.time_usec, row)
@@ -258,7 +258,7 @@ class MavlinkSamples:
         return Sample("mocap/pose", "VISION_POSITION_ESTIMATE", m.usec, row)
 
     def _finite(self, name: str, values: Sequence[float]) -> Array | None:
-        """Values that go into a calculation; None, and the message is refused, if one is not finite."""
+        """The values as an array; None, and the message is refused, if one is not finite."""
         finite = np.array(values, dtype=np.float64)
         if np.isfinite(finite).all():
             return finite
@@ -275,7 +275,7 @@ class MavlinkSamples:
         return unit
 
     def _esc_info(self, m: Any, _: float) -> None:
-        """Of later controllers senders disagree which bits they are."""
+        """Store which of the first four controllers are online; for later ones senders differ in the bits."""
         if m.index == 0:
             self._online = m.info | ~_FIRST_CONTROLLERS
 
@@ -284,7 +284,7 @@ class MavlinkSamples:
         return self._rotors("ESC_STATUS", m.index, m.rpm, m.time_usec, arrival_s)
 
     def _esc_telemetry(self, m: Any, arrival_s: float) -> Sample | None:
-        """Mechanical rpm; `count` changes for the controllers that have reported since the last message."""
+        """Mechanical rpm; `count` increases for controllers that have reported since the last message."""
         name = type(m).__name__
         first = int(name.split("_")[2]) - 1
         fresh = [self._speed_count.get(first + k) != count for k, count in enumerate(m.count)]
@@ -301,7 +301,7 @@ class MavlinkSamples:
     def _rotors(
         self, source: str, first: int, rpm: Sequence[float], clock_us: int | None, arrival_s: float
     ) -> Sample | None:
-        """Keep these speeds; a sample once every rotor has reported since the last one."""
+        """Store these speeds; a sample once every rotor has reported since the last one."""
         now_s = arrival_s if clock_us is None else clock_us * 1e-6
         for rotor, controller in enumerate(self._order.controllers):
             if first <= controller < first + len(rpm):
@@ -322,13 +322,13 @@ def _milli_units(m: Any) -> Array:
 
 
 def _half_turn_about_x(quaternion: Array) -> Array:
-    """The quaternion into a forward-right-down world, of one into forward-left-up: (0, 1, 0, 0) * q."""
+    """Attitude in a forward-right-down world from one in a forward-left-up world: (0, 1, 0, 0) * q."""
     w, x, y, z = quaternion
     return np.array((-x, w, -z, y))
 
 
-def _carried_on(attitude: Array, rates: Array, seconds: float) -> Array:
-    """The attitude after turning at constant body rates."""
+def _extrapolated(attitude: Array, rates: Array, seconds: float) -> Array:
+    """The attitude after a time at constant body rates."""
     speed = float(np.sqrt(rates @ rates))
     half = 0.5 * speed * seconds
     axis = rates * (math.sin(half) / speed) if speed > 0.0 else np.zeros(3)

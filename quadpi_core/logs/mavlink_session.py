@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The conversation with an autopilot: bytes in, stamped samples out, and what to send so that they come.
+"""Protocol with an autopilot over MAVLink: bytes in, stamped samples out, and the packets to send.
 
-It knows neither sockets nor ROS; every time is nanoseconds since 1970 by this computer's clock.
+No sockets and no ROS; all times are nanoseconds since 1970 by this computer's clock.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from quadpi_core.vehicle import Vehicle
 
 _SECOND = 1_000_000_000
 _HEARTBEAT_NS = _SECOND
-# Often at first, so that the offset is known soon.
+# More often in the first seconds, so that the offset is known soon.
 _TIMESYNC_NS, _FIRST_TIMESYNC_NS, _FIRST_ROUND_NS = _SECOND // 2, _SECOND // 10, 3 * _SECOND
 _PENDING = 16
 _REQUEST_NS = 5 * _SECOND
 _ENOUGH = 0.8
-# A kind of message that has been silent for so long gives way to a worse one.
+# A message type that has been silent for this long is replaced by the next best one.
 _SILENT_NS = _SECOND
-# Three heartbeats: a vehicle that has been silent for longer may come back from another address.
+# Three heartbeats; after a longer silence the vehicle may come back from another address.
 _GONE_NS = 3 * _SECOND
-# A stamp that is older at its arrival, or a second ahead of it, is wrong: no link by which a vehicle flies
-# delays by so much.
+# Largest plausible delay of a link to a flying vehicle: stamps older than this on arrival, or more than a
+# second ahead of it, are wrong.
 _DELAY_MAX_NS = 10 * _SECOND
 _COMPANION = 191
 _OWN_SYSTEM = 255
@@ -62,14 +62,14 @@ _ESC_TELEMETRY = (11030, 11031, 11032)
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """What is asked of the autopilot.
+    """Requests to the autopilot.
 
     Attributes:
-        system: its system id; 0 takes the first that sends an autopilot's heartbeat.
-        rates_hz: wanted per topic; the states' rate is that of "odometry".
+        system: its system id; 0 for the first system that sends an autopilot's heartbeat.
+        rates_hz: requested rate per topic; "odometry" is the rate of all states.
         imu_source: name of the only IMU message to use, or "auto".
-        key: 32 bytes to verify signatures by, and to sign with.
-        passive: send nothing, as for a recorded stream.
+        key: 32 bytes to sign packets and to verify signatures.
+        passive: send nothing, as with a recorded stream.
     """
 
     system: int = 0
@@ -82,7 +82,7 @@ class SessionSettings:
 
 
 class Received(NamedTuple):
-    """A sample by this computer's clock; `values` is a row of :func:`mavlink_samples.stream_of`."""
+    """A sample stamped by this computer's clock; `values` is a row for :func:`mavlink_samples.stream_of`."""
 
     topic: str
     time_ns: int
@@ -90,7 +90,7 @@ class Received(NamedTuple):
 
 
 class Peer(NamedTuple):
-    """The autopilot of a session; `address` is the link's name for the place it sends from."""
+    """The autopilot of a session; `address` identifies it on the link."""
 
     system: int
     component: int
@@ -98,18 +98,18 @@ class Peer(NamedTuple):
 
 
 class SessionReport(NamedTuple):
-    """The state of a session; counts since its begin.
+    """The state of a session; counts are since its start.
 
     Attributes:
         system: of the autopilot, None before its first heartbeat.
-        silent_s: since the last packet of it.
-        others: packets of other senders, by sender; they are not used.
-        rivals: those of them that were the heartbeat of an autopilot, unless another was asked for.
-        samples: per topic.
-        sources: message that each topic is taken from.
-        refused: per message and reason.
+        silent_s: time since its last packet.
+        others: number of unused packets by other senders.
+        rivals: number of heartbeats of other autopilots, unless a certain system was requested.
+        samples: number per topic.
+        sources: message from which each topic is taken.
+        refused: number of refused messages by message and reason.
         clock: offset to the autopilot's clock.
-        clock_restarts: how often that clock began again.
+        clock_restarts: number of restarts of that clock.
     """
 
     system: int | None
@@ -128,7 +128,7 @@ class SessionReport(NamedTuple):
 class MavlinkSession:
     """One vehicle over one link: the first system that sends a heartbeat of an autopilot.
 
-    Only what this system sends from the same address is used, be it samples or answers that move the clock.
+    Only packets of this system from the same address are used, both for samples and for the clock offset.
 
     Args:
         vehicle: see :class:`MavlinkSamples`.
@@ -176,13 +176,13 @@ class MavlinkSession:
         return self._peer.address if self._peer else None
 
     def take(self, data: bytes, arrival_ns: int, *, complete: bool, address: object = None) -> list[Received]:
-        """The samples in what arrived.
+        """Samples in received bytes.
 
         Args:
-            data: bytes of the link.
-            arrival_ns: when they arrived.
-            complete: whether no packet goes on beyond them, as in a datagram.
-            address: where they come from; None if the link has one other end only.
+            data: received bytes.
+            arrival_ns: time of their arrival.
+            complete: whether no packet continues after them, as in a datagram.
+            address: of the sender; None for a link with only one other end.
         """
         received = []
         for frame in self._framer.feed(data, complete=complete):
@@ -206,7 +206,7 @@ class MavlinkSession:
         return received
 
     def _meet(self, frame: Frame, arrival_ns: int, address: object) -> None:
-        """Take the sender of a heartbeat as the autopilot, or count one that comes too late for it."""
+        """Accept the sender of a heartbeat as the autopilot, or count it as a rival of the present one."""
         heartbeat = self._decoder.decode(frame)
         if not is_autopilot(heartbeat):
             return
@@ -221,11 +221,11 @@ class MavlinkSession:
         self._peer = Peer(frame.system, frame.component, address)
 
     def _is_gone(self, now_ns: int) -> bool:
-        # In both directions, as this computer's clock may be set back.
+        # Of either sign: this computer's clock may be set back.
         return abs(now_ns - self._heard_ns) > _GONE_NS
 
     def _stranger(self, frame: Frame, address: object) -> str | None:
-        """How the diagnostics call a sender that is not the autopilot; None of the autopilot."""
+        """Name in the diagnostics of a sender that is not the autopilot; None for the autopilot."""
         if self._peer is None or frame.system != self._peer.system:
             return f"system {frame.system}"
         return None if address == self._peer.address else f"system {frame.system} at another address"
@@ -246,7 +246,7 @@ class MavlinkSession:
         return self._clocks.setdefault((frame.system, frame.component, since_1970), ClockOffset())
 
     def _stamped(self, frame: Frame, sample: Sample, arrival_ns: int) -> Received | None:
-        """The sample if its topic is taken from this kind of message and its stamp rises."""
+        """The sample on this computer's clock; None if its topic uses another message or the stamp falls."""
         if not self._is_chosen(sample, arrival_ns):
             return None
         time_ns = arrival_ns
@@ -278,7 +278,7 @@ class MavlinkSession:
         return True
 
     def due(self, now_ns: int) -> list[bytes]:
-        """What is to be sent now: heartbeat, clock exchange, answers, requests for messages that lack."""
+        """Packets to send now: heartbeat, clock exchange, answers, requests for missing messages."""
         packets = list(self._answers)
         self._answers.clear()
         if self._settings.passive:
@@ -297,14 +297,14 @@ class MavlinkSession:
         return packets
 
     def _is_due(self, what: str, now_ns: int, period_ns: int) -> bool:
-        # Farther ahead than it was set: this computer's clock was set back since.
+        # If it is further ahead than one period, this computer's clock has been set back since.
         if 0 < self._next_ns[what] - now_ns <= period_ns:
             return False
         self._next_ns[what] = now_ns + period_ns
         return True
 
     def _requests(self, peer: Peer, now_ns: int) -> list[bytes]:
-        """Ask again for every message that came more slowly than wanted since the last time."""
+        """Requests for every message that has been slower than requested since the last round."""
         recent = self._seen - self._seen_before
         packets = []
         for number, rate_hz in self._desired().items():
@@ -316,7 +316,7 @@ class MavlinkSession:
         return packets
 
     def _desired(self) -> dict[int, float]:
-        """Rate per message id, of what this autopilot can send."""
+        """Requested rate by message id, for messages that this autopilot can send."""
         rates = self._settings.rates_hz
         imu, rotors, states = rates["imu"], rates["rotor_speeds"], rates["odometry"]
         number = {kind.msgname: key for key, kind in self._dialect.mavlink_map.items()}
@@ -359,7 +359,7 @@ class MavlinkSession:
             samples={topic: self._counts[topic] for topic in SOURCES},
             sources={topic: source for topic, (source, _) in self._sources.items()},
             refused=dict(self._samples.refused),
-            # A sender may count some stamps from its boot and others from 1970.
+            # A sender may have two clocks: since its boot, and since 1970.
             clock=max(estimates, key=lambda one: one.exchanged, default=None),
             clock_restarts=sum(known.restarts for known in self._clocks.values()),
         )

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much a Parquet file unpacks to, by its footer and by what each page says of itself.
+"""Unpacked size of a Parquet file, from its footer and the headers of its pages.
 
-A reader takes memory for a page as large as the page's own header announces, not the footer. Both are read
-here and not through pyarrow, which ends the process on some damaged footers when it is asked for a column.
+Readers allocate the size in a page's own header, not the one in the footer. Both are parsed here without
+pyarrow, which crashes the process on some damaged footers.
 
 Source: parquet.thrift, by whose numbers fields are named here; Thrift's compact protocol.
 """
@@ -25,15 +25,15 @@ _UNPACKED, _PACKED = 2, 3
 _TRUE, _FALSE, _BYTE, _I16, _I64, _DOUBLE, _BINARY, _LIST, _SET, _STRUCT = 1, 2, 3, 4, 6, 7, 8, 9, 10, 12
 _DEPTH_MAX = 12
 _NUMBER_BYTES = 8
-# Bytes of the shortest header of a page that holds something.
+# Size of the shortest header of a page that is not empty.
 _HEADER_MIN = 10
 
 
 def unpacked_bytes(data: memoryview) -> int:
-    """Bytes that a table takes: of its pages, or of its rows as numbers, whichever is more.
+    """Bytes that a table takes: the sum of its pages, or its rows as numbers, whichever is more.
 
     Raises:
-        LogError: naming the byte, for a footer or page header that is none.
+        LogError: naming the byte, for an invalid footer or page header.
     """
     if len(data) < _ENDING or bytes(data[-len(_MAGIC) :]) != _MAGIC:
         raise LogError("cut off, or no Parquet file: it has no footer")
@@ -65,7 +65,7 @@ def unpacked_bytes(data: memoryview) -> int:
 
 
 def _struct(data: memoryview, position: int, depth: int) -> tuple[dict[int, Any], int]:
-    """The values of a struct by the numbers of their fields, and where it ends."""
+    """Values of a struct by field number, and the position behind it."""
     values: dict[int, Any] = {}
     field = 0
     while head := data[position]:
@@ -82,7 +82,7 @@ def _struct(data: memoryview, position: int, depth: int) -> tuple[dict[int, Any]
 
 
 def _value(data: memoryview, position: int, kind: int, depth: int) -> tuple[Any, int]:
-    """A value, and where it ends; of text only its length."""
+    """A value (of text only the length), and the position behind it."""
     if depth > _DEPTH_MAX:
         raise IndexError
     if kind in {_TRUE, _FALSE, _BYTE}:
@@ -123,6 +123,6 @@ def _varint(data: memoryview, position: int) -> tuple[int, int]:
 
 
 def _number(data: memoryview, position: int) -> tuple[int, int]:
-    """A whole number with a sign, in zigzag."""
+    """A signed integer in zigzag encoding, and the position behind it."""
     value, position = _varint(data, position)
     return (value >> 1) ^ -(value & 1), position

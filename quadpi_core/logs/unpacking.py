@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much a log may unpack to, and decompressors that never give more than they are asked for.
+"""Limit on the unpacked size of a log, and decompressors with bounded output.
 
-Every size that a header announces is held against one limit before memory is taken for it: a few kilobytes
-can unpack to gigabytes.
+Every size in a header is compared with the limit before memory is allocated: a few kilobytes can unpack to
+gigabytes.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from lz4 import frame as lz4
 from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.errors import LogError, QuadpiError
 
-# A larger file may unpack to this many times its size: values that repeat pack 50 times smaller.
+# A file may unpack to this many times its size, if that is more: repeated values compress to a fiftieth.
 LIMIT_RATIO = 100
-# Memory that a message takes beside its bytes: a tuple, its log time and the header of a bytes object.
+# Memory per message beside its bytes: a tuple, its log time and the header of a bytes object.
 MESSAGE_BYTES = 150
 
 
 def unpacked_limit(packed_bytes: int) -> int:
-    """How many bytes a file of `packed_bytes` may unpack to.
+    """Largest number of bytes that a file of `packed_bytes` may unpack to.
 
     Raises:
-        QuadpiError: if $QUADPI_UNPACKED_MIB is no positive whole number.
+        QuadpiError: if $QUADPI_UNPACKED_MIB is not a positive whole number.
     """
     text = os.environ.get(LIMIT_VARIABLE, str(LIMIT_DEFAULT_MIB))
     if not (text.isascii() and text.isdecimal() and len(text) < 10 and int(text) > 0):
@@ -73,7 +73,7 @@ def unlz4(data: bytes, size: int) -> bytes:
         LogError: if it is of another size; no more than one byte beyond it is unpacked.
         RuntimeError: if the bytes are damaged.
     """
-    # The library takes memory for as much as it is asked for; this is the most that such bytes can hold.
+    # The library allocates the requested size; this is the most that so few bytes can hold.
     most = min(size, _LZ4_RATIO * len(data))
     return _of_size(lz4.LZ4FrameDecompressor().decompress(data, max_length=most + 1), size)
 
@@ -123,7 +123,7 @@ def unzstd_blocks(data: bytes | memoryview, most: int) -> Iterator[bytes]:
     for _ in range(frames):
         unpacker = zstd.ZstdDecompressor()
         while not unpacker.eof:
-            # Not all at once: what a frame leaves unread is copied for the next one.
+            # In blocks: the library copies all input that a frame leaves unread.
             given = unread[:_BLOCK] if unpacker.needs_input else unread[:0]
             if unpacker.needs_input and not given:
                 return
@@ -140,7 +140,7 @@ def unzstd_blocks(data: bytes | memoryview, most: int) -> Iterator[bytes]:
 
 
 _BLOCK = 2**20
-# Frames of Zstandard: to begin one takes 50 µs, and packers write one in all or for each MB.
+# Largest number of Zstandard frames: starting one takes 50 µs, and programs write one per file or per MB.
 _FRAMES_MAX, _FRAME_BYTES = 10, 1000
 _LZ4_RATIO = 256
 
