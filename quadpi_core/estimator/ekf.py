@@ -9,16 +9,23 @@ for bit.
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from quadpi_core.compiled import njit
 from quadpi_core.errors import SignalError
 from quadpi_core.estimator import buffer, filter_run, filter_state
-from quadpi_core.estimator.filter_run import Arrivals, EkfTrace, Spans, Trace, never_started
+from quadpi_core.estimator.buffer import fuse_due, predict
+from quadpi_core.estimator.filter_run import (
+    Arrivals,
+    EkfTrace,
+    Segment,
+    SegmentLog,
+    Spans,
+    Trace,
+    never_started,
+)
 from quadpi_core.estimator.filter_state import (
     BODY_VELOCITY,
     CORRECTION,
@@ -28,92 +35,23 @@ from quadpi_core.estimator.filter_state import (
     WORLD_VELOCITY,
     EstimatorStatus,
     Outcome,
+    State,
 )
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ
-from quadpi_core.estimator.initialise import (
-    COLLECT_NS,
-    Initial,
-    initial_from_poses,
-    initial_from_velocities,
-)
-from quadpi_core.estimator.output import FUSED, FusedSamples
-from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording, Stamps
+from quadpi_core.estimator.initialise import COLLECT_NS, CollectedSamples, Initial
+from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused
+from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
 from quadpi_core.sample_limits import usable_imu
 from quadpi_core.signals.resample import RATE_SPAN, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
-_COLLECTED_MAX = 8192
 _OUTCOMES = tuple(Outcome)
 _STATUSES = tuple(EstimatorStatus)
 # Rows of the counts.
 _IMU, _POSES, _VELOCITIES = range(3)
 _NO_JOURNAL = np.empty(0, CORRECTION)
-
-
-class State(NamedTuple):
-    """The estimate at the stamp of the newest IMU sample; views that the next samples overwrite.
-
-    Attributes:
-        estimate: (1,) an :class:`quadpi_core.estimator.filter_state.Estimate`.
-    """
-
-    estimate: Records
-
-    @property
-    def time_ns(self) -> int:
-        """Stamp."""
-        return int(self.estimate["time_ns"][0])
-
-    @property
-    def position(self) -> Array:
-        """(3,) m, world."""
-        return self._field("position")
-
-    @property
-    def velocity(self) -> Array:
-        """(3,) m/s over ground, world."""
-        return self._field("velocity")
-
-    @property
-    def attitude(self) -> Array:
-        """(4,) body to world."""
-        return self._field("attitude")
-
-    @property
-    def gyro_bias(self) -> Array:
-        """(3,) rad/s."""
-        return self._field("gyro_bias")
-
-    @property
-    def accelerometer_bias(self) -> Array:
-        """(3,) m/s²."""
-        return self._field("accelerometer_bias")
-
-    @property
-    def delay_s(self) -> float:
-        """By how much the stamps of motion capture are late."""
-        return float(self.estimate["delay"][0])
-
-    @property
-    def rates(self) -> Array:
-        """(3,) rad/s, the IMU sample as it came."""
-        return self._field("rates")
-
-    @property
-    def specific_force(self) -> Array:
-        """(3,) m/s², the IMU sample as it came."""
-        return self._field("specific_force")
-
-    @property
-    def covariance(self) -> Array:
-        """(16, 16) of the error state, see :mod:`quadpi_core.estimator.filter_state`."""
-        return self._field("covariance")
-
-    def _field(self, name: str) -> Array:
-        field: Array = self.estimate[name][0]
-        return field
 
 
 class Step(NamedTuple):
@@ -128,45 +66,6 @@ class Step(NamedTuple):
     outcome: Outcome
     status: EstimatorStatus
     fused: FusedSamples | None
-
-
-class Segment(NamedTuple):
-    """What the filter did between two initialisations, for the smoother.
-
-    Attributes:
-        initial: estimate that it began with.
-        samples: indices of the IMU samples that it used, from the one at or before the beginning on.
-        first: place in `samples` of the first one that has an estimate live.
-        journal: (J,) each :class:`quadpi_core.estimator.filter_state.Correction`.
-        noise: (1,) what it assumed, a :class:`quadpi_core.estimator.filter_state.Noise`.
-        rate_hz: of the IMU, as it assumed.
-    """
-
-    initial: Initial
-    samples: npt.NDArray[np.int64]
-    first: int
-    journal: Records
-    noise: Records
-    rate_hz: float
-
-
-@dataclass
-class _SegmentLog:
-    """Segments of a recording that is taken in blocks.
-
-    Attributes:
-        imu_ns: stamps of all its IMU samples.
-        journal: (M,) room for a correction by each of its measurements.
-        segments: that have ended.
-        used: indices of the IMU samples that the present segment used since its start, by block.
-        taken: IMU samples of the blocks taken so far.
-    """
-
-    imu_ns: Stamps
-    journal: Records
-    segments: list[Segment]
-    used: list[npt.NDArray[np.int64]]
-    taken: int
 
 
 class Ekf:
@@ -184,10 +83,9 @@ class Ekf:
         self._rate_hz = rate_hz or RATE_BEFORE_HZ
         self._memory = filter_state.allocate(vehicle, self._rate_hz)
         self._initial: Initial | None = None
-        self._log: _SegmentLog | None = None
-        # Collected before the start, each (1,); of the IMU samples, those since the initial estimate stay.
-        self._imu: deque[Records] = deque(maxlen=_COLLECTED_MAX)
-        self._measurements: deque[Records] = deque(maxlen=_COLLECTED_MAX)
+        self._log: SegmentLog | None = None
+        # Of the IMU samples, those since the initial estimate stay after the start.
+        self._collected = CollectedSamples(vehicle)
         # The sample at hand, and views of its fields.
         self._sample = np.zeros(1, IMU_SAMPLE)
         self._sample_ns = self._sample["time_ns"]
@@ -225,7 +123,8 @@ class Ekf:
         """No estimate comes at or before this stamp, unless the IMU's clock is set back; None at first."""
         if self._initial is not None:
             return self.state.time_ns
-        return int(self._imu[0]["time_ns"][0]) + COLLECT_NS - 1 if self._imu else None
+        imu = self._collected.imu
+        return int(imu[0]["time_ns"][0]) + COLLECT_NS - 1 if imu else None
 
     @property
     def delay_s(self) -> float:
@@ -261,8 +160,7 @@ class Ekf:
         """Forget the estimate and collect samples for a new start; the counts stay."""
         filter_state.forget(self._memory)
         self._initial = None
-        self._imu.clear()
-        self._measurements.clear()
+        self._collected.clear()
 
     def step(self, time_ns: int, gyro: Array, specific_force: Array) -> Step:
         """Take one IMU sample: gyro (3,) rad/s and specific_force (3,) m/s², body axes.
@@ -275,12 +173,12 @@ class Ekf:
         self._force[:] = specific_force
         outcome = Outcome.COLLECTED
         if self._initial is not None:
-            outcome = _OUTCOMES[filter_run.step(*self._memory, self._sample, _NO_JOURNAL, self._fused.rows)]
+            outcome = _OUTCOMES[_step(*self._memory, self._sample, _NO_JOURNAL, self._fused.rows)]
         if outcome is not Outcome.USED:
             outcome = self._take_unused(outcome)
             if outcome is not Outcome.COLLECTED or self._initial is None:
                 return Step(outcome, self.status, None)
-            filter_run.fill_newest(*self._memory, self._fused.rows)
+            _fill_newest(*self._memory, self._fused.rows)
         return Step(outcome, _STATUSES[self._memory.filter["status"][0]], self._fused)
 
     def update_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
@@ -347,7 +245,7 @@ class Ekf:
         """Log what the smoother needs while blocks of this recording are taken; before the first of them."""
         streams = (stream for stream in (recording.pose, recording.twist) if stream is not None)
         journal = np.empty(sum(map(len, streams)), CORRECTION)
-        self._log = _SegmentLog(recording.imu.time_ns, journal, segments=[], used=[], taken=0)
+        self._log = SegmentLog(recording.imu.time_ns, journal, segments=[], used=[], taken=0)
 
     def logged_segments(self) -> list[Segment]:
         """The segments of the blocks taken since :meth:`log_segments`, which ends the log."""
@@ -384,10 +282,10 @@ class Ekf:
         if self._log is not None:
             self._log.taken += index
 
-    def _end_segment(self, initial: Initial, log: _SegmentLog) -> None:
+    def _end_segment(self, initial: Initial, log: SegmentLog) -> None:
         """Log what the filter did since its start."""
         # The start itself propagates to the newest IMU sample.
-        stamps = [sample["time_ns"][0] for sample in self._imu]
+        stamps = [sample["time_ns"][0] for sample in self._collected.imu]
         caught_up = np.searchsorted(log.imu_ns, stamps)
         samples = np.concatenate((caught_up[:-1], *log.used))
         count = int(self._memory.filter["journalled"][0])
@@ -433,15 +331,14 @@ class Ekf:
         """Keep the IMU sample at hand for the start, and start if a second has been collected."""
         if not usable_imu(self._rates, self._force):
             return Outcome.UNUSABLE
-        time_ns = int(self._sample_ns[0])
-        last_ns = int(self._imu[-1]["time_ns"][0]) if self._imu else time_ns - 1
+        time_ns, imu = int(self._sample_ns[0]), self._collected.imu
+        last_ns = int(imu[-1]["time_ns"][0]) if imu else time_ns - 1
         if not -MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
             self.reset()
         elif time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING
-        self._imu.append(self._sample.copy())
-        if time_ns - int(self._imu[0]["time_ns"][0]) >= COLLECT_NS:
-            self._start()
+        imu.append(self._sample.copy())
+        self._start_if_possible()
         return Outcome.COLLECTED
 
     def _collect_measurement(self, measurement: Records) -> Outcome:
@@ -454,20 +351,17 @@ class Ekf:
         if last_ns - MAX_JUMP_BACK_NS <= time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING
         if time_ns <= last_ns:
-            self._measurements.clear()
+            self._collected.measurements.clear()
         source["arrived_ns"] = time_ns
-        self._measurements.append(measurement.copy())
+        self._collected.measurements.append(measurement.copy())
         return Outcome.COLLECTED
 
-    def _start(self) -> None:
-        """Begin to estimate if the collected samples suffice, else forget those that are too old."""
-        imu = _joined(self._imu)
-        initial = self._initial_estimate(imu)
-        if initial is None:
-            oldest_ns = int(imu["time_ns"][-1]) - COLLECT_NS
-            for collected in (self._imu, self._measurements):
-                while collected and collected[0]["time_ns"][0] < oldest_ns:
-                    collected.popleft()
+    def _start_if_possible(self) -> None:
+        """Begin to estimate if the collected samples suffice."""
+        collected = self._collected
+        imu = collected.second_of_imu
+        initial = None if imu is None else collected.initial(imu)
+        if imu is None or initial is None:
             return
         self._initial = initial
         arrived_ns = self._memory.filter["sources"]["arrived_ns"].copy()
@@ -479,23 +373,13 @@ class Ekf:
             memory.filter["rate_span_ns"] = round(1e9 * RATE_SPAN / self._rate_hz)
         buffer.catch_up(*memory, imu[imu["time_ns"] > initial.imu_ns])
         delay_ns = round(1e9 * self._vehicle.noise.mocap_delay_s)
-        for measurement in self._measurements:
+        for measurement in collected.measurements:
             if measurement["time_ns"][0] - delay_ns > initial.time_ns:
                 buffer.hold(*memory, measurement)
         memory.filter["sources"]["arrived_ns"] = arrived_ns
-        self._imu = deque(sample for sample in self._imu if sample["time_ns"][0] >= initial.imu_ns)
-        self._measurements.clear()
-
-    def _initial_estimate(self, imu: Records) -> Initial | None:
-        """From the collected poses, or without any from the velocities; None while they do not suffice."""
-        if not self._measurements:
-            return None
-        measurements = _joined(self._measurements)
-        poses = measurements[measurements["kind"] == POSE]
-        sensors, gravity = self._vehicle.noise, self._vehicle.gravity_m_s2
-        if len(poses):
-            return initial_from_poses(imu, poses, sensors, gravity)
-        return initial_from_velocities(imu, measurements, sensors, gravity)
+        while collected.imu[0]["time_ns"][0] < initial.imu_ns:
+            collected.imu.popleft()
+        collected.measurements.clear()
 
     def _set_rate(self, rate_hz: float) -> None:
         """Use a memory for an IMU of that rate; the counts stay."""
@@ -510,6 +394,30 @@ class Ekf:
         return {outcome: int(counts[outcome]) for outcome in Outcome}
 
 
-def _joined(records: deque[Records]) -> Records:
-    """Records (1,) as one array, within microseconds: np.concatenate promotes their dtypes one by one."""
-    return np.frombuffer(bytearray().join(record.data for record in records), records[0].dtype)
+@njit(cache=True)
+def _step(memories: Records, ring: Records, samples: Records, journal: Records, fused: Records) -> int:
+    """One IMU sample as it comes live: propagate, fuse the measurements whose time has come, give the output.
+
+    Args:
+        memories: (1,) the :class:`Filter`.
+        ring: (N,) its estimates.
+        samples: (1,) the :class:`ImuSample`.
+        journal: (J,) see :func:`.buffer.fuse_due`.
+        fused: (1,) a :class:`FusedSample`, filled if the sample is USED.
+
+    Returns:
+        The value of an :class:`Outcome`; only samples that are USED are counted here.
+    """
+    memory = memories[0]
+    outcome = predict(memory, ring, samples[0])
+    if outcome == Outcome.USED.value:
+        fuse_due(memory, ring, journal)
+        fill_fused(ring[memory.newest], memory.noise.rates, fused[0])
+    return outcome
+
+
+@njit(cache=True)
+def _fill_newest(memories: Records, ring: Records, fused: Records) -> None:
+    """Fill a :class:`FusedSample` (1,) from the newest estimate."""
+    memory = memories[0]
+    fill_fused(ring[memory.newest], memory.noise.rates, fused[0])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Kalman filter step by step as it runs live, and over whole streams in the order of arrival."""
+"""The Kalman filter over whole streams, in the order of arrival."""
 
 from __future__ import annotations
 
@@ -20,27 +20,23 @@ from quadpi_core.estimator.filter_state import (
     MEASUREMENT,
     POSE,
     WORLD_VELOCITY,
-    Estimate,
     Filter,
+    NominalState,
     Outcome,
+    copy_nominal,
 )
+from quadpi_core.estimator.initialise import Initial
 from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused
 from quadpi_core.flight import ImuStream, Recording, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.rotations import rotate_world_to_body
 
 
-class EstimatedSample:
+class EstimatedSample(NominalState):
     """The estimate at the stamp of one IMU sample, without the correlations of its errors."""
 
     time_ns: int
-    position: Vector3
-    velocity: Vector3
-    attitude: Quaternion4
-    gyro_bias: Vector3
-    accelerometer_bias: Vector3
-    delay: float
     variance: Annotated[Array, ERROR_STATES]
 
 
@@ -189,6 +185,45 @@ class Trace(NamedTuple):
         )
 
 
+class Segment(NamedTuple):
+    """What the filter did between two initialisations, for the smoother.
+
+    Attributes:
+        initial: estimate that it began with.
+        samples: indices of the IMU samples that it used, from the one at or before the beginning on.
+        first: place in `samples` of the first one that has an estimate live.
+        journal: (J,) each :class:`.filter_state.Correction`.
+        noise: (1,) what it assumed, a :class:`.filter_state.Noise`.
+        rate_hz: of the IMU, as it assumed.
+    """
+
+    initial: Initial
+    samples: npt.NDArray[np.int64]
+    first: int
+    journal: Records
+    noise: Records
+    rate_hz: float
+
+
+@dataclass
+class SegmentLog:
+    """Segments of a recording that is taken in blocks.
+
+    Attributes:
+        imu_ns: stamps of all its IMU samples.
+        journal: (M,) room for a correction by each of its measurements.
+        segments: that have ended.
+        used: indices of the IMU samples that the present segment used since its start, by block.
+        taken: IMU samples of the blocks taken so far.
+    """
+
+    imu_ns: Stamps
+    journal: Records
+    segments: list[Segment]
+    used: list[npt.NDArray[np.int64]]
+    taken: int
+
+
 def imu_records(imu: ImuStream) -> Records:
     """Each sample of a stream as an :class:`ImuSample`."""
     samples = np.empty(len(imu), IMU_SAMPLE)
@@ -225,35 +260,6 @@ def in_order_of_arrival(recording: Recording) -> Arrivals:
     arrived = np.concatenate(after).astype(np.int64)
     order = np.argsort(arrived, kind="stable")
     return Arrivals(imu_records(recording.imu), np.concatenate(parts)[order], arrived[order])
-
-
-@njit(cache=True)
-def step(memories: Records, ring: Records, samples: Records, journal: Records, fused: Records) -> int:
-    """One IMU sample as it comes live: propagate, fuse the measurements whose time has come, give the output.
-
-    Args:
-        memories: (1,) the :class:`Filter`.
-        ring: (N,) its estimates.
-        samples: (1,) the :class:`ImuSample`.
-        journal: (J,) see :func:`fuse_due`.
-        fused: (1,) a :class:`FusedSample`, filled if the sample is USED.
-
-    Returns:
-        The value of an :class:`Outcome`; only samples that are USED are counted here.
-    """
-    memory = memories[0]
-    outcome = predict(memory, ring, samples[0])
-    if outcome == Outcome.USED.value:
-        fuse_due(memory, ring, journal)
-        fill_fused(ring[memory.newest], memory.noise.rates, fused[0])
-    return outcome
-
-
-@njit(cache=True)
-def fill_newest(memories: Records, ring: Records, fused: Records) -> None:
-    """Fill a :class:`FusedSample` (1,) from the newest estimate."""
-    memory = memories[0]
-    fill_fused(ring[memory.newest], memory.noise.rates, fused[0])
 
 
 @njit(cache=True)
@@ -299,19 +305,6 @@ def _record(memory: Filter, ring: Records, trace: Trace, sample: int) -> None:
     if len(trace.fused) > 0:
         fill_fused(estimate, memory.noise.rates, trace.fused[progress.estimates])
     progress.estimates += 1
-
-
-@njit(cache=True)
-def copy_nominal(estimate: Estimate, row: EstimatedSample) -> None:
-    """Copy the state."""
-    for axis in range(3):
-        row.position[axis] = estimate.position[axis]
-        row.velocity[axis] = estimate.velocity[axis]
-        row.gyro_bias[axis] = estimate.gyro_bias[axis]
-        row.accelerometer_bias[axis] = estimate.accelerometer_bias[axis]
-    for component in range(4):
-        row.attitude[component] = estimate.attitude[component]
-    row.delay = estimate.delay
 
 
 class Spans(NamedTuple):

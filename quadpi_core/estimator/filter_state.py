@@ -87,8 +87,8 @@ class Measurement:
     attitude: Quaternion4  # body to world, of any norm and sign; zeros for a velocity
 
 
-class Estimate(ImuSample):
-    """The state at one instant, with the IMU sample of that instant."""
+class NominalState:
+    """The numbers that are estimated, without their errors."""
 
     position: Vector3  # m, world
     velocity: Vector3  # m/s over ground, world
@@ -96,6 +96,11 @@ class Estimate(ImuSample):
     gyro_bias: Vector3  # rad/s
     accelerometer_bias: Vector3  # m/s²
     delay: float  # s, of motion capture
+
+
+class Estimate(ImuSample, NominalState):
+    """The state at one instant, with the IMU sample of that instant."""
+
     covariance: Annotated[Array, ERROR_STATES, ERROR_STATES]  # of the error state
 
 
@@ -199,6 +204,70 @@ NOISE, TRANSITION, SCALAR = (record_dtype(kind) for kind in (Noise, Transition, 
 CORRECTION, FILTER = record_dtype(Correction), record_dtype(Filter)
 
 
+class State(NamedTuple):
+    """The estimate at the stamp of the newest IMU sample; views that the next samples overwrite.
+
+    Attributes:
+        estimate: (1,) an :class:`Estimate`.
+    """
+
+    estimate: Records
+
+    @property
+    def time_ns(self) -> int:
+        """Stamp."""
+        return int(self.estimate["time_ns"][0])
+
+    @property
+    def position(self) -> Array:
+        """(3,) m, world."""
+        return self._field("position")
+
+    @property
+    def velocity(self) -> Array:
+        """(3,) m/s over ground, world."""
+        return self._field("velocity")
+
+    @property
+    def attitude(self) -> Array:
+        """(4,) body to world."""
+        return self._field("attitude")
+
+    @property
+    def gyro_bias(self) -> Array:
+        """(3,) rad/s."""
+        return self._field("gyro_bias")
+
+    @property
+    def accelerometer_bias(self) -> Array:
+        """(3,) m/s²."""
+        return self._field("accelerometer_bias")
+
+    @property
+    def delay_s(self) -> float:
+        """By how much the stamps of motion capture are late."""
+        return float(self.estimate["delay"][0])
+
+    @property
+    def rates(self) -> Array:
+        """(3,) rad/s, the IMU sample as it came."""
+        return self._field("rates")
+
+    @property
+    def specific_force(self) -> Array:
+        """(3,) m/s², the IMU sample as it came."""
+        return self._field("specific_force")
+
+    @property
+    def covariance(self) -> Array:
+        """(16, 16) of the error state, see the module."""
+        return self._field("covariance")
+
+    def _field(self, name: str) -> Array:
+        field: Array = self.estimate[name][0]
+        return field
+
+
 class Memory(NamedTuple):
     """The filter's memory, which kernels change in place.
 
@@ -257,8 +326,8 @@ def assumed_noise(vehicle: Vehicle, rate_hz: float) -> Records:
 
 
 @njit(cache=True)
-def copy_state(source: Estimate, target: Estimate) -> None:
-    """Copy the state and its covariance; the stamp and the IMU sample of `target` stay."""
+def copy_nominal(source: NominalState, target: NominalState) -> None:
+    """Copy the state without the covariance of its errors."""
     for axis in range(3):
         target.position[axis] = source.position[axis]
         target.velocity[axis] = source.velocity[axis]
@@ -267,6 +336,12 @@ def copy_state(source: Estimate, target: Estimate) -> None:
     for component in range(4):
         target.attitude[component] = source.attitude[component]
     target.delay = source.delay
+
+
+@njit(cache=True)
+def copy_state(source: Estimate, target: Estimate) -> None:
+    """Copy the state and its covariance; the stamp and the IMU sample of `target` stay."""
+    copy_nominal(source, target)
     for row in range(ERROR_STATES):
         for column in range(ERROR_STATES):
             target.covariance[row, column] = source.covariance[row, column]

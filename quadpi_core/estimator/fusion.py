@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.errors import LogError, SignalError
-from quadpi_core.estimator.ekf import Ekf, Segment
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.smoother import smooth
 from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, RotorSpeedStream, Stamps, Stream, WindStream
 from quadpi_core.frames import Array

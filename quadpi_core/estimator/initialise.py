@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from quadpi_core.estimator.filter_state import (
     ERROR_STATES,
     ESTIMATE,
     GYRO_BIAS,
+    POSE,
     POSITION,
     VELOCITY,
 )
@@ -26,13 +28,15 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
 from quadpi_core.rotations import best_rotation, rotation_matrix
-from quadpi_core.vehicle import SensorNoise
+from quadpi_core.vehicle import SensorNoise, Vehicle
 
 COLLECT_NS = 1_000_000_000
 # Motion capture may be this late and still start the filter: its buffer reaches so far back.
 _LATEST_NS = 400_000_000
 _VELOCITY_FIT_NS = 200_000_000
 _MIN_SAMPLES = 5
+# Samples kept of each kind: a second of the fastest IMU and more.
+_COLLECTED_MAX = 8192
 # The line fit is wrong by half the fit's span times the acceleration: 10 m/s² for a vehicle in flight.
 _VELOCITY_STD_M_S = 1.0
 _ACCELEROMETER_BIAS_STD_M_S2 = 0.3
@@ -79,6 +83,53 @@ class _State(NamedTuple):
     covariance: Array
     by_delay: Array
     acceleration: Array
+
+
+class CollectedSamples:
+    """Samples from which the filter starts, once they suffice.
+
+    Args:
+        vehicle: for its sensor noise and gravity.
+
+    Attributes:
+        imu: IMU samples, each (1,), oldest first.
+        measurements: poses and velocities, each (1,), in the order of their arrival.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._noise, self._gravity = vehicle.noise, vehicle.gravity_m_s2
+        self.imu: deque[Records] = deque(maxlen=_COLLECTED_MAX)
+        self.measurements: deque[Records] = deque(maxlen=_COLLECTED_MAX)
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self.imu.clear()
+        self.measurements.clear()
+
+    @property
+    def second_of_imu(self) -> Records | None:
+        """(N,) the IMU samples if they span a second."""
+        if int(self.imu[-1]["time_ns"][0]) - int(self.imu[0]["time_ns"][0]) < COLLECT_NS:
+            return None
+        return _joined(self.imu)
+
+    def initial(self, imu: Records) -> Initial | None:
+        """The first estimate, from the poses or without any from the velocities.
+
+        If they do not suffice, samples more than a second older than the last of `imu` (N,) are forgotten.
+        """
+        initial = None
+        if self.measurements:
+            measurements = _joined(self.measurements)
+            poses = measurements[measurements["kind"] == POSE]
+            start, of = (initial_from_poses, poses) if len(poses) else (initial_from_velocities, measurements)
+            initial = start(imu, of, self._noise, self._gravity)
+        if initial is None:
+            oldest_ns = int(imu["time_ns"][-1]) - COLLECT_NS
+            for collected in (self.imu, self.measurements):
+                while collected and collected[0]["time_ns"][0] < oldest_ns:
+                    collected.popleft()
+        return initial
 
 
 def initial_from_poses(imu: Records, poses: Records, noise: SensorNoise, gravity: float) -> Initial | None:
@@ -304,3 +355,8 @@ def _align(body: Array, world: Array, velocity_std: float) -> tuple[Array, float
     axis = np.cross(tilted, wanted) / (np.linalg.norm(tilted) * np.linalg.norm(wanted))
     turn = np.array(rotations.from_rotation_vector(axis))
     return rotation_matrix(turn[None])[0] @ level, _HEADING_STD_RAD
+
+
+def _joined(records: deque[Records]) -> Records:
+    """Records (1,) as one array, within microseconds: np.concatenate promotes their dtypes one by one."""
+    return np.frombuffer(bytearray().join(record.data for record in records), records[0].dtype)

@@ -19,12 +19,11 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.estimator import corrections
-from quadpi_core.estimator.ekf import Segment
 from quadpi_core.estimator.filter_run import (
     ESTIMATED,
     EstimatedSample,
     Estimates,
-    copy_nominal,
+    Segment,
     imu_records,
 )
 from quadpi_core.estimator.filter_state import (
@@ -38,6 +37,7 @@ from quadpi_core.estimator.filter_state import (
     ImuSample,
     Scalar,
     Transition,
+    copy_nominal,
     interpolate_sample,
 )
 from quadpi_core.estimator.propagate import apply_transposed, inject, propagate_between

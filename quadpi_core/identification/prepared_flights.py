@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.estimator.ekf import Ekf, Segment
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, Stamps

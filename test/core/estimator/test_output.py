@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core import rotations
-from quadpi_core.estimator.ekf import State
-from quadpi_core.estimator.filter_state import ATTITUDE, ERROR_STATES, ESTIMATE, GYRO_BIAS, POSITION, VELOCITY
+from quadpi_core.estimator.filter_state import (
+    ATTITUDE,
+    ERROR_STATES,
+    ESTIMATE,
+    GYRO_BIAS,
+    POSITION,
+    VELOCITY,
+    State,
+)
 from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused, fill_odometry, with_gyro_faults
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
