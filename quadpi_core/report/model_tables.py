@@ -15,7 +15,7 @@ from quadpi_core.report.table import Cell, Column, Mark, Row, Table, soft
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
 
-# Steps of a selection, as :meth:`quadpi_core.models.polynomial.StepwisePolynomial.selection_log` gives them.
+# Steps of a selection, as `StepwisePolynomial.selection_log` gives them.
 SelectionLog = Sequence[Mapping[str, Any]]
 
 

@@ -71,10 +71,11 @@ def test_dotted_names() -> None:
 
 def test_files_in_documents() -> None:
     known = {path.name for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")}
-    # The first two stand for any file; the last is one that a reader of the guide to effects writes.
-    known |= {"FILE.py", "test_FILE.py", "canopy.py"}
     for page in DOCUMENTS:
-        assert set(re.findall(r"\b\w+(?:\.launch)?\.py\b", page.read_text())) <= known, page.name
+        text = page.read_text()
+        # What stands for any file, and what the reader of a guide writes.
+        others = {"FILE.py", "test_FILE.py", *re.findall(r"Saved\s+as\s+`(\w+\.py)`", text)}
+        assert set(re.findall(r"\b\w+(?:\.launch)?\.py\b", text)) <= known | others, page.name
 
 
 def test_rooms_of_the_architecture() -> None:
