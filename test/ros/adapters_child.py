@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish px4_msgs/EscStatus, hear it by a node that reads it as a file says, print the speeds as JSON.
 
-Takes the name of the file; 20 s at most.
+Takes the name of the file; 60 s at most.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def main() -> None:
     node = Hearing("hearing", Parameters)
     start([node])
     publisher = node.create_publisher(EscStatus, node.source.topic, SENSOR_QOS)
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     stamp = 1_000_000
     while len(node.found) < WANTED and time.monotonic() < deadline:
         stamp += 10_000

@@ -23,14 +23,13 @@ from quadpi.msg import RotorSpeeds
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.task import Future
 from sensor_msgs.msg import Imu
 
 from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_core.messages import sensor_messages
 from quadpi_ros.mavlink_bridge import MavlinkBridge
 
-from .rig import PATIENCE_S
+from .rig import spinning, wait_until
 
 TOPICS = {"imu": Imu, "rotor_speeds": RotorSpeeds, "mocap/odometry": Odometry, "mocap/pose": PoseStamped}
 # On a busy machine the test itself may be late, and best effort then loses what the bridge has not.
@@ -48,10 +47,7 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
 
 def await_link(bridge: MavlinkBridge) -> None:
     """Wait until the bridge has its port, which a thread of its own opens: what is sent before is lost."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not bridge.connections:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: bridge.connections)
 
 
 class Listener:
@@ -86,11 +82,10 @@ class Listener:
         self.statuses.append(values | {"message": status.message, "level": str(status.level[0])})
 
     def until(self, happened: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not happened():
-            counts = {topic: self.count(topic) for topic in TOPICS}
-            assert time.monotonic() < deadline, f"{counts} {self.statuses[-1:]}"
-            self.executor.spin_until_future_complete(Future(), timeout_sec=0.05)
+        def found() -> str:
+            return f"{ {topic: self.count(topic) for topic in TOPICS} } {self.statuses[-1:]}"
+
+        wait_until(happened, spinning(self.executor), found)
 
     def message(self) -> str:
         """What the last status says."""

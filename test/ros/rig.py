@@ -57,6 +57,23 @@ LATE_S = 0.02
 Change = Callable[[int, dict[str, Any]], dict[str, Any]]
 
 
+def wait_until(
+    condition: Callable[[], Any],
+    turn: Callable[[], object] = lambda: time.sleep(0.02),
+    found: Callable[[], object] = lambda: "",
+) -> None:
+    """Take turns until the condition holds; fail after PATIENCE_S, showing what was found instead."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, found()
+        turn()
+
+
+def spinning(executor: EventsExecutor) -> Callable[[], None]:
+    """A turn of a test that spins its nodes itself."""
+    return lambda: executor.spin_until_future_complete(Future(), timeout_sec=0.05)
+
+
 def assert_alive(nodes: Child) -> None:
     """Fail with everything that the nodes wrote to stderr if their process has ended."""
     try:
@@ -210,12 +227,17 @@ class Rig:
 
     def fly_until_heard(self, *topics: str) -> None:
         """Fly until every topic comes whole: each finds its subscriber on its own, at its own time."""
-        deadline = time.monotonic() + PATIENCE_S
         last_ns = 0
-        while not all(len(self.stamps(topic, last_ns - 50_000_000, last_ns)) for topic in topics):
+
+        def fly() -> None:
+            nonlocal last_ns
             assert_alive(self.nodes)
-            assert time.monotonic() < deadline, f"{topics}: {self.told[-20:]}"
             _, last_ns = self.fly(0.1)
+
+        def whole() -> bool:
+            return all(len(self.stamps(topic, last_ns - 50_000_000, last_ns)) for topic in topics)
+
+        wait_until(whole, fly, lambda: (topics, self.told[-20:]))
         for topic in topics:
             self.await_stamp(topic, last_ns)
 
@@ -223,12 +245,12 @@ class Rig:
         """Wait until the message of a stamp has come."""
         self.until(lambda: len(self.stamps(topic, time_ns, time_ns)) > 0)
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not condition():
+    def until(self, condition: Callable[[], bool]) -> None:
+        def turn() -> None:
             assert_alive(self.nodes)
-            assert time.monotonic() < deadline, self.told[-20:]
             time.sleep(0.02)
+
+        wait_until(condition, turn, lambda: self.told[-20:])
 
     def forget(self) -> None:
         for heard in self.heard.values():

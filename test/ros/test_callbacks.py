@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -29,7 +27,7 @@ from quadpi_ros.callbacks import GuardedNode, SlowService
 from quadpi_ros.processes import Child
 
 from .failing_live import ESTIMATOR_FAILS_HZ, MONITOR_FAILS_HZ
-from .rig import STARTED_S, Rig, arguments, assert_alive, assert_whole, values_of
+from .rig import STARTED_S, Rig, arguments, assert_alive, assert_whole, spinning, values_of, wait_until
 
 
 def fail(*_: Any) -> Any:
@@ -43,10 +41,7 @@ def test_every_kind_of_callback_may_fail(capfd: pytest.CaptureFixture[str]) -> N
     executor.add_node(node)
 
     def until(condition: Any) -> None:
-        deadline = time.monotonic() + 20.0
-        while not condition():
-            assert time.monotonic() < deadline, node.exceptions.counts
-            executor.spin_until_future_complete(Future(), timeout_sec=0.05)
+        wait_until(condition, spinning(executor), lambda: node.exceptions.counts)
 
     node.create_timer(0.01, fail, clock=Clock(clock_type=ClockType.STEADY_TIME))
     until(lambda: node.exceptions.counts["timer fail"] > 3)

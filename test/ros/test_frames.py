@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import importlib.util
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +28,7 @@ from quadpi_ros.runtime import start
 from quadpi_ros.sensor_node import SensorNode
 
 from ..core.messages.test_frame_ids import BACKWARD, PLACE, transforms
-from .rig import Rig, arguments, assert_alive, values_of
+from .rig import Rig, arguments, assert_alive, values_of, wait_until
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -83,10 +82,7 @@ def test_static_transforms_that_were_sent_before_are_heard(monkeypatch: pytest.M
     sender.create_publisher(String, "/tf_static", TRANSFORMS_QOS).publish(sent)
     node = Hearing("hearing", Parameters)
     start([node])
-    deadline = time.monotonic() + 20.0
-    while not node.body.transforms.changes:
-        assert time.monotonic() < deadline
-        rclpy.spin_once(node, timeout_sec=0.1)
+    wait_until(lambda: node.body.transforms.changes, lambda: rclpy.spin_once(node, timeout_sec=0.1))
     moved = node.body.imu(("imu_link",))
     assert moved is not None
     np.testing.assert_allclose(moved.arm, np.array(PLACE) * [1.0, -1.0, -1.0])

@@ -151,7 +151,7 @@ def test_over_real_dds_with_the_package_built(px4_msgs, ros_domain, tmp_path):
         check=False,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
     )
     assert ended.returncode == 0, ended.stderr
     speeds = json.loads(ended.stdout)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
 import subprocess
@@ -35,7 +36,7 @@ from quadpi_ros.node_parameters import BridgeParameters
 from quadpi_ros.parameters import ParameterError
 
 from .mavlink_rig import LONG_QUEUE, TOPICS, Sender, await_link, flying, free_port, listening
-from .rig import PATIENCE_S
+from .rig import spinning, wait_until
 
 ROOT = Path(__file__).parents[2]
 # Rear right, front right, rear left, front left of neurobem are motors 4, 1, 2, 3 of PX4.
@@ -283,10 +284,7 @@ def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Pa
     process = subprocess.Popen(
         [sys.executable, "-m", "quadpi_ros.mavlink_bridge", "--ros-args", *arguments], stderr=subprocess.PIPE
     )
-    deadline = time.monotonic() + PATIENCE_S
-    while process.poll() is None:
-        assert time.monotonic() < deadline
-        executor.spin_until_future_complete(Future(), timeout_sec=0.1)
+    wait_until(lambda: process.poll() is not None, spinning(executor))
     executor.shutdown()
     node.destroy_node()
     assert process.returncode == 0
@@ -325,17 +323,18 @@ def test_two_vehicles_in_their_namespaces(tmp_path: Path) -> None:
         senders.append(Sender(port, system))
         executor.add_node(bridges[-1])
         await_link(bridges[-1])
-    deadline = time.monotonic() + PATIENCE_S
-    number = 0
-    while not all(frames.values()):
-        assert time.monotonic() < deadline, frames
-        number += 1
+    numbers = itertools.count(1)
+
+    def send() -> None:
+        number = next(numbers)
         for sender in senders:
             sender.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
             sender.send("HIGHRES_IMU", 10_000 * number, *[0.0] * 13, 63, 0)
             sender.send("ATTITUDE", 10 * number, *[0.0] * 6)
             sender.send("LOCAL_POSITION_NED", 10 * number, *[0.0] * 6)
         executor.spin_until_future_complete(Future(), timeout_sec=0.05)
+
+    wait_until(lambda: all(frames.values()), send, lambda: frames)
     assert frames == {"uav1": {"uav1/base_link"}, "uav2": {"uav2/base_link"}}
     executor.shutdown()
     for node in (*bridges, listener):

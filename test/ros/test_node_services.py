@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -40,7 +39,7 @@ from quadpi_ros.mavlink_bridge import MavlinkBridge
 from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.processes import Child
 
-from .rig import PATIENCE_S, assert_alive, known_client
+from .rig import assert_alive, known_client, wait_until
 
 NODES = ("estimator", "monitor", "mavlink_bridge")
 CLASSES = (EstimatorNode, MonitorNode, MavlinkBridge)
@@ -85,12 +84,12 @@ def call(children: list[Child]) -> Iterator[Call]:
     clients: dict[str, Any] = {}
 
     def until(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
+        def turn() -> None:
             for child in children:
                 assert_alive(child)
-            assert time.monotonic() < deadline
             executor.spin_until_future_complete(Future(), timeout_sec=0.02)
+
+        wait_until(condition, turn)
 
     def call(kind: type, name: str, request: Any) -> Any:
         if name not in clients:

@@ -106,7 +106,7 @@ def test_wrong_ros_argument_is_one_line() -> None:
         [sys.executable, "-m", "quadpi_ros.live_process", "--ros-args", "--nonsense"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert process.returncode == 2
