@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Late, repeated and contradicting motion capture, where the answer of the filter changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.estimator.buffer import DEGRADED_NS, HOLD_NS, LOST_NS
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
+from quadpi_core.frames import Array
+from quadpi_core.vehicle import Vehicle
+
+MS = 1_000_000
+STEP_NS, POSE_EVERY = 2 * MS, 5
+VEHICLE = Vehicle.load("neurobem")
+VEHICLE = replace(VEHICLE, noise=replace(VEHICLE.noise, mocap_delay_s=0.0, mocap_delay_std_s=0.0))
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+STILL, HOVER = np.zeros(3), np.array([0.0, 0.0, -VEHICLE.gravity_m_s2])
+
+
+class Hover:
+    """A filter that a hovering vehicle feeds, IMU at 500 Hz; poses only where a test gives them."""
+
+    def __init__(self) -> None:
+        self.ekf = Ekf(VEHICLE, 500.0)
+        self.rng = np.random.default_rng(3)
+        self.now_ns = 0
+
+    def imu(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.now_ns += STEP_NS
+            self.ekf.step(self.now_ns, STILL, HOVER)
+
+    def pose(self, time_ns: int, offset: Array = STILL) -> Outcome:
+        """A pose with the noise of motion capture."""
+        noise = VEHICLE.noise.mocap_position_m * self.rng.standard_normal(3)
+        return self.ekf.update_pose(time_ns, offset + noise, LEVEL)
+
+    def fly(self, seconds: float, offset: Array = STILL) -> None:
+        for _ in range(round(seconds * 100)):
+            self.imu(POSE_EVERY)
+            self.pose(self.now_ns, offset)
+
+    def counted(self, outcome: Outcome) -> int:
+        return self.ekf.pose_counts[outcome]
+
+
+@pytest.fixture
+def hover() -> Hover:
+    flown = Hover()
+    flown.fly(4.0)
+    assert flown.ekf.status is EstimatorStatus.OK
+    return flown
+
+
+def test_a_pose_is_held_for_ten_milliseconds(hover: Hover) -> None:
+    assert HOLD_NS == 10 * MS
+    hover.imu(10)
+    used = hover.counted(Outcome.USED)
+    hover.pose(hover.now_ns)
+    hover.imu(4)
+    assert hover.counted(Outcome.USED) == used
+    hover.imu()
+    assert hover.counted(Outcome.USED) == used + 1
+
+
+def test_the_order_of_arrival_of_poses_and_velocities_changes_nothing(hover: Hover) -> None:
+    other = Hover()
+    other.fly(4.0)
+    for one, velocity_first in ((hover, True), (other, False)):
+        one.imu(2)
+        early_ns, late_ns = one.now_ns - 3 * MS, one.now_ns - MS
+        give = [
+            lambda one=one, at=late_ns: one.ekf.update_velocity(at, np.array([0.01, 0.0, 0.0]), False),
+            lambda one=one, at=early_ns: one.ekf.update_pose(at, np.array([0.001, 0.0, 0.0]), LEVEL),
+        ]
+        for update in give if velocity_first else reversed(give):
+            assert update() is Outcome.COLLECTED
+        one.imu(20)
+    np.testing.assert_array_equal(hover.ekf.state.estimate, other.ekf.state.estimate)
+
+
+@pytest.mark.parametrize(("late_ms", "outcome"), [(480, Outcome.USED), (530, Outcome.TOO_LATE)])
+def test_poses_of_the_last_half_second_are_fused(hover: Hover, late_ms: int, outcome: Outcome) -> None:
+    hover.imu(300)
+    before = hover.counted(outcome)
+    hover.pose(hover.now_ns - late_ms * MS)
+    hover.imu(10)
+    assert hover.counted(outcome) == before + 1
+
+
+def test_a_value_that_repeats_twelve_times_is_frozen(hover: Hover) -> None:
+    frozen = hover.counted(Outcome.FROZEN)
+    place = np.array([0.002, 0.001, 0.0])
+    for _ in range(13):
+        hover.imu(POSE_EVERY)
+        hover.ekf.update_pose(hover.now_ns, place, LEVEL)
+    hover.imu(10)
+    assert hover.counted(Outcome.FROZEN) == frozen + 1  # the first is new, eleven may repeat it
+
+
+def test_contradicting_poses_are_believed_after_they_agree_for_0_4_s(hover: Hover) -> None:
+    """Until then they are rejected, at 100 Hz forty of them."""
+    moved = np.array([1.5, 0.0, 0.0])
+    hover.fly(0.39, moved)
+    assert abs(hover.ekf.state.position[0]) < 0.1
+    hover.fly(0.3, moved)
+    assert hover.ekf.state.position[0] == pytest.approx(1.5, abs=0.1)
+    assert 39 <= hover.counted(Outcome.REJECTED) <= 42
+
+
+@pytest.mark.parametrize(
+    ("limit_ns", "before", "after"),
+    [
+        (250 * MS, EstimatorStatus.OK, EstimatorStatus.DEGRADED),
+        (2000 * MS, EstimatorStatus.DEGRADED, EstimatorStatus.LOST),
+    ],
+)
+def test_the_status_follows_the_time_without_a_correction(
+    hover: Hover, limit_ns: int, before: EstimatorStatus, after: EstimatorStatus
+) -> None:
+    assert limit_ns in (DEGRADED_NS, LOST_NS)
+    hover.imu(10)
+    since_ns = round(1e9 * hover.ekf.since_correction_s)
+    hover.imu((limit_ns - since_ns) // STEP_NS)
+    assert hover.ekf.status is before
+    hover.imu()
+    assert hover.ekf.status is after
+    hover.fly(1.0)
+    assert hover.ekf.status is EstimatorStatus.OK

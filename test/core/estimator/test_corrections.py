@@ -1,0 +1,167 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A measurement corrects an estimate as the textbook says; gates are quantiles of chi-square."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from quadpi_core import rotations
+from quadpi_core.estimator import corrections
+from quadpi_core.estimator.filter_state import (
+    ATTITUDE,
+    BODY_VELOCITY,
+    ERROR_STATES,
+    ESTIMATE,
+    MEASUREMENT,
+    NOISE,
+    POSE,
+    POSITION,
+    SCALAR,
+    VELOCITY,
+    WORLD_VELOCITY,
+)
+from quadpi_core.records import Records
+
+SECOND = 1_000_000_000
+
+
+@pytest.fixture
+def estimate() -> Records:
+    """A vehicle in motion, whose errors are correlated, with a delay that is known."""
+    rng = np.random.default_rng(11)
+    estimate = np.zeros(1, ESTIMATE)
+    for name in ("position", "velocity", "rates", "gyro_bias"):
+        estimate[name] = rng.normal(size=(1, 3))
+    estimate["specific_force"] = 0.3, -0.2, -9.7
+    estimate["attitude"] = rotations.from_rotation_vector(np.array([0.2, -0.1, 0.7]))
+    root = 0.03 * rng.standard_normal((ERROR_STATES - 1, ERROR_STATES - 1))
+    estimate["covariance"][0, :-1, :-1] = root @ root.T + 1e-4 * np.eye(ERROR_STATES - 1)
+    return estimate
+
+
+@pytest.fixture
+def noise() -> Records:
+    noise = np.zeros(1, NOISE)
+    noise["position"], noise["attitude"], noise["velocity"], noise["gravity"] = 4e-4, 1e-4, 1e-2, 9.81
+    return noise
+
+
+def measured(kind: int, vector: object, attitude: object = 0.0, time_ns: int = 0) -> Records:
+    measurement = np.zeros(1, MEASUREMENT)
+    measurement["time_ns"], measurement["kind"] = time_ns, kind
+    measurement["vector"], measurement["attitude"] = vector, attitude
+    return measurement
+
+
+def fuse(estimate: Records, noise: Records, measurement: Records, lag: float = 0.0) -> tuple[Records, float]:
+    """The corrected estimate, and the squared innovation in units of its covariance."""
+    corrected = estimate.copy()
+    nis = corrections.fuse(corrected[0], noise[0], measurement[0], lag, np.zeros(6, SCALAR))
+    return corrected, nis
+
+
+def kalman(prior: Records, jacobian: np.ndarray, residual: np.ndarray, variance: np.ndarray) -> tuple:
+    """Error, covariance and squared innovation of the update in matrices."""
+    covariance = prior["covariance"][0]
+    innovation = jacobian @ covariance @ jacobian.T + np.diag(variance)
+    gain = covariance @ jacobian.T @ np.linalg.inv(innovation)
+    left = np.eye(ERROR_STATES) - gain @ jacobian
+    nis = residual @ np.linalg.solve(innovation, residual)
+    return gain @ residual, left @ covariance, nis
+
+
+def test_a_pose_corrects_as_the_textbook_says(estimate: Records, noise: Records) -> None:
+    turn = np.array([0.01, -0.02, 0.015])
+    attitude = rotations.product(estimate["attitude"][0], rotations.from_rotation_vector(turn))
+    offset = np.array([0.05, -0.03, 0.02])
+    pose = measured(POSE, estimate["position"][0] + offset, attitude)
+    jacobian = np.zeros((6, ERROR_STATES))
+    jacobian[:3, POSITION] = jacobian[3:, ATTITUDE] = np.eye(3)
+    variance = np.repeat([noise["position"][0], noise["attitude"][0]], 3)
+    error, covariance, nis = kalman(estimate, jacobian, np.concatenate((offset, turn)), variance)
+    corrected, found = fuse(estimate, noise, pose)
+    assert found == pytest.approx(nis, rel=1e-6)
+    np.testing.assert_allclose(corrected["position"] - estimate["position"], [error[POSITION]], rtol=1e-6)
+    np.testing.assert_allclose(corrected["velocity"] - estimate["velocity"], [error[VELOCITY]], rtol=1e-6)
+    np.testing.assert_allclose(corrected["covariance"][0, :6, :6], covariance[:6, :6], rtol=1e-6, atol=1e-12)
+    turned = rotations.product(rotations.inverse(estimate["attitude"][0]), corrected["attitude"][0])
+    np.testing.assert_allclose(rotations.to_rotation_vector(turned), error[ATTITUDE], rtol=1e-4)
+
+
+def test_a_velocity_of_the_world_corrects_as_the_textbook_says(estimate: Records, noise: Records) -> None:
+    offset = np.array([0.2, 0.1, -0.1])
+    jacobian = np.zeros((3, ERROR_STATES))
+    jacobian[:, VELOCITY] = np.eye(3)
+    error, covariance, nis = kalman(estimate, jacobian, offset, np.repeat(noise["velocity"], 3))
+    corrected, found = fuse(estimate, noise, measured(WORLD_VELOCITY, estimate["velocity"][0] + offset))
+    assert found == pytest.approx(nis, rel=1e-6)
+    np.testing.assert_allclose(corrected["position"] - estimate["position"], [error[POSITION]], rtol=1e-6)
+    np.testing.assert_allclose(corrected["covariance"][0, :6, :6], covariance[:6, :6], rtol=1e-6, atol=1e-12)
+
+
+def test_a_velocity_of_the_body_is_that_of_the_world_turned(estimate: Records, noise: Records) -> None:
+    """Of an attitude that is known, both correct the velocity alike."""
+    estimate["covariance"][0, ATTITUDE] = estimate["covariance"][0, :, ATTITUDE] = 0.0
+    world = estimate["velocity"][0] + [0.2, 0.1, -0.1]
+    body = rotations.rotate_world_to_body(estimate["attitude"], world[None])
+    by_world, nis = fuse(estimate, noise, measured(WORLD_VELOCITY, world))
+    by_body, nis_of_body = fuse(estimate, noise, measured(BODY_VELOCITY, body))
+    assert nis_of_body == pytest.approx(nis)
+    np.testing.assert_allclose(by_body["velocity"], by_world["velocity"], rtol=1e-9)
+
+
+def test_a_lag_moves_what_is_expected_along_the_motion(estimate: Records, noise: Records) -> None:
+    """A pose where the vehicle will be agrees with the estimate."""
+    lag = 0.02
+    rates = estimate["rates"][0] - estimate["gyro_bias"][0]
+    attitude = rotations.product(estimate["attitude"][0], rotations.from_rotation_vector(lag * rates))
+    ahead = measured(POSE, estimate["position"][0] + lag * estimate["velocity"][0], attitude)
+    assert fuse(estimate, noise, ahead, lag)[1] == pytest.approx(0.0, abs=1e-9)
+    assert fuse(estimate, noise, ahead)[1] > 0.01
+
+
+def test_the_delay_is_found_in_motion_only(estimate: Records, noise: Records) -> None:
+    estimate["covariance"][0, -1, -1] = 0.05**2
+    moving = fuse(estimate, noise, measured(POSE, estimate["position"], estimate["attitude"]))[0]
+    estimate["velocity"], estimate["rates"] = 0.0, estimate["gyro_bias"]
+    resting = fuse(estimate, noise, measured(POSE, estimate["position"], estimate["attitude"]))[0]
+    assert resting["covariance"][0, -1, -1] == pytest.approx(0.05**2)
+    assert moving["covariance"][0, -1, -1] < 0.9 * 0.05**2
+
+
+def test_gates_are_quantiles_of_chi_square() -> None:
+    assert chi2.cdf(corrections.POSE_GATE, 6) == pytest.approx(0.9999, abs=1e-6)
+    assert chi2.cdf(corrections.VELOCITY_GATE, 3) == pytest.approx(0.9999, abs=1e-6)
+
+
+def test_a_motion_of_three_standard_deviations_counts_half() -> None:
+    assert corrections.significance((0.0, 0.0, 0.0), 0.04) == 0.0
+    assert corrections.significance((0.6, 0.0, 0.0), 0.04) == pytest.approx(0.5)
+    assert corrections.significance((0.0, 60.0, 0.0), 0.04) == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("metres", "radians", "seconds", "agree"),
+    [(0.3, 0.1, 0.1, True), (0.9, 0.0, 0.1, False), (0.0, 1.2, 0.1, False), (0.3, 0.1, 0.6, False)],
+)
+def test_measurements_agree_that_one_plausible_motion_explains(
+    estimate: Records, noise: Records, metres: float, radians: float, seconds: float, agree: bool
+) -> None:
+    """At rest, within 3 m/s and 3 rad/s and half a second; noise explains 0.18 m and 0.09 rad more."""
+    estimate["velocity"], estimate["rates"] = 0.0, estimate["gyro_bias"]
+    turned = rotations.product(
+        estimate["attitude"][0], rotations.from_rotation_vector(np.array([0, 0, radians]))
+    )
+    first = measured(POSE, (0.0, 0.0, 0.0), estimate["attitude"])
+    second = measured(POSE, (metres, 0.0, 0.0), turned, round(seconds * SECOND))
+    assert corrections.same_motion(first[0], second[0], estimate[0], noise[0]) == agree
+
+
+def test_motion_shows_once_noise_cannot_hide_it(estimate: Records, noise: Records) -> None:
+    """At 1 m/s, four standard deviations of 2 cm take 80 ms."""
+    estimate["velocity"], estimate["rates"] = (1.0, 0.0, 0.0), estimate["gyro_bias"]
+    assert not corrections.motion_shows(estimate[0], noise[0], POSE, 0.079)
+    assert corrections.motion_shows(estimate[0], noise[0], POSE, 0.081)
