@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How good the alarm is on flights: false alarms, delay of detection, and what each signal tells of misses.
+"""How good the alarm is on flights: false alarms, delay of detection, and how well each signal ranks misses.
 
 A model is off at an instant if of the three seconds that follow, more than half of the samples of an axis
 lie outside their interval. Detection is late by the time from the first such instant to the alarm; an alarm
@@ -8,8 +8,8 @@ that is raised already is not late.
 
 A flight is outside the envelope while an input is beyond its warning limit (10 % of its training range). An
 alarm that begins there is counted apart and never false: there the model promises nothing. One that begins
-inside is false if no span of three seconds that contains its begin is off. Leverage and width do not decide
-what is outside: the alarm goes by them, and would be its own judge.
+inside is false if no span of three seconds that contains its begin is off. Leverage and width do not define
+what is outside, since the alarm uses them itself.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ _EVERY_SAMPLE_HZ = 1e9
 
 @dataclass(frozen=True)
 class FlightAlarm:
-    """What the alarm says of one flight, sample by sample.
+    """The alarm at each sample of one flight.
 
     Attributes:
         scores: by name of :data:`SIGNALS` (N,), the worst input's or axis' value over its limit.
-        raised: (N,) whether EXTRAPOLATION or MISCOVERAGE stands at alarm level.
+        raised: (N,) whether EXTRAPOLATION or MISCOVERAGE is at alarm level.
         missed: (N, 6) whether the measured wrench lay outside its interval, order as `AXES`.
-        monitored: (N,) False where the alarm had nothing to judge.
+        monitored: (N,) False where the alarm had no sample.
         outside: (N,) whether an input is outside the envelope: beyond its warning limit.
     """
 
@@ -63,9 +63,9 @@ def alarm_of_flight(
     """Run the alarm over a flight in the air.
 
     Args:
-        model: that the alarm is of.
+        model: with the limits of the alarm.
         time: (N,) s.
-        live: what a monitor would have had.
+        live: the samples as a monitor would have had them.
         confidence: of the intervals.
     """
     known, wrench = live.known, live.wrench[live.known]
@@ -101,11 +101,11 @@ def alarm_of_flight(
 
 @dataclass(frozen=True)
 class Counted:
-    """Alarms of flights, and the hours in which they could have come.
+    """Number of alarms, and the hours that were monitored for them.
 
     Attributes:
         false_alarms, hours_inside: inside the envelope, while the model is not off.
-        alarms_outside, hours_outside: outside the envelope, whatever the model.
+        alarms_outside, hours_outside: outside the envelope, whether the model is off or not.
         hours_monitored: inside, outside and off.
     """
 
@@ -117,18 +117,18 @@ class Counted:
 
     @classmethod
     def total(cls, parts: Sequence[Counted]) -> Counted:
-        """Those of several flights together."""
+        """The sum over several flights."""
         return cls(*(sum(getattr(part, field.name) for part in parts) for field in fields(cls)))
 
 
 @dataclass(frozen=True)
 class Assessed:
-    """One flight: its alarm beside what it should have said.
+    """One flight with its alarm and the misses that it should have detected.
 
     Attributes:
         time: (N,) s.
         missed: (N, A) whether the measured wrench lies outside the interval, per axis held.
-        alarm: what the alarm says.
+        alarm: of the flight.
     """
 
     time: Array
@@ -188,8 +188,8 @@ class AlarmAssessment(Counted):
     Attributes:
         false_alarms_per_hour: inside the envelope; None for too short a time to state a rate.
         flights_off: flights in which the model is off.
-        flights_undetected: those of them without an alarm from then on.
-        detection_delay_s: median delay of the others; None without any.
+        flights_undetected: flights off in which no alarm followed.
+        detection_delay_s: median delay in the other flights off; None without any.
         auroc: by name of :data:`SIGNALS`, area under the ROC curve of the signal for samples that lie outside
             their interval in any axis; None where all or none do.
     """

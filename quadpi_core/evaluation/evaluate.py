@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model says of flights, beside what was measured, and how good that is."""
+"""Predictions and intervals of models on flights, and how good they are."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def predict_flight(
     adaptive: bool = False,
     with_alarm: bool = False,
 ) -> FlightResult:
-    """What the model says of one flight, beside what was measured.
+    """Predict the wrench of one flight, with intervals.
 
     Args:
         model: of the vehicle that flew.
         flight: passed the low-pass of the model.
         confidence: nominal coverage of the intervals.
         adaptive: intervals that adapt to the measurement as the flight goes, as the monitor's may.
-        with_alarm: run the alarm as well; it goes by the model's own intervals either way.
+        with_alarm: run the alarm as well, on the model's own intervals in either case.
     """
     evaluation = model.evaluate(flight.inputs, confidence)
     lower, upper = evaluation.lower, evaluation.upper
@@ -75,7 +75,7 @@ def judge(
     *,
     adaptive: bool = False,
 ) -> tuple[list[FlightResult], Evaluation]:
-    """What the model says of flights, and how good that is.
+    """Predict the wrench of flights, and judge predictions and intervals.
 
     Args:
         model: of the vehicle that flew.
@@ -120,7 +120,7 @@ def load_models(folders: Sequence[Path]) -> dict[str, AerodynamicModel]:
     """Stored models by name.
 
     Raises:
-        ModelError: for what is no model, and two of the same name.
+        ModelError: for a folder without a model, and two models of one name.
     """
     models: dict[str, AerodynamicModel] = {}
     for folder in folders:
@@ -154,7 +154,7 @@ class ComparisonCase:
         flights: the same flights after each low-pass (Hz) that the models take.
         groups: names of the flights in each group.
         confidence: nominal coverage of the intervals.
-        published: numbers to set beside, as of :func:`quadpi_core.paper.published.published_table`.
+        published: numbers for comparison, as of :func:`quadpi_core.paper.published.published_table`.
     """
 
     models: Mapping[str, AerodynamicModel]

@@ -44,7 +44,7 @@ class AxisMetrics:
         r2: coefficient of determination; None where the measurement is constant.
         winkler: Winkler score.
         cwc: coverage width criterion.
-        crps: of the normal distribution that the interval implies; None for methods that imply none.
+        crps: of the normal distribution that the interval implies; None for kinds of model that imply none.
         regimes: coverage and width in each bin between the edges of `Evaluation.regime_edges`.
         n: number of samples.
         n_eff: number of independent samples that the autocorrelated prediction errors are worth.
@@ -118,7 +118,7 @@ class Evaluation:
         regime_edges: edges of the bins that all groups and flights share, by quantity.
         groups: by name.
         flights: by name.
-        data_quality: what is to be said of the data, by flight.
+        data_quality: remarks on the data, by flight.
     """
 
     quadpi_version: str
@@ -159,7 +159,7 @@ class Comparison:
         confidence: nominal coverage of the intervals.
         adaptive: whether the intervals adapted to the measured wrench.
         groups: names of the flights in each group.
-        published: numbers to set beside; None without any.
+        published: numbers for comparison, if any.
         models: by name.
     """
 

@@ -29,7 +29,7 @@ from quadpi_core.version import __version__
 
 # Confidences of the calibration curve.
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-# What coverage is binned by, see FlightResult.regimes.
+# Quantities by which coverage is binned, see FlightResult.regimes.
 REGIMES = ("speed_m_s", "rotor_speed_rad_s", "height_m")
 
 
@@ -39,16 +39,16 @@ class EvaluationError(QuadpiError):
 
 @dataclass(frozen=True)
 class FlightResult:
-    """What a model says about one flight; columns Fx, Fy, Fz (N), Mx, My, Mz (Nm), body axes.
+    """Predictions and intervals of a model on one flight; columns Fx, Fy, Fz (N), Mx, My, Mz (Nm), body axes.
 
     Attributes:
         name: file stem of the flight.
-        axes: axes that the model holds; the other columns of predicted, lower and upper mean nothing.
+        axes: axes that the model holds; predicted, lower and upper are void for the others.
         time: (N,) seconds.
         measured, predicted, lower, upper: (N, 6).
         inputs: (N, 19), columns as :data:`quadpi_core.inputs.INPUT_NAMES`.
         height: (N,) m above the origin of the world.
-        alarm: what the alarm says, sample by sample; None where it was not run.
+        alarm: the alarm at each sample; None where it was not run.
     """
 
     name: str
@@ -72,7 +72,7 @@ class FlightResult:
 
     @property
     def regimes(self) -> dict[str, Array]:
-        """What coverage is binned by, (N,) each."""
+        """Quantities (N,) by which coverage is binned."""
         values = (self.speed, self.inputs[:, INPUT_INDEX["omega_avg"]], self.height)
         return dict(zip(REGIMES, values, strict=True))
 
@@ -82,7 +82,7 @@ class FlightResult:
         return values
 
     def check(self) -> None:
-        """Refuse what no metric is defined for.
+        """Refuse samples for which metrics are undefined.
 
         Raises:
             EvaluationError: naming flight, axis and sample, for no samples, a value that is not finite,

@@ -84,7 +84,7 @@ def cwc(
 
 
 def implied_std(lower: Array, upper: Array, confidence: float) -> Array:
-    """Standard deviation (N,) of the normal distribution whose central interval [L, U] is."""
+    """Standard deviation (N,) of the normal distribution that has [L, U] as its central interval."""
     std: Array = 0.5 * (upper - lower) / norm.ppf(0.5 + 0.5 * confidence)
     return std
 
@@ -101,6 +101,7 @@ def crps_normal(measured: Array, mean: Array, std: Array) -> float:
     return float(np.mean(np.where(std > 0.0, score, np.abs(error))))
 
 
+# Bins of a regime: few enough for a table.
 MOST_BINS = 8
 
 
@@ -114,18 +115,21 @@ class RegimeBins:
 
 
 def round_edges(values: Array, most: int = MOST_BINS) -> Array:
-    """Edges of at most so many equal bins over the values, each 1, 2 or 5 times a power of ten wide."""
+    """Edges of equal bins over the values, at round numbers.
+
+    The bins are 1, 2 or 5 times a power of ten wide, as narrow as `most` bins allow.
+    """
     lowest, highest = float(values.min()), float(values.max())
     extent = highest - lowest
     if extent < 1e-6 * max(abs(lowest), abs(highest), 1.0):
-        # A constant: what rounding left of it is no range.
+        # Constant up to rounding: one bin.
         extent = 1.0
     scale = 10.0 ** np.floor(np.log10(extent / most))
     for step in scale * np.array([1.0, 2.0, 5.0, 10.0, 20.0]):
         first, last = np.floor(lowest / step), np.floor(highest / step) + 1.0
         if last - first <= most:
             break
-    # Rounded to what the step resolves: 0.3, not 0.30000000000000004.
+    # 0.3, not 0.30000000000000004.
     digits = max(0, 1 - int(np.floor(np.log10(step))))
     edges: Array = np.round(np.arange(first, last + 1.0) * step, digits)
     return edges
@@ -135,7 +139,7 @@ def by_bin(values: Array, inside: npt.NDArray[np.bool_], width: Array, edges: Ar
     """Samples, coverage and mean width in each bin [edge, next edge).
 
     Args:
-        values: (N,) that the bins are of, all within the edges.
+        values: (N,) that are binned, all within the edges.
         inside: (N,) whether the measurement lay in its interval.
         width: (N,) of the interval.
         edges: (B + 1,) increasing.
@@ -150,7 +154,7 @@ def by_bin(values: Array, inside: npt.NDArray[np.bool_], width: Array, edges: Ar
     return RegimeBins(count.tolist(), mean(inside), mean(width))
 
 
-# At least this many blocks in each flight, and the autocorrelation of a flight is not trusted beyond.
+# Fewest blocks in a flight; autocorrelations at longer lags than such a block are not used.
 _FEWEST_BLOCKS = 5
 
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits of the alarm from flights left out in turn, to a stated rate of false alarms.
 
-A flight that the model and the envelope of the others have not seen, but that lies mostly within their
-ranges, is what the alarm must keep quiet on: `tail_limits` says how far the next one of its kind may go.
+The alarm should be silent on a new flight of the same kind. Each flight that lies mostly within the ranges of
+the others, under model and envelope of the others, is an example of one; `tail_limits` bounds the next.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ class _Spread(NamedTuple):
     width: float
 
 
-# Root mean squares over 24 models of 8 and of 12 simulated flights (docs/alarm.md); of the width, that of its
-# square beyond the usual.
+# Prior of the spreads: root mean squares over 24 models of 8 and of 12 simulated flights (docs/alarm.md).
+# For the width it concerns its square minus the squared median.
 _USUAL_SPREAD = _Spread(0.15, 0.8, 1.4)
 
 
 class Judged(Protocol):
-    """What is needed of a flight: what it was identified on, and what a monitor would have had of it."""
+    """A flight as it was identified on and as a monitor would have had it."""
 
     @property
     def time(self) -> Array:
@@ -57,7 +57,7 @@ class Judged(Protocol):
 
     @property
     def judged(self) -> LiveSamples:
-        """The same as the live path has it."""
+        """The samples as the live path has them."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class LeftOut:
         inputs: (N, 19) as the live path has them.
         lower, upper: (19,) :meth:`Envelope.flight_range` of the flight.
         leverage, width: (N, 6) over their peaks in the other flights.
-        miss: (N, 6) whether the measured wrench left the interval, 0 or 1; NaN where not known.
+        miss: (N, 6) 1 where the measured wrench left the interval, else 0; NaN for axes not held.
     """
 
     time: Array
@@ -92,9 +92,9 @@ def calibrate_alarm(
     """Envelope and limits for a rate of false alarms, shared evenly by EXTRAPOLATION and MISCOVERAGE.
 
     Args:
-        envelope: of all flights, with its plain limits; what it gives back has calibrated ones.
+        envelope: of all flights, with the fixed limits.
         flights: each under the model of the others, at least one.
-        confidence: of the intervals that `miss` was told by.
+        confidence: of the intervals that `miss` refers to.
         rate_per_hour: false alarms per flight hour.
         hover_rotor_speed: see :class:`~quadpi_core.models.alarm_limits.AlarmLimits`.
     """
@@ -125,7 +125,7 @@ def calibrate_alarm(
     walks = {k: Walk.of([s[:, k] for s in sums], times) for k in np.flatnonzero(usual_axes)}
     pooled = float(np.mean([walk.mean for walk in walks.values()]))
     for axis, walk in walks.items():
-        # Which axes fail in which manoeuvre takes more flights to tell than how they do.
+        # There are too few flights to estimate the tail of each axis alone.
         misses[axis] = replace(walk, mean=max(walk.mean, pooled)).limit(0.5 * rate_per_hour / len(walks))
     return calibrated, replace(limits, miscoverage_s=misses, flights=len(usual), hours=hours)
 
@@ -133,11 +133,11 @@ def calibrate_alarm(
 def _limits_of_extrapolation(
     usual: Sequence[tuple[LeftOut, tuple[Array, Array]]], alarms_per_flight: float
 ) -> tuple[float, float, float]:
-    """Limits of distance, leverage and width over what training reached; plain where there is no such signal.
+    """Limits of distance, leverage and width over their peaks in training; fixed ones without the signal.
 
     Args:
         usual: flights, each with the ranges of the others.
-        alarms_per_flight: expected number that may be false, of all signals together.
+        alarms_per_flight: expected number of false alarms, of all signals together.
     """
     settings = MonitorSettings()
 
@@ -159,19 +159,19 @@ def _limits_of_extrapolation(
     if np.any(leverages):
         leverage = next_flight(leverages, chance, _USUAL_SPREAD.leverage)
     if np.any(widths):
-        # Variances add: what widens an interval beyond the usual is the part of it that varies by flight.
+        # Variances add: only the part of the width beyond the median varies between flights.
         width = float(np.sqrt(typical**2 + next_flight(widths**2 - typical**2, chance, _USUAL_SPREAD.width)))
-    # What the training flights reached is never beyond.
+    # The limits never lie below what the training flights reached.
     distance = next_flight(distances, chance, _USUAL_SPREAD.distance)
     return max(distance, 1.0), max(leverage, 1.0), max(width, 1.0)
 
 
 class LiveErrors(NamedTuple):
-    """One flight, left out, as the live path would have had it.
+    """Held-out errors on one flight as the live path would make them.
 
     Attributes:
-        rows: (M,) which of its samples these are.
-        errors: by axis held, of M samples.
+        rows: (M,) indices of the samples of the flight.
+        errors: by axis held, of these samples.
     """
 
     rows: npt.NDArray[np.int64]
@@ -183,15 +183,15 @@ def live_errors(
     held_out: Mapping[str, Sequence[FlightErrors]],
     evaluate: Callable[[Array], Evaluation],
 ) -> list[LiveErrors]:
-    """Errors on each flight, left out, of the live path.
+    """Errors that the live path would make on each flight, left out.
 
-    Errors, spread and leverage of a flight left out are known for the smoothed states that it would have been
-    identified on. What the causal states of the live path change of them, the model of all flights tells: to
-    first order in the error of the state, one flight more or less makes no difference to that.
+    Held-out errors, spread and leverage are known for the smoothed states. The causal states of the live path
+    change them; that change is taken from the model of all flights, since to first order in the error of the
+    state it is the same for the model without the flight.
 
     Args:
-        flights: that were identified on.
-        held_out: by axis held, the errors on each flight, left out; every so manieth sample of it.
+        flights: of the identification.
+        held_out: by axis held, the held-out errors on each flight; all samples or every k-th.
         evaluate: the model of all flights.
     """
     live = []
@@ -213,10 +213,10 @@ def left_out(
     live: Sequence[LiveErrors],
     confidence: float,
 ) -> list[LeftOut]:
-    """Signals of the flights of an identification, each left out, on the live path.
+    """Signals of the alarm on each flight of an identification, left out, on the live path.
 
     Args:
-        flights: that were identified on.
+        flights: of the identification.
         rules: by axis held.
         live: as :func:`live_errors` gives it.
         confidence: of the intervals.
@@ -248,14 +248,14 @@ def left_out(
 
 
 class _Changes(NamedTuple):
-    """What live states change, (M, 6) each: added to the error, and factors of spread and leverage."""
+    """Change by the live states, (M, 6) each: added to the error, and factors of spread and leverage."""
 
     error: Array
     spread: Array
     leverage: Array
 
     def of(self, errors: FlightErrors, known: npt.NDArray[np.bool_], column: int) -> FlightErrors:
-        """The errors at the samples that the live path knows, as it has them."""
+        """Errors of the live path, at the samples that it can judge."""
         spread = self.spread[:, column]
         return FlightErrors(
             errors.error[known] + self.error[:, column],

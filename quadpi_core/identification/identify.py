@@ -127,7 +127,7 @@ def _joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSamp
 
 
 def _require_samples(flights: Sequence[PreparedFlight], settings: Settings) -> None:
-    """Refuse flights on which no model can be identified.
+    """Refuse flights that no kind of model can be identified on.
 
     Raises:
         ModelError: for too few flights for the settings; naming the flight, for samples that are not finite.

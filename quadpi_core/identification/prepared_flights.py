@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From bags to flights ready for identification or evaluation."""
+"""Flights read, fused and filtered for identification or evaluation."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class PreparedFlight:
         inputs: (N, 19) input vectors X.
         wrench: (N, 6) measured wrench.
         height: (N,) m above the origin of the world.
-        live: what a monitor would have had of the flight, which the alarm is calibrated and assessed on. None
-            where the states are given and no sensor was read: then these are what it would have had.
-        quality: what is to be said of the data.
+        live: the samples as a monitor would have had them, on which the alarm is calibrated and assessed;
+            None where the states were given instead of estimated, and a monitor would have had the same.
+        quality: remarks on the data.
     """
 
     name: str
@@ -62,7 +62,7 @@ class PreparedFlight:
     def of(
         cls, flight: Flight, vehicle: Vehicle, sha256: str, live: LiveSamples | None = None
     ) -> PreparedFlight:
-        """Of a flight that passed the low-pass of its model."""
+        """Prepare a flight whose signals have passed the low-pass of its model."""
         return cls(
             name=flight.name,
             sha256=sha256,
@@ -76,7 +76,7 @@ class PreparedFlight:
 
     @property
     def judged(self) -> LiveSamples:
-        """What the alarm goes by."""
+        """Samples on which the alarm is calibrated and assessed."""
         if self.live is not None:
             return self.live
         return LiveSamples(self.inputs, self.wrench, np.ones(len(self.time), dtype=np.bool_))
@@ -95,7 +95,7 @@ def prepare_flights(
         paths: bags, or logs that need no mapping.
         vehicle: that flew.
         cutoff_hz: of the low-pass over all signals.
-        workers: that read the files; the flights are the same whatever does the work.
+        workers: that read the files; the flights do not depend on them.
 
     Raises:
         LogError: for what cannot be read or used, and a flight present twice, naming the files.
@@ -136,13 +136,13 @@ def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight,
 
 
 class LiveSamples(NamedTuple):
-    """Samples as a monitor judges them, on the time grid of a flight.
+    """Samples as a monitor has them, on the time grid of a flight.
 
     Attributes:
         inputs: (N, 19) input vectors.
         wrench: (N, 6) measured, N and Nm, body axes.
-        known: (N,) False where the monitor had nothing to judge, or the state had not settled; the rows there
-            mean nothing.
+        known: (N,) False where a monitor has no sample or its state has not settled; other columns are void
+            there.
     """
 
     inputs: Array
@@ -152,12 +152,12 @@ class LiveSamples(NamedTuple):
 
 @dataclass(frozen=True)
 class CausalPass:
-    """One pass of the causal filter over a recording, for the samples of the live path and for the smoother.
+    """One pass of the causal filter over a recording, shared by the live samples and the smoother.
 
     Attributes:
         source: of the recording.
-        parts: samples that the estimator and the pairing give the monitor.
-        segments: what the filter did, where the smoother's filter does the same to the last bit; else None.
+        parts: samples that estimator and pairing give the monitor.
+        segments: log of the filter, where the smoother's would be the same bit by bit; else None.
     """
 
     source: str
@@ -166,7 +166,7 @@ class CausalPass:
 
     @classmethod
     def over(cls, recording: Recording, vehicle: Vehicle) -> CausalPass:
-        """Run estimator and pairing as a replay does.
+        """Run estimator and pairing over a recording, as a replay does.
 
         Raises:
             LogError: naming what is missing.
@@ -183,16 +183,16 @@ class CausalPass:
 
     @staticmethod
     def _shared(segments: Sequence[Segment] | None, recording: Recording) -> Sequence[Segment] | None:
-        """The segments, if a filter that assumes the IMU rate of the whole recording would give the same.
+        """The segments, if the filter ran as the smoother's does: once, at the IMU rate of the recording.
 
-        Live the rate is that of the second before the start, and a change of it starts the filter again.
+        In flight the rate is that of the second before the start, and a change of it restarts the filter.
         """
         if segments is None or len(segments) != 1:
             return None
         return segments if segments[0].rate_hz == nominal_rate(recording.imu.time_ns) else None
 
     def samples(self, vehicle: Vehicle, cutoff_hz: float, at_ns: Stamps) -> LiveSamples:
-        """Low-pass as a replay does, and take the stamps (N,) of a flight from that.
+        """Live samples at the stamps (N,) of a flight, low-passed as in a replay.
 
         Raises:
             LogError: if no sample could be judged.

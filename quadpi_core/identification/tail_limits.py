@@ -36,7 +36,7 @@ _HALVINGS = 30
 
 
 def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
-    """Value that one more flight exceeds with probability `chance`.
+    """Prediction bound: the value that one more flight exceeds with probability `chance`.
 
     The logarithms of the flights' largest values are taken to be normal. One more of them then lies about
     the mean of n as Student's t with ν degrees of freedom, times s √(1 + 1/n) (Hahn and Meeker 1991,
@@ -48,7 +48,7 @@ def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
     Args:
         largest: (n,) not negative, of at least two flights.
         chance: between 0 and 1.
-        usual_spread: standard deviation of the logarithms, as flights in general have it.
+        usual_spread: prior standard deviation of the logarithms.
     """
     logarithms = np.log(np.maximum(largest, _LEAST))
     n = len(logarithms)
@@ -64,8 +64,8 @@ def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s:
     Args:
         values: (N,).
         time: (N,) s.
-        persistence_s: above the level that raises the alarm.
-        release_s: below it that clears what has gathered.
+        persistence_s: time above the level that raises the alarm.
+        release_s: time below the level that clears the evidence.
     """
     steps = _steps(time)
     low, high = float(values.min()), float(values.max())
@@ -145,7 +145,7 @@ def _steps(time: Array) -> Array:
 
 @njit(cache=True)
 def _lasts(values: Any, steps: Any, level: float, persistence_s: float, release_s: float) -> bool:
-    """Whether a signal is above a level for long enough."""
+    """Whether a signal exceeds a level long enough to raise the alarm."""
     charge = 0.0
     for i in range(values.size):
         change = steps[i] / persistence_s if values[i] > level else -steps[i] / release_s

@@ -61,7 +61,7 @@ class AerodynamicModel:
         vehicle_fingerprint: of the vehicle's numbers (see `Vehicle.fingerprint`).
         settings: "default" or "paper".
         cutoff_hz: of the low-pass that every signal passed before identification, and must pass before use.
-        confidence: nominal coverage that the monitor uses unless told otherwise.
+        confidence: nominal coverage that the monitor uses by default.
         fitted: axes by name, in the order of `AXES`, all of one method.
         envelope: what the training flights showed.
         training_range: per axis, range (max − min) of the measured training data, the denominator of NMPIW.
@@ -70,7 +70,7 @@ class AerodynamicModel:
         held_out_coverage: per axis, the coverage of each of `flights` by model and intervals of the others;
             empty under the paper's settings.
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
-        alarm_limits: of the alarm, beside those of `envelope`; uncalibrated unless given.
+        alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
         compiled: `fitted` packed for evaluation; packed at first use unless given.
     """
 
@@ -102,7 +102,7 @@ class AerodynamicModel:
 
     @property
     def kind(self) -> Kind:
-        """What is special of models of this kind."""
+        """The kind of model, with its attributes."""
         return kind_named(self.method)
 
     def load_vehicle(self, given: str | Path | None = None) -> Vehicle:
@@ -135,7 +135,7 @@ class AerodynamicModel:
             )
 
     def calibration(self) -> str:
-        """What the width of the intervals rests on, in a sentence."""
+        """A sentence that says how the width of the intervals was calibrated."""
         rule = next(iter(self.fitted.values())).rule
         if not isinstance(rule, HeldOutRule):
             return (
@@ -183,7 +183,7 @@ class AerodynamicModel:
         return ratio
 
     def __getstate__(self) -> dict[str, Any]:
-        """What travels to another process, which compiles for itself."""
+        """State for pickling: another process compiles for itself."""
         return {column.name: getattr(self, column.name) for column in fields(self)} | {"compiled": None}
 
     def save(self, folder: str | Path) -> AerodynamicModel:
@@ -280,7 +280,7 @@ class _Step:
 
 @dataclass(frozen=True, kw_only=True)
 class _AxisEntry:
-    """What an axis has beside the keys of its kind."""
+    """Keys of an axis that every kind of model has."""
 
     training_range: Real
     selection: tuple[_Step, ...]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the alarm needs beside the envelope: limits of the test and the gate, and their origin."""
+"""Limits of the sequential test and of the flying gate of the alarm, and the flights they come from."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
+# False alarms per flight hour that limits are calibrated to by default.
 RATE_PER_HOUR = 1.0
-# Left out in turn, that support a rate: of models of four flights, an unlucky one raised hundreds of false
-# alarms an hour, none of twelve did.
+# Fewest flights, each left out in turn, from which a rate of false alarms can be stated: of models of four
+# flights, an unlucky one raised hundreds of false alarms an hour, none of twelve did.
 FEWEST_FLIGHTS = 8
-# Of misses, in time: the sequential test tells the allowed share from this many times as much.
+# Ratio of the share of misses that the sequential test is to detect to the allowed share.
 ALTERNATIVE = 5.0
-# Limit of the sequential test where no flights could calibrate it.
+# Limit [s] of the sequential test where no flights could calibrate it.
 UNCALIBRATED_S = 2.0
 
 
@@ -28,8 +29,9 @@ def allowance(confidence: float) -> float:
     """Share k of misses at which the sequential test neither rises nor falls.
 
     It is the reference value of a cumulative sum of Bernoulli trials (Page 1954; Reynolds and Stoumbos 1999)
-    between p₀ = 1 − confidence and an alternative p₁ of :data:`ALTERNATIVE` times as much, at most half of
-    what is left: k = ln((1−p₀)/(1−p₁)) / ln(p₁(1−p₀)/(p₀(1−p₁))).
+    between p₀ = 1 − confidence and an alternative p₁ = min(:data:`ALTERNATIVE` · p₀, (1 + p₀) / 2):
+
+        k = ln((1−p₀)/(1−p₁)) / ln(p₁(1−p₀)/(p₀(1−p₁)))
     """
     low = 1.0 - confidence
     high = min(ALTERNATIVE * low, 0.5 * (1.0 + low))
@@ -39,7 +41,7 @@ def allowance(confidence: float) -> float:
 
 @dataclass(frozen=True)
 class AlarmLimits:
-    """Limits of an alarm, and how they came about.
+    """Limits of an alarm, and what they were calibrated on.
 
     Attributes:
         allowance: share of misses that the sequential test subtracts, see :func:`allowance`.
@@ -64,7 +66,7 @@ class AlarmLimits:
         return self.flights > 0
 
     def sentence(self) -> str:
-        """What the limits of the alarm rest on."""
+        """A sentence that says what the limits were calibrated on."""
         if not self.calibrated:
             return (
                 "alarm uncalibrated: its limits are plain fractions beyond training, no rate is claimed; "

@@ -38,8 +38,8 @@ class Trained:
     """What training gives.
 
     Attributes:
-        parts: of each axis, by name, what a fitted axis has beside its inputs, scaling and rule.
-        centre, spread: (E, A, N) what each ensemble of the plan says of all samples, standardised.
+        parts: by axis, constructor arguments of the fitted axis other than inputs, scaling and rule.
+        centre, spread: (E, A, N) of each ensemble of the plan on all samples, standardised.
     """
 
     parts: list[dict[str, Any]]
@@ -166,7 +166,7 @@ class Ensemble(AxisEstimator):
         settings: dict[str, Any] = {
             "hidden": self.hidden,
             "epochs": self.epochs,
-            # Of a batch, each network sees the share that is its subset.
+            # A network sees only the share of a batch that is in its subset.
             "batch": round(self.batch / self.subset),
             "fewest_steps": self.fewest_steps,
             "learning_rate": self.learning_rate,

@@ -152,7 +152,7 @@ _BLOCK = 256
 _UNITS_AT_ONCE = 2
 # Two banks of networks share the inputs of an axis: its members, and the noise network if it has one.
 _MEMBERS, _NOISE, _BANKS = 0, 1, 2
-# Of a network: the target, or its lower and upper bound.
+# Most outputs of a network: one for the target, two for its lower and upper bound.
 _MOST_OUTPUTS = 2
 # Row of the hidden layer, and element of an output, that is the bias; the weights follow.
 _BIAS, _WEIGHTS = 0, 1

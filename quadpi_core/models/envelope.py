@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The training envelope: what the flights that a model was identified on have shown.
+"""The training envelope: the range of inputs, leverage and interval width of the training flights.
 
-Per input it is the range that the training flights covered, per axis the leverage and the relative
-interval width that they reached. The range of a flight runs between its 0.1 % and 99.9 % quantiles, so
-that one spike does not widen it; the envelope spans the ranges of all flights. Flights that repeat a
+For each input it is the range that the flights covered, for each axis the largest leverage and relative
+interval width that they reached. The range of a flight runs between its 0.1 % and 99.9 % quantiles, so that
+one spike does not widen it; the envelope spans the ranges of all flights. Flights that repeat a
 trajectory still differ a little at its extremes, so the alarm allows a margin beyond the range and a
-headroom above the peaks. Here both are plain fractions, for which no rate of false alarms is claimed;
-`alarm_calibration` puts limits with a rate in their place where flights allow it. The plain ones then go
-on as those of the warning: outside of what was flown, though flights of this kind may stray so far.
+headroom above the peaks. Here both are fixed fractions, without a stated rate of false alarms. Where there
+are enough flights, `alarm_calibration` replaces them by limits with a stated rate; the fixed ones then remain
+as limits of the warning.
 """
 
 from __future__ import annotations
@@ -27,10 +27,13 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import COSINES, INPUT_NAMES
 
+# Quantile of an input over a flight at either end of its range.
 RANGE_QUANTILE = 0.001
+# Fixed limits of the warning: distance outside the range, in its width; leverage and width over their peaks.
 MARGIN = 0.1
 LEVERAGE_HEADROOM = 2.0
 WIDTH_HEADROOM = 1.25
+# Relative width of a range below which the input was constant.
 _CONSTANT = 1e-9
 
 
@@ -129,12 +132,12 @@ class Envelope:
 
     @staticmethod
     def of_peak(peak: Array, headroom: float) -> Array:
-        """Limits (6,) of so many times the peaks (6,); 1 where the peak is 0."""
+        """Limits (6,): peaks (6,) times a headroom; 1 where the peak is 0."""
         return np.where(peak > 0.0, headroom * peak, 1.0)
 
     @cached_property
     def near(self) -> Envelope:
-        """The same with the limits of the warning: the plain ones, or calibrated ones that are nearer."""
+        """The envelope with the limits of the warning: the tighter of fixed and calibrated ones."""
         return replace(
             self,
             margin=np.minimum(self.margin, MARGIN),

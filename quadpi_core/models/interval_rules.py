@@ -26,12 +26,12 @@ from quadpi_core.config_schema import NotNegative, Numbers, Positive, Real, With
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 
-# Share of new flights whose coverage should reach the nominal one, given enough flights to tell.
+# Share of new flights whose coverage should reach the nominal one.
 FLIGHT_SHARE = 0.9
 # Least share of a flight inside the envelope of the others for its held-out errors to count: the corner of a
 # flight that the others happen to touch is no sample of flying inside the envelope.
 FEWEST_INSIDE = 0.5
-# Of a quantity over a flight, taken for its peak.
+# Quantile of a quantity over a flight that counts as its peak: single spikes do not.
 PEAK_QUANTILE = 0.999
 # Confidence levels at which the held-out flights' quantiles are stored.
 LEVELS: Array = np.concatenate((np.arange(0.50, 0.99, 0.01), np.arange(0.99, 0.9991, 0.001)))
@@ -84,7 +84,7 @@ class NormalRule(Rule):
 
 @dataclass(frozen=True)
 class TrainedRule(Rule):
-    """Bounds that were trained for one confidence, and say nothing of any other."""
+    """Bounds that were trained for one confidence and hold for no other."""
 
     kind: ClassVar[str] = "trained"
     confidence: Real
@@ -112,13 +112,13 @@ class HeldOutRule(Rule):
 
     Only errors inside the envelope of the other flights, where every input lies in their range, count for
     the factor, and only of flights that lie mostly inside. Outside, the interval widens by its spread,
-    and the alarm, not the interval, is what to go by. A flight's factor also covers its errors in the
+    and the alarm warns that it may not hold. A flight's factor also covers its errors in the
     final fit, whose spread is smaller than that of the model without the flight.
 
     Attributes:
         flight_factors: (F, len(LEVELS)), each flight's own, at the confidence :data:`LEVELS`.
-        flights_inside: how many flights lie mostly inside the envelope of the others, so that their errors
-            count; 0 means that the factors rest on the training residuals alone.
+        flights_inside: number of flights that lie mostly inside the envelope of the others; only their
+            held-out errors count. With 0 the factors come from training residuals alone.
     """
 
     kind: ClassVar[str] = "held-out"
@@ -126,21 +126,21 @@ class HeldOutRule(Rule):
     flights_inside: Annotated[int, Within(0)]
 
     def factor(self, confidence: float) -> float:
-        """The factor that covers FLIGHT_SHARE of the flights, or all while there are too few to tell."""
+        """The factor that covers FLIGHT_SHARE of the flights; all of them while they are few."""
         require_confidence(confidence, calibrated=True)
         return _ranked_factor(self.flight_factors, confidence)
 
     def held_out_coverage(self, held_out: Sequence[FlightErrors], confidence: float) -> Array:
-        """Share (F,) of each flight's errors, when it was left out, that the others' factors cover.
+        """Coverage (F,) of each flight by the model and the factors of the others.
 
-        Outside the envelope of the others too: what a flight unlike them can expect.
+        All samples count, those outside the envelope of the others too.
         """
         return np.array([1.0 - np.mean(missed) for missed in self.held_out_misses(held_out, confidence)])
 
     def held_out_misses(
         self, held_out: Sequence[FlightErrors], confidence: float
     ) -> list[npt.NDArray[np.bool_]]:
-        """Which errors (N,) of each flight, when it was left out, the others' factors do not cover."""
+        """Whether each error (N,) of a flight lies outside the interval that the others give."""
         factors = [
             _ranked_factor(np.delete(self.flight_factors, k, axis=0), confidence)
             for k in range(len(held_out))
@@ -148,7 +148,7 @@ class HeldOutRule(Rule):
         return [flight.scores() > factor for flight, factor in zip(held_out, factors, strict=True)]
 
     def covering(self, held_out: Sequence[FlightErrors]) -> HeldOutRule:
-        """The rule whose factors also cover other errors of the same flights, each when it was left out."""
+        """The rule whose factors cover these held-out errors of the same flights as well."""
         factors = self.flight_factors.copy()
         for k, flight in enumerate(held_out):
             if len(flight.inside) and np.mean(flight.inside) >= FEWEST_INSIDE:
@@ -185,8 +185,8 @@ class FlightErrors:
         error: (N,) measured − centre of the interval.
         spread: (N,) of that model, positive.
         inside: (N,) whether every input lies in the range of the samples that the model was fitted to.
-        width: (N,) spread over its peak on the flights that were fitted to; None where not asked for.
-        leverage: (N,) leverage over its peak there; None where not asked for, or without leverage.
+        width: (N,) spread over its peak on the flights of the fit; None where not known.
+        leverage: (N,) leverage over its peak on the flights of the fit; None where not known.
     """
 
     error: Array
@@ -196,18 +196,18 @@ class FlightErrors:
     leverage: Array | None = None
 
     def factors(self) -> Array:
-        """Factors (len(LEVELS),) whose intervals would have covered the errors inside."""
+        """Factors (len(LEVELS),) that would have covered the errors inside the envelope, by confidence."""
         factors: Array = np.quantile(self.scores()[self.inside], LEVELS, method="higher")
         return factors
 
     def scores(self) -> Array:
-        """Factors (N,) whose intervals would just have covered each error."""
+        """Smallest factor (N,) that covers each error: |error| / spread."""
         scores: Array = np.abs(self.error) / self.spread
         return scores
 
 
 def calibrate(held_out: Sequence[FlightErrors], trained: Sequence[FlightErrors]) -> HeldOutRule:
-    """Rule from the errors of each flight, left out and in the final fit.
+    """Calibrate a rule on the errors of each flight, under the model without it and under the final one.
 
     Args:
         held_out: per flight, under the model fitted without it.
@@ -232,12 +232,12 @@ def inside_range(inputs: Array, of: Array) -> npt.NDArray[np.bool_]:
 
 
 def flights_peak(values: Iterable[Array]) -> float:
-    """Largest 99.9 % quantile of the flights' values (N,): what they reached, without single spikes."""
+    """Largest over the flights of the 99.9 % quantile of their values (N,)."""
     return max(float(np.quantile(flight, PEAK_QUANTILE)) for flight in values)
 
 
 def conformal_rank(flights: int) -> int:
-    """Which of the flights' factors is used, 1 the smallest: ⌈0.9 (F + 1)⌉, or F while that is too few."""
+    """Rank of the flights' factor that is used, 1 for the smallest: ⌈0.9 (F + 1)⌉, at most F."""
     return min(int(np.ceil(FLIGHT_SHARE * (flights + 1))), flights)
 
 
@@ -247,10 +247,10 @@ def _ranked_factor(flight_factors: Array, confidence: float) -> float:
 
 
 def require_confidence(confidence: float, *, calibrated: bool) -> None:
-    """Refuse a confidence of which no intervals can be identified, whether calibrated on flights or not.
+    """Refuse a confidence for which no intervals can be identified.
 
     Raises:
-        ModelError: naming what is possible.
+        ModelError: naming the range, which is narrower where intervals are calibrated on flights.
     """
     _check_confidence(confidence, *((float(LEVELS[0]), float(LEVELS[-1])) if calibrated else (0.0, 1.0)))
 

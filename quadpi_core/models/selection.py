@@ -4,7 +4,7 @@
 
 Forward selection with orthogonalisation and backward elimination as in Klein and Morelli, *Aircraft
 System Identification*, section 5.4. The Gram matrix is factored by a partial Cholesky decomposition
-whose pivots are the selected regressors, so a step costs O(p) per regressor already chosen, whatever
+whose pivots are the selected regressors, so a step costs O(p) per regressor already chosen, regardless of
 the number of samples.
 """
 

@@ -20,7 +20,7 @@ from quadpi_core.models.interval_rules import FEWEST_INSIDE
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
 
 _log = logging.getLogger(__name__)
-# Contiguous parts that stand in for flights where the samples are not grouped.
+# Number of contiguous parts that replace flights where samples are not grouped.
 _PARTS_WITHOUT_GROUPS = 5
 
 
@@ -104,12 +104,12 @@ class Table:
         return inside
 
     def mostly_inside(self, flight: int, others: Indices) -> bool:
-        """Whether a flight tells of errors inside the envelope of the others (see `rules.HeldOutRule`)."""
+        """Whether the errors on a flight count for intervals (see :class:`.interval_rules.HeldOutRule`)."""
         return float(np.mean(self.inside(flight, others))) >= FEWEST_INSIDE
 
 
 def _finite(X: Array, Y: Array, groups: npt.ArrayLike | None) -> tuple[Array, Array, Indices, int]:
-    """Finite rows of inputs and targets, their flights numbered from 0, and how many rows are not finite."""
+    """Finite rows of inputs and targets, their flights numbered from 0, and the number of other rows."""
     X, Y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(Y, dtype=float)
     if X.ndim != 2 or Y.ndim != 2 or len(X) != len(Y):
         raise ModelError(f"inputs of shape {X.shape} and targets of shape {Y.shape} do not fit together")
@@ -173,7 +173,7 @@ class Plan:
 
     @classmethod
     def make(cls, flights: Indices, members: int, subset: float, split: Split, folds: int, seed: int) -> Plan:
-        """Plan for samples (N,) of flights numbered from 0, which are left out in so many turns."""
+        """Plan for samples (N,) of flights numbered from 0, which are left out in `folds` turns."""
         random = np.random.default_rng(seed)
         every = np.arange(int(flights.max()) + 1)
         unit, flight_of = _units(flights, split, random)
@@ -186,7 +186,7 @@ class Plan:
         return cls(members, unit, trained, np.concatenate(omitted), left_out, seen)
 
     def __len__(self) -> int:
-        """How many ensembles there are."""
+        """Number of ensembles."""
         return len(self.seen)
 
     def networks(self, ensemble: int) -> slice:

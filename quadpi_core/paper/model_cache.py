@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Models that a long computation stores, so that an interrupted run can be continued."""
+"""Cache of identified models, from which an interrupted run continues."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-# Folders of the package that no model depends on.
+# Folders of the package on which no model depends.
 _PRESENTATION = ("report", "cli")
 
 
@@ -34,7 +34,7 @@ class ModelCache:
     Attributes:
         vehicle, pools: see :func:`quadpi_core.identification.identify.identify`.
         folder: of the model folders; None stores nothing.
-        progress: called with what is being done.
+        progress: called as the work goes on.
     """
 
     vehicle: Vehicle
@@ -45,7 +45,7 @@ class ModelCache:
     def model(
         self, name: str, flights: Sequence[PreparedFlight], options: IdentifyOptions
     ) -> AerodynamicModel:
-        """The stored model if flights, options and code are those that it comes from; else a new one, stored.
+        """The stored model if flights, options and code are unchanged; else a new one, which is stored.
 
         A file beside the model's folder records its origin.
 

@@ -101,7 +101,7 @@ METHODS = tuple(dict.fromkeys(method for method, *_ in _rows(_TUNNEL_TABLE)))
 
 
 def published_tables() -> dict[str, dict[str, PublishedAxis]]:
-    """What the paper found under noise, by method and axis."""
+    """Coverage and width that the paper states under noise, by method and axis."""
     tables: dict[str, dict[str, PublishedAxis]] = {method: {} for method in METHODS}
     for method, axis, coverages, widths in _rows(_VALIDATION_TABLES):
         pairs = zip(coverages, widths, strict=True)
@@ -112,7 +112,7 @@ def published_tables() -> dict[str, dict[str, PublishedAxis]]:
 
 
 def published_table() -> dict[str, dict[str, dict[str, PublishedMetrics]]]:
-    """What the paper found in the wind tunnel, by method, axis and group.
+    """Coverage and width that the paper states in the wind tunnel, by method, axis and group.
 
     The text says that 0, 5 and 10 m/s are the identification data, the caption of the table 10 m/s alone.
     """
@@ -152,7 +152,7 @@ def published_case(
         seed: of all noise, and of the ensembles.
         device: that trains the ensembles.
         folder: of stored models, see :class:`.model_cache.ModelCache`.
-        progress: called with what is being done.
+        progress: called as the work goes on.
 
     Raises:
         ModelError: if a method cannot be identified, naming the axis.

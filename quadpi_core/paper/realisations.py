@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Realisations of noise on flights, and what the models then say, counted.
+"""Coverage and width of models under realisations of noise on flights.
 
-Every realisation of every flight has a seed of its own, so what is counted does not depend on which worker
-counts it, or in which order.
+Every realisation of every flight has a seed of its own, so the counts depend neither on the workers nor on
+their order.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LOWEST, HIGHEST = 0, 1
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts and extremes over R realisations of F flights by M models, each axis by itself.
+    """Counts and extremes over R realisations of F flights, for M models and each axis.
 
     Attributes:
         model: (R, M, F, 6) predictions from noisy inputs inside the interval at the noise-free ones.
@@ -55,7 +55,7 @@ class Tally:
 
     @classmethod
     def empty(cls, realisations: int, models: int, flights: int) -> Tally:
-        """Nothing counted yet."""
+        """A tally of zeros."""
         shape = (realisations, models, flights, len(AXES))
         return cls(
             model=np.zeros(shape, dtype=np.int64),
@@ -75,7 +75,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class Spread:
-    """Between what realisations of one flight lie, at each of its N samples.
+    """Extremes over realisations of one flight, at each of its N samples.
 
     Attributes:
         measured: (2, N, 6) lowest and highest noisy measurement.
@@ -98,7 +98,7 @@ def noise_seed(seed: int, name: str, realisation: int) -> int:
 
 
 def realise(case: ValidationCase, realisations: range) -> Tally:
-    """Count what the models of a case say of some of its realisations."""
+    """Tally of some realisations of a case."""
     tally = Tally.empty(len(realisations), len(case.models), len(case.flights))
     for row, realisation in enumerate(realisations):
         for column, flight in enumerate(case.flights):
@@ -111,7 +111,7 @@ def realise(case: ValidationCase, realisations: range) -> Tally:
 
 
 def spread(case: ValidationCase, flight: str, realisations: range) -> Spread:
-    """Extremes over some realisations of the flight of that name."""
+    """Extremes over some realisations of a flight, given by name."""
     clean = next(candidate for candidate in case.flights if candidate.name == flight)
     measured: Array | None = None
     predicted: dict[str, Array] = {}
@@ -122,7 +122,7 @@ def spread(case: ValidationCase, flight: str, realisations: range) -> Spread:
             said = model.evaluate(noisy.inputs, case.confidence).predicted
             predicted[name] = _widened(predicted.get(name), said)
     if measured is None:
-        raise ValueError("no realisation to look at")
+        raise ValueError("no realisations given")
     return Spread(measured, predicted)
 
 
@@ -179,7 +179,7 @@ def _count_kernel(reference: _Bounds, measured: Array, noisy: Evaluation, counte
             extremes[axis, HIGHEST] = max(extremes[axis, HIGHEST], predicted)
 
 
-# Seconds of work, so that an interruption loses little and the last chunks keep all workers busy.
+# Realisations of one task: some seconds of work, so that an interruption loses little.
 CHUNK = 5
 
 
@@ -190,13 +190,13 @@ def run_realisations(
     folder: Path | None = None,
     workers: Workers = DEFAULT_WORKERS,
 ) -> Tally:
-    """Count the first `count` realisations of a case; the result is the same whatever does the work.
+    """Count the first `count` realisations of a case; the result does not depend on the workers.
 
     Args:
         case: checked.
         count: of realisations, at least one.
-        folder: where finished chunks are kept, and taken from when they are of the same case.
-        workers: that count.
+        folder: of finished chunks, from which a later run of the same case continues.
+        workers: that do the counting.
 
     Raises:
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
@@ -232,7 +232,7 @@ def _write(path: Path, tally: Tally) -> None:
 
 
 def _read(path: Path, case: ValidationCase, span: range) -> Tally | None:
-    """What a file keeps; None where there is none, or one that is damaged."""
+    """Tally of a stored chunk; None where the file is missing or damaged."""
     expected = Tally.empty(len(span), len(case.models), len(case.flights))
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is validated: models, on noise-free flights, under noise."""
+"""The case of a validation: models, noise-free flights, and the noise on them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ValidationError(QuadpiError):
 
 @dataclass(frozen=True)
 class Samples:
-    """What a model is given and what it should say.
+    """Inputs of a model and the wrench that it should predict.
 
     Attributes:
         inputs: (N, 19) input vectors.
@@ -87,7 +87,7 @@ class ValidationCase:
     seed: int
 
     def check(self) -> None:
-        """Refuse what cannot be compared.
+        """Refuse models and flights that cannot be compared.
 
         Raises:
             ValidationError: for no model or flight, flights of the same name, and models that take another
@@ -129,7 +129,7 @@ class ValidationCase:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of all that the result depends on, the number of realisations aside."""
+        """Hash of everything that the result depends on except the number of realisations."""
         digest = hashlib.sha256()
         facts = {
             "quadpi": __version__,
@@ -145,7 +145,7 @@ class ValidationCase:
         return digest.hexdigest()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What travels to a worker: what can be computed again stays behind."""
+        """State for pickling, without cached values."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
@@ -182,7 +182,7 @@ def flight_hash(flight: Flight) -> str:
 
 
 def _numbers(model: AerodynamicModel) -> dict[str, Any]:
-    """What a model predicts with."""
+    """The numbers that determine the predictions of a model."""
     axes = {
         axis: [fitted.to_json(), _hash([values for _, values in sorted(fitted.arrays().items())])]
         for axis, fitted in model.fitted.items()

@@ -25,7 +25,7 @@ VARIATIONS = ("model_variation", "measurement_variation", "combined_variation")
 
 @dataclass(frozen=True)
 class PublishedCoverage:
-    """Coverage, and mean width over the range of what is to be covered, as fractions."""
+    """Coverage, and mean width over the range of the covered quantity, as fractions."""
 
     picp: float
     nmpiw: float
@@ -69,7 +69,7 @@ class Variation:
         picp: coverage as a fraction.
         picp_sd: its standard deviation over realisations; None for a single one.
         mpiw: mean width of the interval, N or Nm.
-        range: of what is to be covered, predictions or measurements; the mean over realisations.
+        range: of the covered predictions or measurements; the mean over realisations.
         nmpiw: mean width over that range; None where the range is zero.
         nmpiw_training: mean width over the range of the measured training data.
     """
@@ -152,7 +152,7 @@ class Validation:
         cutoff_hz: low-pass of the models.
         flights: by name.
         models: by name.
-        published: numbers to set beside; None without any.
+        published: numbers for comparison, if any.
     """
 
     quadpi_version: str
@@ -184,7 +184,7 @@ def summarise(
         case: that was validated.
         tally: of its realisations.
         training: noisy flights that the models were identified on.
-        published: numbers to set beside.
+        published: numbers for comparison.
     """
     sizes = np.array([len(flight) for flight in case.flights])
     return Validation(

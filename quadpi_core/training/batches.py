@@ -61,7 +61,7 @@ class Batches:
         self.size = min(size, count)
         self.input_shape = (tables, width + 1)
         self.target_shape = samples.targets.shape[1:]
-        # What belongs to a sample lies together: samples in random order are slow to reach, not to copy.
+        # The numbers of a sample lie together: samples in random order are slow to reach, not to copy.
         ones = np.ones((count, tables, 1), dtype=np.float32)
         inputs = np.concatenate((samples.inputs, ones), axis=2).reshape(count, -1)
         rows = np.concatenate((inputs, samples.targets.reshape(count, -1)), axis=1)
@@ -71,7 +71,7 @@ class Batches:
             torch.from_numpy(np.ascontiguousarray(flags, dtype=np.float32)).to(device)
             for flags in (samples.trained, samples.judged)
         )
-        # Fresh memory costs more than what is written to it, so it is taken once.
+        # Allocated once: fresh memory costs more than writing to it.
         together = _STEPS_TOGETHER * self.size
         self._rows = torch.empty((together, rows.shape[1]), device=device)
         self._weights = torch.empty(len(samples.trained) * together, device=device)

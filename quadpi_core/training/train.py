@@ -130,7 +130,7 @@ class TrainingState:
     """The state of a training after an epoch.
 
     Attributes:
-        stage: what is being trained.
+        stage: name of the training, such as "members".
         epoch: counts from 1 to `epochs`.
         loss: on the samples that a network is trained on, mean over all networks.
         coverage: of nominal intervals on the samples that judge a network, mean over all networks; None where
@@ -154,9 +154,9 @@ class Schedule:
 
     Attributes:
         hidden: units of the hidden layer.
-        epochs: how often the samples are gone through.
-        batch: samples of a step, of which a network is trained on those of its units.
-        fewest_steps: of an epoch; few samples are gone through several times.
+        epochs: passes over all samples.
+        batch: samples of a step; a network is trained on those in its units.
+        fewest_steps: of an epoch; a small set of samples is passed several times.
         learning_rate: of Adam.
         keep: networks as they are after the last epoch; each as it was after the epoch with the best score on
             what judges it; or all of a table as they were after that with the best score on average.
@@ -228,7 +228,7 @@ class Training:
         # On the processor for every device: all start from the same weights and see the same batches.
         self.random = torch.Generator().manual_seed(schedule.seed)
         self.parameters = torch.zeros(A * M * (K * H + Q * H + Q), device=device)
-        # The gradient and its square, of both of which Adam takes a moving mean.
+        # The gradient and its square; Adam takes the moving mean of both.
         self._powers = self.parameters.new_zeros((2, *self.parameters.shape))
         self._moments, self._scratch = torch.zeros_like(self._powers), torch.zeros_like(self.parameters)
         self._rates = self.parameters.new_tensor([[1.0 - _BETA_1], [1.0 - _BETA_2]])
@@ -343,7 +343,7 @@ class _Best:
 
 @contextmanager
 def _threads_for(activations: int) -> Iterator[None]:
-    """No more threads than pay for steps with so many activations."""
+    """Limit the threads of PyTorch to what the activations of a step pay for."""
     usual = torch.get_num_threads()
     torch.set_num_threads(max(1, min(usual, activations // _PER_THREAD)))
     try:

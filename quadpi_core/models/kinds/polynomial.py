@@ -42,7 +42,7 @@ NoiseRule: TypeAlias = Literal["held-out", "residual"]
 
 # Stride over the training samples when recording the largest leverage and spread.
 _PEAK_STEP = 8
-# Contiguous parts that stand in for flights where the samples are not grouped.
+# Number of contiguous parts that replace flights where samples are not grouped.
 _PARTS_WITHOUT_GROUPS = 5
 
 
