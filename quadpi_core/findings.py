@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is to be said of the data of a flight: samples that were left out, mistakes that it looks like.
+"""Problems found in the data of a flight: samples that were left out, and likely mistakes.
 
 It goes along with the flight.
 """
@@ -14,7 +14,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Samples of one topic that cannot be those of a flight.
+    """Samples of one topic that were left out, because no flight can have them.
 
     Attributes:
         topic: that they came on.
@@ -41,7 +41,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something in a recording, or in it and its vehicle, that contradicts itself.
+    """A contradiction within a recording, or between it and its vehicle.
 
     Attributes:
         mistake: that explains it best, by its name in docs/mistakes.md.
@@ -61,7 +61,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class DataQuality:
-    """What is to be said of the data of one flight."""
+    """Problems found in the data of one flight."""
 
     left_out: tuple[LeftOut, ...] = ()
     findings: tuple[Finding, ...] = ()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a flight is to quadpi: a recording (sensor streams, each on its own clock) and a flight (one grid).
+"""Flights: a recording holds sensor streams, each on its own clock; a flight holds signals on one grid.
 
 A log reader or a bag gives a :class:`Recording`. :func:`quadpi_core.estimator.fusion.fuse` turns it into a
 :class:`Flight` on the IMU's time grid, with the state estimated. Everything is SI, body axes
@@ -22,18 +22,18 @@ from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.frames import Array
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
-# A sensor that pauses for longer is not sampling: nothing is interpolated, integrated or filtered across.
+# Longest pause of a sensor across which samples are interpolated, integrated or filtered.
 MAX_GAP_NS = 100_000_000
-# A stamp further back than this is a new beginning (a bag that starts over), not a late sample.
+# A stamp that steps further back is a restart (a bag played again), not a late sample.
 MAX_JUMP_BACK_NS = 1_000_000_000
 # Seconds in messages have 32 bits.
 STAMP_MAX_NS = 2**31 * 1_000_000_000 - 1
-# Stands for no stamp; before every stamp, and the difference to any of them fits 64 bits.
+# Marks "no stamp": before every stamp, and its difference to any of them fits 64 bits.
 NO_STAMP = -(2**62)
 _DAY_NS = 86_400 * 1_000_000_000
-# A longer one has a damaged stamp in it.
+# A recording that spans more has a damaged stamp.
 FLIGHT_MAX_NS = 2 * _DAY_NS
-# Of any quantity in SI units; sums of squares of such numbers keep their digits.
+# Largest value of any quantity in SI units; sums of squares of such numbers keep their digits.
 VALUE_MAX = 1e6
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -113,7 +113,7 @@ def check_stamps(where: str, time_ns: Stamps) -> None:
 
 
 class ValueCheck:
-    """Looks for values of a topic that no later step can use, while its samples come in parts.
+    """Check of the values of a topic whose samples are added in parts; see :meth:`Stream.check`.
 
     Args:
         where: source and topic, for messages.
@@ -127,7 +127,7 @@ class ValueCheck:
         self._largest: dict[str, tuple[float, int]] = {}
 
     def add(self, stream: Stream) -> None:
-        """Look at the samples that come next."""
+        """Add the next samples."""
         for column in fields(stream) if len(stream) else ():
             values = getattr(stream, column.name).reshape(len(stream), -1)
             if values.dtype.kind != "f":
@@ -143,7 +143,7 @@ class ValueCheck:
         self._before += len(stream)
 
     def finish(self) -> None:
-        """Say what is wrong.
+        """Refuse values that no later step can use.
 
         Raises:
             LogError: naming the sample, for values that are not finite or beyond VALUE_MAX.
@@ -228,9 +228,9 @@ class Recording:
         name: stem of the file that it came from.
         vehicle: name of the vehicle file.
         source: path of the file, for messages.
-        battery_v: (time_ns, volts) where the log has it; only `quadpi info` looks at it.
-        arrivals: by topic, how many IMU samples had arrived before each sample (N,), where the log tells.
-        quality: what is to be said of the data.
+        battery_v: (time_ns, volts) where the log has it; only `quadpi info` uses it.
+        arrivals: by topic, number of IMU samples that arrived before each sample (N,), where the log has it.
+        quality: problems found in the data.
     """
 
     name: str
@@ -248,9 +248,9 @@ class Recording:
     quality: DataQuality = NOTHING_TO_SAY
 
     def arrivals_of(self, stream: Stream) -> Stamps:
-        """How many IMU samples were there before each sample (N,): as the log tells, else by the stamps.
+        """Number of IMU samples that arrived before each sample (N,): from the log, else from the stamps.
 
-        Of a stream that lost samples since it was read, the stamps count.
+        Stamps are also used for a stream that has lost samples since it was read.
         """
         known = self.arrivals.get(stream.topic)
         if known is not None and len(known) == len(stream):
@@ -298,7 +298,7 @@ class Flight:
         specific_force: (N, 3) m/s².
         rotor_speeds: (N, 4) rad/s.
         wind: (N, 3) m/s, world; zero where it was not measured.
-        quality: what is to be said of the data that it came from.
+        quality: problems found in the data of the recording.
     """
 
     name: str

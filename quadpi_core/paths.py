@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files that belong to quadpi lie, and how output appears whole or not at all."""
+"""Folders of quadpi's own files, and output that appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def whole_output(path: Path) -> Iterator[Path]:
 
 
 def _replace_folder(made: Path, path: Path, replaced: Path) -> None:
-    """Put a folder in the place of `path`, where one may stand, and others may put theirs at the same time.
+    """Move a folder to `path`, replacing one that is there, while other writers may do the same.
 
     Where the system can exchange two folders in one step (Linux, most file systems), there is always one at
     `path`; elsewhere the other is moved to `replaced` first, and a reader has to look again.
@@ -93,7 +93,7 @@ def _replace_folder(made: Path, path: Path, replaced: Path) -> None:
 
 @contextmanager
 def _unless_taken() -> Iterator[None]:
-    """Leave a folder where it is if another writer has put one at its place meanwhile."""
+    """Ignore the error of a move whose target another writer has filled meanwhile."""
     try:
         yield
     except OSError as error:
@@ -101,7 +101,7 @@ def _unless_taken() -> Iterator[None]:
             raise
 
 
-# More writers than this never meet at one folder.
+# More than the number of writers that may compete for one folder.
 _REPLACEMENTS_MAX = 100
 # renameat2(2) with paths from the working directory on.
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
@@ -176,13 +176,13 @@ def require_folder(path: Path) -> None:
 
 
 def _require_place(folder: Path) -> None:
-    """Write something into a folder, or where it would be made: permissions alone do not tell."""
+    """Test by writing whether a folder can be made or filled: permissions alone do not tell."""
     with scratch_folder(_standing(folder)):
         pass
 
 
 def _standing(folder: Path) -> Path:
-    """The folder itself, or the lowest above it that is there."""
+    """The folder, or its closest parent that exists."""
     return next(place for place in (folder, *folder.parents) if place.exists())
 
 
@@ -197,7 +197,7 @@ def _refuse_device(path: Path) -> None:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Say in an error what could not be written."""
+    """Name in an error the path that could not be written."""
     try:
         yield
     except OSError as error:
@@ -216,12 +216,12 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def resolved_below(path: str | Path, folders: Sequence[Path]) -> Path | None:
-    """The path with links and `..` resolved, if it then lies in or below one of the folders; else None."""
+    """The path with links and `..` resolved, if it is in or below one of the folders; else None."""
     found = Path(path).resolve()
     return found if any(found.is_relative_to(folder.resolve()) for folder in folders) else None
 
 
 def data_directory() -> Path:
-    """The folder of real flights: $QUADPI_DATA, or shared/data beside the checkout; may not exist."""
+    """The folder of real flights: $QUADPI_DATA, or shared/data beside the checkout; need not exist."""
     beside_checkout = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
     return Path(os.environ.get("QUADPI_DATA", beside_checkout))

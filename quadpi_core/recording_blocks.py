@@ -25,7 +25,7 @@ _ROOM_SHARE = 16
 
 
 def join_blocks(blocks: Iterable[Recording]) -> Recording:
-    """The recording that the blocks are parts of.
+    """Join consecutive blocks to one recording.
 
     Raises:
         ValueError: if there is no block.
@@ -104,7 +104,7 @@ def split_recording(recording: Recording) -> Iterator[Recording]:
         counts[name] = arrived[orders[name]]
     count = len(recording.imu)
     for start in [*range(0, count, BLOCK_SAMPLES), count]:
-        # The last block is of what came after the last IMU sample.
+        # The last block holds the samples after the last IMU sample.
         stop = min(start + BLOCK_SAMPLES, count) if start < count else count + 1
         rows = {name: slice(*np.searchsorted(counts[name], (start, stop)).tolist()) for name in others}
         streams: dict[str, Any] = {name: others[name].take(orders[name][rows[name]]) for name in others}
@@ -130,14 +130,14 @@ def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
 
 
 def _in_order(stream: Stream) -> Stream:
-    """The stream sorted by its stamps; itself where it is, which is the rule."""
+    """The stream sorted by its stamps, which it usually is already."""
     if np.any(stream.time_ns[1:] < stream.time_ns[:-1]):
         return stream.take(np.argsort(stream.time_ns, kind="stable"))
     return stream
 
 
 def by_arrival(blocks: Iterable[Recording]) -> Iterator[Recording]:
-    """The same flight in blocks of what had arrived when their last IMU sample did, in the order of arrival.
+    """The same flight in order of arrival: a block has all that arrived up to its last IMU sample.
 
     What came after it is in the next block, as if it had come with that; what came after the last IMU sample
     of all is in a block of its own.
@@ -153,7 +153,7 @@ def by_arrival(blocks: Iterable[Recording]) -> Iterator[Recording]:
 
 
 def _cut(block: Recording) -> tuple[Recording, Recording]:
-    """What had arrived when the last IMU sample did, and the rest."""
+    """Split a block into samples that arrived up to its last IMU sample, and the rest."""
     count = len(block.imu)
     others = {name: stream for name, stream in streams_by_field(block).items() if name != "imu"}
     counts = {name: block.arrivals_of(stream) for name, stream in others.items()}
@@ -172,7 +172,7 @@ def _cut(block: Recording) -> tuple[Recording, Recording]:
 
 
 def streams_by_field(recording: Recording) -> dict[str, Stream]:
-    """By the names of their fields."""
+    """Streams of a recording by the names of their fields."""
     return {
         column.name: stream
         for column in fields(recording)

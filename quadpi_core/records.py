@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records: structured arrays whose fields are declared once, for numpy, numba and mypy alike.
+"""Records: structured arrays whose fields are declared once, for numpy, numba and mypy.
 
 A class names the fields, :func:`record_dtype` makes the dtype, and kernels take the class as a type::
 

@@ -24,7 +24,7 @@ _YAW_INERTIA = (0.02, 10.0)
 SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
 
 
-# The estimator's buffer of past states reaches this far back [s].
+# Length of the estimator's buffer of past states [s].
 _MOCAP_DELAY_MAX_S = 0.3
 
 
@@ -57,9 +57,9 @@ class Vehicle:
         rotor_positions: (4, 3), from the centre of gravity; the row order is the rotor order.
         rotor_spins: (4,), +1 where the rotor turns clockwise seen from above, else -1.
         pole_pairs: mechanical speed = electrical speed / pole_pairs; None where the source of the
-            vehicle does not say, and then electrical speeds are refused.
-        thrust_coefficient: C_T = thrust / (ρ π R⁴ ω²) of a rotor in still air, where it is known, to hold the
-            flights against.
+            vehicle does not say it; electrical speeds are then refused.
+        thrust_coefficient: C_T = thrust / (ρ π R⁴ ω²) of a rotor in still air, where it is known; flights are
+            compared with it.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Vehicle:
 
     @property
     def rotor_speed_spike_rad_s(self) -> float:
-        """Beyond which a measured speed is a spike: a rotor at its largest, read with noise, is none."""
+        """Limit above which a measured speed is a spike, with a margin for noise at the largest speed."""
         return _SPIKE_MARGIN * self.rotor_speed_max_rad_s
 
     @cached_property
@@ -167,7 +167,7 @@ class _VehicleFile(Section):
     source: Any = None
 
     def __post_init__(self) -> None:
-        """Refuse what no quadrotor is."""
+        """Refuse numbers that no quadrotor has."""
         if len(self.rotors) != ROTORS:
             raise ValueError(f"`rotors` must list {ROTORS} rotors")
         if not is_rigid_body(self._inertia):

@@ -54,7 +54,7 @@ def parsed_definition(type_name: str, text: str) -> Typesdict:
     rosbags executes code that it makes of names, and repeats it for each item of a fixed array.
 
     Raises:
-        TypesysError: for a definition that is none, a name that is no identifier, and an array of thousands.
+        TypesysError: for an invalid definition or name, and for an array of more than ITEMS_MAX messages.
     """
     if not _TYPE_NAME.fullmatch(type_name):
         raise TypesysError(f"{type_name!r} names no type")

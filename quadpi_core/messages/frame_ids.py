@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The axes of a message's numbers by its frame_id; one rule for live messages and bags.
+"""Axes of a message's values from its frame_id; one rule for live messages and bags.
 
 A world whose name ends in `ned` is not the east-north-up that these messages are read in: refused. An IMU in
 another frame than the body's is turned, and moved by its lever arm, where static transforms lead from its
-frame to the body's. Without any, one whose name ends in `frd` is turned by the half turn that this means, one
-that ends in `ned` is refused, and any other is taken as the body's, with a warning; where `strict`, it is
-refused, and so is any `frd` but the body's own. An empty frame_id says nothing: it is taken as it should be.
+frame to the body's. Without transforms, a frame whose name ends in `frd` is rotated by half a turn about x,
+one that ends in `ned` is refused, and any other is taken as the body's, with a warning; where `strict`, it
+is refused, and so is any `frd` but the body's own. An empty frame_id is taken as the expected frame.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from quadpi_core.messages.transforms import StaticTransforms, plain_name
 
 _log = logging.getLogger(__name__)
 
-# Of a message that begins with a header: where its frame_id begins, after encapsulation and stamp.
+# Position of the frame_id in a message that begins with a header, behind encapsulation and stamp.
 _TEXTS = 12
 _ORIGIN = 4
 _LENGTH = struct.Struct("<I")
 _DOWN = re.compile(r"(?:^|[^a-z])ned$", re.I)
 _RIGHT_DOWN = re.compile(r"(?:^|[^a-z])frd$", re.I)
 _WINDOW = 64
-# FRD and FLU are half a turn about x apart, either way.
+# Rotation between FRD and FLU in both directions: half a turn about x.
 _HALF_TURN = np.diag([1.0, -1.0, -1.0])
 
 Content = TypeVar("Content")
@@ -48,17 +48,17 @@ class FrameRefusedError(Exception):
 
 
 class BodyFrames:
-    """Judges frames by what is known of the body.
+    """Decides how frames relate to the body's, from their names and static transforms.
 
     Args:
         body_frame: frame_id of the body, forward-left-up; the last part of its name counts.
-        strict: whether an IMU in a frame that nothing is known of is refused.
-        patience_s: for how long transforms may still come, from the first sample that needs one.
-        hint: why there may be none, for messages.
+        strict: refuse an IMU in a frame without a known relation to the body's.
+        patience_s: time to wait for transforms, from the first sample that needs one.
+        hint: possible reason for missing transforms, for messages.
         warn: called once for each frame that is taken as the body's.
 
     Attributes:
-        transforms: the static ones; more may be taken at any time.
+        transforms: static transforms; more may be added at any time.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class BodyFrames:
         self._since_s: float | None = None
 
     def imu(self, frames: tuple[str, ...]) -> Mounting | None:
-        """How samples of an IMU have to be moved; None where they are the body's.
+        """Mounting of an IMU with these frames; None where they are the body's.
 
         Raises:
             FrameRefusedError: see the module.
@@ -111,7 +111,7 @@ class BodyFrames:
 
     @staticmethod
     def world(frames: tuple[str, ...]) -> None:
-        """Judge the frame of a pose, a velocity or the wind, and where there is one that of the body in it.
+        """Check the frame of a pose, a velocity or the wind, and the child frame where there is one.
 
         Raises:
             FrameRefusedError: see the module.
@@ -132,14 +132,14 @@ class BodyFrames:
 
 
 class Framed(Generic[Content]):
-    """Unpacks the messages of a topic, in their order, and does what their frames ask for.
+    """Unpacks the messages of a topic in their order, and applies their frames.
 
     The frames are judged where they change. See :class:`.one_by_one.IncomingMessage` for live messages.
 
     Args:
         unpack: of N messages.
         judge: such as :meth:`BodyFrames.imu`.
-        texts: how many names follow the stamp: 2 where there is a child frame.
+        texts: number of names behind the stamp: 2 with a child frame.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class Framed(Generic[Content]):
         """The samples.
 
         Raises:
-            SampleError: saying which frame cannot be used, and why.
+            SampleError: naming a frame that cannot be used, and why.
             LogError: as `unpack` does.
         """
         content = self._unpack(payloads)
@@ -173,7 +173,7 @@ class Framed(Generic[Content]):
         return content
 
     def _runs(self, payloads: Payloads) -> Iterator[slice]:
-        """Runs of messages with the same frames; looked for in windows that grow with a run."""
+        """Runs of messages with the same frames, found in windows that grow with a run."""
         start = 0
         while start < len(payloads):
             end = names_of(payloads[start], self._texts)[1]
@@ -192,7 +192,7 @@ class Framed(Generic[Content]):
 
 
 def names_of(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
-    """The strings after the stamp of a message whose layout has been checked, and where they end."""
+    """Strings behind the stamp of a message with a valid layout, and the position behind them."""
     names, place = [], _TEXTS
     for _ in range(count):
         place = _ORIGIN - (_ORIGIN - place) // _LENGTH.size * _LENGTH.size

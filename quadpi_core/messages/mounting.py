@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""An IMU that is mounted turned, or away from the body's origin: its samples as one there would give them.
+"""Conversion of the samples of a rotated or displaced IMU to the body's axes and origin.
 
-With R turning the IMU's axes into the body's, r the IMU's place in the body, ω = R ω_imu and α = dω/dt,
+With R the rotation from the IMU's axes to the body's, r the IMU's position in the body, ω = R ω_imu and
+α = dω/dt,
 
     f = R f_imu − α × r − ω × (ω × r).
 
@@ -28,11 +29,11 @@ LAG_S = 0.001
 
 
 class Mounting:
-    """Moves the samples of one IMU, in their order: all at once or one by one, with the same bits.
+    """Converts the samples of one IMU in their order: all at once or one by one, with the same bits.
 
     Args:
         rotation: (3, 3) from the IMU's axes to the body's, forward-right-down both.
-        arm: (3,) m, the IMU's place in the body.
+        arm: (3,) m, the IMU's position in the body.
     """
 
     def __init__(self, rotation: Array, arm: Array) -> None:

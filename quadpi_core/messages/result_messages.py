@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between what the monitor says and its ROS messages; used as :mod:`quadpi_core.messages.sensor_messages`."""
+"""Conversion between results of the monitor and ROS messages, as :mod:`.sensor_messages` for sensors."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between ROS messages (REP-103: FLU body, ENU world) and the core's arrays (FRD, NED).
+"""Conversion between ROS messages (REP-103: FLU body, ENU world) and the core's arrays (FRD, NED).
 
 Bags and nodes share these functions: a bag passes all messages of a topic, a node one message at a
 time, both as serialized bytes. Every `unpack_` raises SampleError, naming the sample, for bytes that are

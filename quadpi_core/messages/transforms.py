@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Static transforms between frames, as `/tf_static` has them."""
+"""Static transforms between frames, from the messages of `/tf_static`."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ _NORM_TOLERANCE = 0.01
 
 
 class Transform(NamedTuple):
-    """From one frame to another: rotation (3, 3) of vectors, and the place (3,) m of the one's origin."""
+    """Transform between frames: rotation (3, 3) of vectors, position (3,) m of the source's origin."""
 
     rotation: Array
     translation: Array
 
     def then(self, other: Transform) -> Transform:
-        """This one, then another."""
+        """This transform followed by another."""
         return Transform(
             other.rotation @ self.rotation, other.rotation @ self.translation + other.translation
         )
 
     def inverse(self) -> Transform:
-        """The way back."""
+        """The inverse transform."""
         return Transform(self.rotation.T, -self.rotation.T @ self.translation)
 
 
 def plain_name(frame: str) -> str:
-    """A frame without the slash that tf once put before it."""
+    """Name of a frame without the leading slash of early tf."""
     return frame.strip("/")
 
 
 class StaticTransforms:
-    """What is known of how frames lie to each other.
+    """Tree of static transforms.
 
     Attributes:
-        changes: counts the messages taken.
+        changes: number of messages added.
     """
 
     def __init__(self) -> None:
@@ -54,10 +54,10 @@ class StaticTransforms:
         self._to: dict[str, dict[str, Transform]] = {}
 
     def take(self, message: bytes) -> None:
-        """Take a serialized tf2_msgs/TFMessage; of two transforms between the same frames the later counts.
+        """Add a serialized tf2_msgs/TFMessage; later transforms replace earlier ones between the same frames.
 
         Raises:
-            LogError: for bytes that are none; for a rotation that is none, once the others have been taken.
+            LogError: for invalid bytes; for an invalid rotation, after the other transforms were added.
         """
         try:
             decoded = typestore().deserialize_cdr(message, TF_TYPE)
@@ -82,7 +82,7 @@ class StaticTransforms:
             raise LogError(wrong[0])
 
     def between(self, source: str, target: str) -> Transform | None:
-        """From one frame to another, through others if necessary; None without a path."""
+        """Transform from one frame to another, through others if necessary; None without a path."""
         reached = {source: Transform(np.eye(3), np.zeros(3))}
         waiting = [source]
         while waiting and target not in reached:

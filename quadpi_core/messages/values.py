@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between the numbers of a message, in its order and frames (FLU, ENU), and the core's arrays, compiled.
+"""Compiled conversion between the numbers of a message (its order, FLU, ENU) and the core's arrays.
 
 A live node converts thousands of single messages a second. One call does it for all fields of a message;
 array operations field by field cost several times as much.

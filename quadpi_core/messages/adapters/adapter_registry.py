@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which messages of other packages are known, and how each becomes a stream."""
+"""Registry of the messages of other packages that are understood, and their conversion to streams."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from quadpi_core.vehicle import Vehicle
 
 
 class _Reading(NamedTuple):
-    """Makes a stream of decoded messages, and counts those that gave no sample."""
+    """Converts decoded messages to a stream, and counts dropped ones."""
 
     read: Callable[[Columns, dict[str, Items]], Stream]
     dropped: Callable[[], Counter[str]]
@@ -51,7 +51,7 @@ class Adapter:
     start: Callable[[Any, Vehicle | None], _Reading]
 
     def open(self, definition: str, settings: AdapterSettings, vehicle: Vehicle | None) -> Unpacker:
-        """What unpacks messages of this type, from one topic.
+        """Unpacker of the messages of this type on one topic.
 
         Args:
             definition: of the type and all that it contains (`ros2msg`), in the version that was sent.
@@ -70,7 +70,7 @@ class Adapter:
 
 
 class Unpacker:
-    """Unpacks the messages of one topic, in their order: all at once or one by one."""
+    """Unpacks the messages of one topic in their order: all at once or one by one."""
 
     def __init__(self, codec: ForeignCodec, reading: _Reading) -> None:
         self._codec = codec
@@ -78,7 +78,7 @@ class Unpacker:
 
     @property
     def dropped(self) -> Counter[str]:
-        """How many messages gave no sample, by reason."""
+        """Number of dropped messages by reason."""
         return self._reading.dropped()
 
     def unpack(self, payloads: Payloads | bytes) -> Stream:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What messages of other packages do not say of themselves: units, frames, which rotor, which body.
+"""Settings for messages of other packages: units, frames, rotors and bodies, which the messages do not name.
 
 docs/adapters.md explains the keys; config/adapters holds examples.
 """
@@ -31,7 +31,7 @@ def _read_rotors(data: Any) -> tuple[int, ...] | str:
 
 @dataclass(frozen=True)
 class RotorSettings(Section):
-    """How ESC reports become rotor speeds.
+    """Conversion of ESC reports to rotor speeds.
 
     Attributes:
         rotors: for each rotor of the vehicle file, the number from 1 of the ESC (mavros) or motor (PX4); or
@@ -67,7 +67,7 @@ def _read_body(data: Any) -> str:
 
 @dataclass(frozen=True)
 class BodySettings(Section):
-    """Which of the bodies that a motion capture follows, and in what axes.
+    """The body of a motion capture system to use, and its axes.
 
     Attributes:
         body: its name.

@@ -32,7 +32,7 @@ _PX4_MOTOR_1 = 101
 
 
 class Verdict(IntEnum):
-    """Whether reports are a sample, or why not."""
+    """Whether reports form a sample, or the reason why not."""
 
     SAMPLE = 0
     NONE_ANNOUNCED = 1
@@ -58,7 +58,7 @@ REASONS = {
 
 
 class EscReports(NamedTuple):
-    """What N messages say of the vehicle's rotors, in their order.
+    """Reports of the vehicle's rotors in N messages, in rotor order.
 
     Attributes:
         time_ns: (N,).
