@@ -236,7 +236,6 @@ NotNegative: TypeAlias = Annotated[float, Within(0.0)]
 Share: TypeAlias = Annotated[float, Within(0.0, 1.0)]
 Flag: TypeAlias = Annotated[StrictBool, Expected("must be true or false")]
 Vector: TypeAlias = Annotated[tuple[Real, Real, Real], Expected("must be three numbers")]
-Reals: TypeAlias = Annotated[tuple[Real, ...], Expected("must be a list of numbers")]
 
 
 @dataclass(frozen=True)

@@ -85,19 +85,6 @@ def vehicle_constants(vehicle: Vehicle) -> tuple[Array, float, float]:
     return signs, vehicle.rotor_radius_m, vehicle.hover_induced_velocity
 
 
-def induced_velocity(velocity_air: Array, hover_induced_velocity: float) -> Array:
-    """Induced velocity (N,) m/s of momentum theory, from velocity (N, 3) m/s relative to the air.
-
-    Solves v_in = v_h² / √((V cos α)² + (v_in − V sin α)²) (Eq. 8) with V cos α = √(u² + v²) in the rotor
-    plane and V sin α = w through it. Where descent allows several roots, the largest is taken: it
-    belongs to the working state of the rotor and joins hover without a jump.
-    """
-    velocity_air = np.ascontiguousarray(velocity_air, dtype=float)
-    solution = np.empty(len(velocity_air))
-    _induced_velocity_kernel(velocity_air, hover_induced_velocity, solution)
-    return solution
-
-
 @njit(cache=True)
 def relative_to_air(velocity: Any, attitude: Any, wind: Any) -> Any:
     """Velocity (N, 3) m/s relative to the air, body axes: ground velocity (body) less wind (world)."""
@@ -119,7 +106,11 @@ def relative_to_air(velocity: Any, attitude: Any, wind: Any) -> Any:
 
 @njit(cache=True)
 def solve_induced_velocity(in_plane: float, through: float, hover: float) -> float:
-    """Largest root x of x² (in_plane² + (x − through)²) = hover⁴, in units of the hover velocity.
+    """Induced velocity m/s of momentum theory, from the velocity in the rotor plane and through it (Eq. 8).
+
+    Solves v_in = v_h² / √((V cos α)² + (v_in − V sin α)²) with V cos α = √(u² + v²) and V sin α = w, in units
+    of v_h. Where descent allows several roots, the largest is taken: it belongs to the working state of the
+    rotor and joins hover without a jump.
 
     The start lies above the largest root, where the quartic rises and is convex, so Newton's method
     falls onto it; a bracket that shrinks with each sign guards the few cases with an inflection between.
@@ -142,13 +133,6 @@ def solve_induced_velocity(in_plane: float, through: float, hover: float) -> flo
         if abs(x - previous) <= _CONVERGED * x:
             break
     return x * hover
-
-
-@njit(cache=True)
-def _induced_velocity_kernel(velocity_air: Any, hover: float, out: Any) -> None:
-    for i in range(velocity_air.shape[0]):
-        u, v, w = velocity_air[i, 0], velocity_air[i, 1], velocity_air[i, 2]
-        out[i] = solve_induced_velocity(np.sqrt(u * u + v * v), w, hover)
 
 
 @njit(cache=True)
