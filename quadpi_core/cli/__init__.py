@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command line `quadpi`. Known errors print one line and exit with status 2.
+"""The command line `quadpi`: an error that the user can mend is one line, with exit status 2.
 
 Each command imports what it needs when it runs, so that `--help` answers at once.
 """
@@ -106,5 +106,5 @@ def main() -> None:
         print(f"quadpi: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
         sys.exit(2)
     except MemoryError:
-        print("quadpi: it takes more memory than there is; nothing is half written", file=sys.stderr)
+        print("quadpi: not enough memory; nothing is half written", file=sys.stderr)
         sys.exit(2)

@@ -32,7 +32,7 @@ def discrepancy(
         ),
     ],
     bags: Bags,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for what was found.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
     effects: Annotated[
         str | None, typer.Option(help="Effects to look for, such as wind,payload; default: all.")
     ] = None,
@@ -43,7 +43,7 @@ def discrepancy(
         bool,
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draws that thresholds come from.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the draws that thresholds are set from.")] = 0,
     workers: FileProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,

@@ -46,7 +46,7 @@ def evaluate(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Folder for the paper's bags and models, to go on from."),
+        typer.Option("-o", "--output", help="Folder for the paper's bags and models, to resume from."),
     ] = None,
     confidence: Confidence = None,
     adaptive: Adaptive = False,
@@ -67,11 +67,9 @@ def evaluate(
     console = open_console()
     if paths or group:
         if output is not None:
-            raise QuadpiError(
-                "-o: keeps what the paper's table is made from, where no model and flight is given"
-            )
+            raise QuadpiError("-o: only without models and flights, to keep those of the paper's table")
         if device is not None:
-            raise QuadpiError("--device: trains for the paper's table, where no model and flight is given")
+            raise QuadpiError("--device: only without models and flights, to train for the paper's table")
         if not paths:
             raise QuadpiError(
                 "no model given: name model folders first, or nothing at all for the paper's table"
@@ -87,7 +85,7 @@ def evaluate(
 
         if vehicle is not None:
             raise QuadpiError(
-                "--vehicle: the paper's table is of the HDBeetle; of others name models and flights"
+                "--vehicle: the paper's table is of the HDBeetle; for another vehicle name models and flights"
             )
         kept = (None, None) if output is None else (output / "bags", output / "models")
         check_outputs([], json_file, html_file, folders=kept)
@@ -117,10 +115,10 @@ def evaluate(
 
 
 def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
-    """Flights by group, from the positional bags (group `all`) and the texts NAME=BAG[,BAG…].
+    """Flights by group: positional bags form the group `all`, others come from texts NAME=BAG[,BAG…].
 
     Raises:
-        QuadpiError: for a text without a name or bag, and where no bag is given at all.
+        QuadpiError: for a text without a name or bag, or without any bag.
     """
     members: dict[str, list[Path]] = {"all": list(bags)} if bags else {}
     for text in groups:
@@ -144,7 +142,7 @@ def write_evaluation(
     *,
     adaptive: bool = False,
 ) -> Evaluation:
-    """Judge the intervals of one model, and write the result where files are asked for."""
+    """Judge the intervals of one model, and write the files that are given."""
     from quadpi_core.evaluation.evaluate import judge
     from quadpi_core.report.evaluation_page import write_evaluation_page
 

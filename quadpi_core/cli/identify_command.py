@@ -59,11 +59,12 @@ def identify(
     ] = None,
     confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
     false_alarms_per_hour: Annotated[
-        float, typer.Option(help="Rate that the limits of the alarm are calibrated to.")
+        float, typer.Option(help="False alarms per hour that the limits of the alarm are calibrated to.")
     ] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the networks of an ensemble.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the networks of an ensemble.")] = 0,
     device: Annotated[
-        Literal["cpu", "cuda"], typer.Option(help="That trains an ensemble; flying needs none.")
+        Literal["cpu", "cuda"],
+        typer.Option(help="Device to train an ensemble on; it flies on the processor."),
     ] = "cpu",
     workers: FileProcessCount = None,
     scheduler: Scheduler = None,

@@ -31,8 +31,8 @@ def import_logs(
     mapping: Annotated[
         str | None,
         typer.Option(
-            help="What columns or messages of others are, or an autopilot's rotor order: a name in "
-            "config/mappings (tables, autopilots) or config/adapters (bags), or a file."
+            help="Meaning of columns of a table or messages of other packages, or an autopilot's rotor "
+            "order: a name in config/mappings (tables, autopilots) or config/adapters (bags), or a file."
         ),
     ] = None,
     align: Annotated[

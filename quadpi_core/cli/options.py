@@ -27,7 +27,7 @@ OptionalVehicle = Annotated[
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the result as JSON.")]
 HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
 Adaptive = Annotated[
-    bool, typer.Option("--adaptive", help="Intervals that adapt to the measured wrench as the flight goes.")
+    bool, typer.Option("--adaptive", help="Adapt the intervals to the measured wrench during the flight.")
 ]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
 ProcessCount = Annotated[int | None, typer.Option(min=1, help="Processes to use; default: one per core.")]
@@ -37,15 +37,19 @@ FileProcessCount = Annotated[
 ]
 PublishedDevice = Annotated[
     Literal["cpu", "cuda"] | None,
-    typer.Option(help="That trains the ensembles, where no model is given; default: cpu."),
+    typer.Option(help="Device to train ensembles on, where no model is given; default: cpu."),
 ]
 Scheduler = Annotated[
-    str | None, typer.Option(help="Address of a Dask scheduler, whose workers to use instead.")
+    str | None, typer.Option(help="Address of a Dask scheduler whose workers to use instead.")
 ]
 
 
 def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence[Path | None] = ()) -> None:
-    """Refuse what cannot be written, and an output in the place of an input or another output, or within."""
+    """Refuse outputs that cannot be written, or that are in the place of an input or another output.
+
+    Raises:
+        QuadpiError: naming the output. A path within an input or another output is refused as well.
+    """
     taken = [path.resolve() for path in inputs]
     for output in filter(None, (*folders, *files)):
         place = output.resolve()
@@ -59,13 +63,13 @@ def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence
 
 
 def write_result(json_file: Path | None, data: dict[str, Any]) -> None:
-    """Write what a command found, where `--json` names a file."""
+    """Write the result of a command if `--json` names a file."""
     if json_file is not None:
         write_json(json_file, data)
 
 
 def print_quality(console: Console, flights: Iterable[tuple[Path | str, DataQuality]]) -> None:
-    """Say of each flight, named or given by its file, what is to be said of its data."""
+    """Print the remarks on the data of each flight, which is given by name or file."""
     from rich.text import Text
 
     for flight, quality in flights:
@@ -74,7 +78,7 @@ def print_quality(console: Console, flights: Iterable[tuple[Path | str, DataQual
 
 
 def open_console() -> Console:
-    """The terminal, which prints names as they are, [red] and :smile: too; rich is imported only here."""
+    """The terminal, without markup: names such as [red] and :smile: are printed as they are."""
     from rich.console import Console
 
     return Console(markup=False, emoji=False)

@@ -36,7 +36,7 @@ def simulate(
         str | None, typer.Option(help="Sensors in config/noise, or a YAML file; default: the scenario's.")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Other noise and gusts; default: the scenario's seed.")
+        int | None, typer.Option(min=0, help="Seed of noise and gusts; default: the scenario's.")
     ] = None,
     effect: Annotated[
         list[str] | None,

@@ -35,14 +35,14 @@ def validate(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Folder for models and finished realisations, to go on from."),
+        typer.Option("-o", "--output", help="Folder for models and finished realisations, to resume from."),
     ] = None,
-    realisations: Annotated[int, typer.Option(min=1, help="Of the noise on each flight.")] = 1000,
-    seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 0,
-    noise: Annotated[str, typer.Option(help="Noise on states, in config/noise, or a YAML file.")] = "paper",
+    realisations: Annotated[int, typer.Option(min=1, help="Of the noise, on each flight.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all noise.")] = 0,
+    noise: Annotated[str, typer.Option(help="On states: a name in config/noise, or a YAML file.")] = "paper",
     settings: Annotated[
         Literal["default", "paper"] | None,
-        typer.Option(help="Of the paper's methods, where no model is given; default: paper."),
+        typer.Option(help="Settings of the paper's methods, where no model is given; default: paper."),
     ] = None,
     confidence: Confidence = None,
     vehicle: OptionalVehicle = None,
@@ -70,7 +70,7 @@ def validate(
     if paths:
         for option, value in (("--settings", settings), ("--device", device)):
             if value is not None:
-                raise QuadpiError(f"{option}: is for the paper's own validation, where no model is given")
+                raise QuadpiError(f"{option}: only without models, for the paper's own validation")
         folders = [path for path in paths if is_model_folder(path)]
         bags = [path for path in paths if path not in folders]
         case = given_case(folders, bags, vehicle=vehicle, noise=noise, confidence=confidence, seed=seed)
@@ -93,7 +93,7 @@ def validate(
             tally = run_realisations(case, realisations, folder=kept[1], workers=counting)
     except KeyboardInterrupt as interruption:
         if output is not None:
-            interruption.args = ("what is finished is kept, and the next run goes on from there",)
+            interruption.args = ("finished realisations are kept, and the next run resumes from them",)
         raise
     result = summarise(case, tally, training=training, published=published)
     console.print(validation_summary(result))

@@ -142,7 +142,7 @@ class TestVehicles:
     @pytest.mark.parametrize("option", [("--settings", "default"), ("--device", "cpu")])
     def test_options_of_models_that_are_yet_to_be_identified(self, refused, model, option):
         flight = bags_directory() / "interpolation.mcap"
-        message = f"{option[0]}: is for the paper's own validation, where no model is given"
+        message = f"{option[0]}: only without models, for the paper's own validation"
         refused(message, "validate", model, flight, *option)
 
     def test_info_with_another_vehicle(self, refused, foreign):

@@ -44,7 +44,7 @@ def announced_tasks(*arguments, done=lambda *_: None, **options):
 parallel.Workers.map = announced_tasks
 main()
 """
-KEPT = "what is finished is kept, and the next run goes on from there"
+KEPT = "finished realisations are kept, and the next run resumes from them"
 INTERRUPTED = "quadpi: interrupted; nothing is half written\n"
 
 

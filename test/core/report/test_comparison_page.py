@@ -93,8 +93,8 @@ def test_what_cannot_be_compared_is_refused(quadpi, folders, groups, bags, tmp_p
         ("evaluate", model, model, *groups): "another model is called thrust",
         ("evaluate", *groups): "no model given",
         ("evaluate", model, folders["faithful"]): "no flights given",
-        ("evaluate", model, bags[0], "-o", tmp_path): "-o: keeps",
-        ("evaluate", model, bags[0], "--device", "cpu"): "--device: trains for the paper's table",
+        ("evaluate", model, bags[0], "-o", tmp_path): "-o: only without models and flights",
+        ("evaluate", model, bags[0], "--device", "cpu"): "--device: only without models and flights",
         ("evaluate", "--vehicle", "neurobem"): "--vehicle: the paper's table is of the HDBeetle",
     }
     for arguments, message in refusals.items():
