@@ -23,7 +23,7 @@ from quadpi_core.monitor.data_quality import (
     judge,
     quality,
 )
-from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
+from quadpi_core.records import Records, Vector3, record_dtype
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,
@@ -32,10 +32,11 @@ from quadpi_core.signals.chain import (
     SPECIFIC_FORCE,
     VELOCITY,
     WIND,
+    ChainMemory,
     filter_sample,
     forget,
 )
-from quadpi_core.signals.filters import DELAYS, SECTIONS, design_low_pass
+from quadpi_core.signals.filters import LowPass, design_low_pass
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -68,36 +69,14 @@ class _VehicleConstants:
     inertia: Annotated[Array, 3, 3]
 
 
-class _Section:
-    gain: float
-    a1: float
-    a2: float
-
-
-class _LowPass:
-    """The coefficients of the low-pass, see :class:`quadpi_core.signals.filters.LowPass`."""
-
-    first: _Section
-    second: _Section
-    rate_hz: float  # 0: no rate of the IMU is known that fits, and no sample is usable
-
-
-class _Chain:
-    """What the low-pass remembers, see :class:`quadpi_core.signals.chain.ChainMemory`."""
-
-    delays: Annotated[Array, SECTIONS, DELAYS, CHANNELS]
-    attitude: Quaternion4
-    started: Annotated[Array, 1]
-
-
 class Memory:
     """All that the preparation knows and remembers."""
 
     vehicle: _VehicleConstants
-    low_pass: _LowPass
+    low_pass: LowPass  # of rate 0 while no rate of the IMU is known that fits: no sample is usable
     fault_without_rate: int  # bits of the fault of a sample that has no low-pass
     quality: Quality
-    chain: _Chain
+    chain: ChainMemory
     begun_ns: int  # stamp of the first sample since the low-pass began
 
 
@@ -229,7 +208,7 @@ def _prepare(
             continue
         if jump:
             forget(chain)
-        if chain.started[0] == 0.0:
+        if not chain.started:
             memory.begun_ns = time_ns[i]
         verdict.settled = time_ns[i] - memory.begun_ns >= SETTLE_NS
         filter_sample(memory.low_pass, chain, values[i], value[0], slope[0])

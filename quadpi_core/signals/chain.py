@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
+from quadpi_core.records import Quaternion4
 from quadpi_core.signals.filters import (
     DELAYS,
     SECTIONS,
@@ -51,30 +52,19 @@ class FilteredSignals(NamedTuple):
     angular_acceleration: Array
 
 
-class ChainMemory(NamedTuple):
-    """Memory of the causal low-pass over all signals: arrays, as the kernel changes them in place.
+class ChainMemory:
+    """What the causal low-pass over all signals remembers; all zeros before the first sample."""
 
-    Attributes:
-        delays: (2 sections, 2 delays, 20) delay lines of the channels.
-        attitude: (4,) last attitude, with the sign that it was filtered with; zeros before the first.
-        started: (1,) whether there was a sample.
-    """
-
-    delays: Array
-    attitude: Array
-    started: Array
-
-    @classmethod
-    def empty(cls) -> ChainMemory:
-        """The memory before the first sample."""
-        return cls(np.zeros((SECTIONS, DELAYS, CHANNELS)), np.zeros(4), np.zeros(1))
+    delays: Annotated[Array, SECTIONS, DELAYS, CHANNELS]
+    attitude: Quaternion4  # the last one, with the sign that it was filtered with
+    started: bool
 
 
 @njit(cache=True)
 def forget(memory: ChainMemory) -> None:
     """Forget all samples, after a gap or a jump of the clock: the filter settles at the next one."""
     memory.attitude[:] = 0.0
-    memory.started[0] = 0.0
+    memory.started = False
 
 
 @njit(cache=True)
@@ -87,9 +77,9 @@ def filter_sample(design: LowPass, memory: ChainMemory, sample: Array, value: Ar
     """
     make_continuous(sample[ATTITUDE].reshape(1, 4), memory.attitude)
     memory.attitude[:] = sample[ATTITUDE]
-    if memory.started[0] == 0.0:
+    if not memory.started:
         memory.delays[:] = settled_state(design, sample)
-        memory.started[0] = 1.0
+        memory.started = True
     low_pass(design, memory.delays, sample.reshape(1, -1), value.reshape(1, -1), slope.reshape(1, -1))
     attitude = value[ATTITUDE]
     attitude /= np.sqrt(np.sum(attitude * attitude))

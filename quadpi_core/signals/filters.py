@@ -10,13 +10,14 @@ and its trapezoidal integral is the filtered signal exactly.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import SignalError
 from quadpi_core.frames import Array
+from quadpi_core.records import record_dtype
 
 ORDER = 4
 SECTIONS = 2
@@ -25,7 +26,7 @@ DELAYS = 2
 SETTLING_PERIODS = 6.0
 
 
-class Section(NamedTuple):
+class Section:
     """One second-order section: gain (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²), of unit gain at zero frequency."""
 
     gain: float
@@ -33,12 +34,15 @@ class Section(NamedTuple):
     a2: float
 
 
-class LowPass(NamedTuple):
-    """The filter's coefficients, as the kernels take them."""
+class LowPass:
+    """The filter's coefficients: a record, see :mod:`quadpi_core.records`."""
 
     first: Section
     second: Section
     rate_hz: float
+
+
+_LOW_PASS = record_dtype(LowPass)
 
 
 class Filtered(NamedTuple):
@@ -61,11 +65,12 @@ def design_low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
     # Slow to import, and most importers of this module design no filter.
     from scipy.signal import butter
 
-    first, second = (
-        Section(gain=float(1.0 + a1 + a2) / 4.0, a1=float(a1), a2=float(a2))
-        for _, _, _, _, a1, a2 in butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
-    )
-    return LowPass(first, second, float(rate_hz))
+    sections = butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    design: Any = np.zeros(1, _LOW_PASS)[0]
+    for name, (_, _, _, _, a1, a2) in zip(("first", "second"), sections, strict=True):
+        design[name] = float(1.0 + a1 + a2) / 4.0, a1, a2
+    design["rate_hz"] = rate_hz
+    return cast(LowPass, design)
 
 
 @njit(cache=True)

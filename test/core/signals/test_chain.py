@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadpi_core.records import record_dtype
 from quadpi_core.signals.chain import (
     ATTITUDE,
     RATES,
@@ -20,6 +21,10 @@ from quadpi_core.signals.chain import (
 from quadpi_core.signals.filters import design_low_pass, filter_settled
 
 RATE, CUTOFF = 500.0, 40.0
+
+
+def empty_memory() -> np.void:
+    return np.zeros(1, record_dtype(ChainMemory))[0]
 
 
 def random_signals(samples: int = 300, seed: int = 2):
@@ -51,7 +56,7 @@ def filtered_one_by_one(signals, memory):
 
 def test_the_causal_chain_is_the_low_pass_of_a_continuous_attitude():
     signals = random_signals()
-    value, slope = filtered_one_by_one(signals, ChainMemory.empty())
+    value, slope = filtered_one_by_one(signals, empty_memory())
     samples = np.concatenate(signals, axis=1)
     make_continuous(samples[:, ATTITUDE], np.zeros(4))
     expected = filter_settled(design_low_pass(CUTOFF, RATE), samples)
@@ -65,14 +70,14 @@ def test_the_causal_chain_is_the_low_pass_of_a_continuous_attitude():
 def test_attitude_of_either_sign_filters_to_the_same_rotation():
     signals = random_signals()
     zero_phase = filter_zero_phase(*signals, rate_hz=RATE, cutoff_hz=CUTOFF).attitude
-    causal = filtered_one_by_one(signals, ChainMemory.empty())[0][:, ATTITUDE]
+    causal = filtered_one_by_one(signals, empty_memory())[0][:, ATTITUDE]
     for filtered, lag in ((zero_phase, 1e-6), (causal, 3e-3)):
         np.testing.assert_allclose(np.linalg.norm(filtered, axis=1), 1.0, rtol=1e-12)
         assert np.all(np.abs(np.sum(filtered * signals[1], axis=1)) > 1.0 - lag)
 
 
 def test_a_chain_that_forgets_starts_anew():
-    memory = ChainMemory.empty()
+    memory = empty_memory()
     first = filtered_one_by_one(random_signals(), memory)
     filtered_one_by_one(random_signals(seed=3), memory)
     forget(memory)
