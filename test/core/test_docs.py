@@ -47,8 +47,8 @@ def commands(page: str) -> list[str]:
 # Commands of the documents other than `quadpi`, and where each is run; or, after a dash, why it is not.
 RUN_BY = {
     r"make .*": "test/test_makefile.py",
-    r"ros2 launch quadpi .*": "test/ros/test_launch.py",
-    r"ros2 run quadpi mavlink_bridge .*": "test/ros/test_launch.py",
+    r"ros2 launch quadpi .*": "test/ros/test_launching.py",
+    r"ros2 run quadpi mavlink_bridge .*": "test/ros/test_launching.py",
     r"ros2 lifecycle set /monitor .*": "test/ros/test_node_services.py - by the service that it calls",
     r"ros2 service call /monitor/load_model .*": "test/ros/test_lifecycle.py - by that service",
     r"(rosdep|colcon) .*": "test/test_packaging.py - what they install; neither has a wheel",
