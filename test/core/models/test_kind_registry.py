@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The kinds of model that come with quadpi; those of other packages are in test_kind_of_model_guide.py."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import quadpi_core
+from quadpi_core.cli.identify_command import identify
+from quadpi_core.errors import ModelError
+from quadpi_core.models.kind_registry import kind_named, own_kind_names
+from quadpi_core.models.model_kind import IdentifyOptions
+
+PACKAGES = [Path(quadpi_core.__file__).parents[1] / name for name in ("quadpi_core", "quadpi_ros")]
+
+
+def test_a_kind_has_the_name_of_its_file() -> None:
+    assert own_kind_names() == ("bootstrap", "polynomial", "quality-driven")
+    for name in own_kind_names():
+        kind = kind_named(name)
+        assert kind.name == kind.axis_type.method == name
+        assert kind.label
+
+
+def test_no_two_kinds_share_a_colour() -> None:
+    colours = [kind_named(name).colour for name in own_kind_names()]
+    assert len(set(colours)) == len(colours)
+
+
+@pytest.mark.parametrize("name", ["magic", "", "../kinds/polynomial", "quality_driven"])
+def test_another_name_is_refused(name: str) -> None:
+    with pytest.raises(
+        ModelError, match=r"is not known to this version \(bootstrap, polynomial, quality-driven\)"
+    ):
+        kind_named(name)
+
+
+def test_the_command_line_has_the_same_default() -> None:
+    assert inspect.signature(identify).parameters["method"].default == IdentifyOptions().method
+
+
+def test_no_condition_names_a_kind_outside_its_file() -> None:
+    """House rule 7: what makes a kind special is an attribute of it."""
+    named = [
+        f"{path.name}:{node.lineno}"
+        for package in PACKAGES
+        for path in package.rglob("*.py")
+        if path.parent.name != "kinds"
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, (ast.Compare, ast.MatchValue)) and set(texts(node)) & set(own_kind_names())
+    ]
+    assert named == []
+
+
+def texts(node: ast.AST) -> Iterator[str]:
+    return (
+        part.value
+        for part in ast.walk(node)
+        if isinstance(part, ast.Constant) and isinstance(part.value, str)
+    )
