@@ -4,28 +4,20 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-
 
 @pytest.fixture
-def rules(tmp_path: Path) -> ModuleType:
+def rules(tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The program, looking at an empty copy of the project."""
-    specification = importlib.util.spec_from_file_location("house_rules", ROOT / "tools" / "house_rules.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    module.ROOT = tmp_path
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
     for name in ("a", "b"):
         (tmp_path / "quadpi_core" / name).mkdir(parents=True)
         (tmp_path / "quadpi_core" / name / "__init__.py").touch()
-    return module
+    return tool
 
 
 def kernel(parameters: int) -> str:
@@ -47,3 +39,12 @@ def test_kernels_of_many_parameters(
     (rules.ROOT / "quadpi_core" / "a" / "kernel.py").write_text(kernel(parameters))
     assert rules.main() == status
     assert ("kernel.py:2: step takes 9" in capsys.readouterr().out) == bool(status)
+
+
+def test_modules_without_tests_are_counted(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("tested", "untested"):
+        (rules.ROOT / "quadpi_core" / "a" / f"{name}.py").touch()
+    (rules.ROOT / "test").mkdir()
+    (rules.ROOT / "test" / "test_tested.py").touch()
+    assert rules.main() == 0
+    assert "modules without a test file of their name: 1\n" in capsys.readouterr().out

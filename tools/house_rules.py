@@ -47,6 +47,12 @@ def wide_kernels(paths: list[Path]) -> Iterator[str]:
                     yield f"{path.relative_to(ROOT)}:{node.lineno}: {node.name} takes {count}"
 
 
+def without_tests(paths: list[Path]) -> list[Path]:
+    """Modules without a test file of their name; many of them are tested together with another."""
+    tested = {path.stem.removeprefix("test_") for path in (ROOT / "test").rglob("test_*.py")}
+    return [path for path in paths if path.stem not in tested | {"__init__", "__main__"}]
+
+
 def main() -> int:
     """Print the figures; 1 where a rule is broken."""
     paths = sources()
@@ -54,6 +60,7 @@ def main() -> int:
     kernels, names = list(wide_kernels(paths)), list(repeated_names(paths))
     print(f"files {len(paths)}, lines {sum(text.count(chr(10)) for text in texts)}")
     print(f"dict[str, Any] and Mapping[str, Any]: {sum(text.count('[str, Any]') for text in texts)}")
+    print(f"modules without a test file of their name: {len(without_tests(paths))}")
     for rule, broken in (
         (f"compiled kernels of more than {KERNEL_PARAMETERS_MAX} parameters", kernels),
         ("file names used twice", names),
