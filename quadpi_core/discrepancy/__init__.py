@@ -1,14 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where simulation and measurement disagree: find it, name the missing effect, add it, show the gap shrink.
+"""Where simulation and flights disagree: find it, name the missing effect, add it, show that the gap shrinks.
 
-1. A flight compared with a simulation leaves a residual (`simulations`, `effect_response`).
-2. Candidates are the effects of the simulation's registry (`candidates`). With what the simulation is
-   uncertain in, they become columns in frequency, where noise is white within bands (`linearisation`,
-   `whitening`).
+1. The residual of a flight is its measured wrench less the simulated one (`simulations`, `effect_response`).
+2. Candidates are the effects of the simulation's registry (`candidates`). They and the tolerances of the
+   simulation become columns in frequency, where noise is white within bands (`linearisation`, `whitening`).
 3. The evidence of sets of effects (`effect_regression`, `evidence`) and a list of named tests (`trial`,
    `acceptance`) choose (`search`).
-4. Functions that know no physics show what is left without a name (`unexplained`).
+4. Generic functions predict the part of the residual that no effect explains (`unexplained`).
 5. Flights left out in turn show how far the gap closes (`closure`), where it was (`by_condition`), and how
    the simulation with the effects flies (`augmented_simulation`, `reflight`).
 """

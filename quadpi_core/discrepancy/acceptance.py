@@ -20,14 +20,14 @@ from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one test says of one candidate.
+    """Outcome of one test of one candidate.
 
     Attributes:
-        test: its name.
-        passed: whether the candidate may stay.
-        value: that was compared.
-        threshold: that it was compared with.
-        unit: of both.
+        test: name of the test.
+        passed: whether the candidate passed.
+        value: compared value.
+        threshold: threshold it was compared with.
+        unit: unit of both.
         sentence: the reason, for people.
     """
 
@@ -50,22 +50,22 @@ LEAST_EVIDENCE = Threshold(
     "least evidence",
     5.0,
     "nat",
-    "odds of about a hundred and fifty, even where calibration by draws asks for less",
+    "odds of about 150, even where the calibration by draws requires less",
     CONVENTION,
 )
 FURTHER_SHARE = Threshold(
     "share of a further effect",
     0.05,
-    "of the evidence of what the effects before it add",
-    "a law that is off lets other effects mend the difference: in proportion to the effect, not to what it "
-    "gained, which is little where tolerances cover it",
+    "of the evidence of the contribution of the effects before it",
+    "other effects can explain the error of a wrong law, in proportion to its contribution; not to the "
+    "evidence that it gained, which is little where tolerances cover it",
     DEVELOPMENT,
 )
 FURTHER_LEAST = Threshold(
     "least gain of a further effect",
     20.0,
     "nat",
-    "below the 40 to 170 nat that a true change of mass, inertia or thrust gains beside a law that is off: "
+    "below the 40 to 170 nat that a true change of mass, inertia or thrust gains beside a wrong law, where "
     "tolerances cover the rest",
     DEVELOPMENT,
 )
@@ -73,50 +73,50 @@ FURTHER_NUMBER = Threshold(
     "gain that suffices a further exact effect",
     100.0,
     "nat",
-    "above what an exact effect gains by mending a wrong number of another exact one",
+    "above the gain of an exact effect that explains a wrong parameter of another exact one",
     DEVELOPMENT,
 )
 FURTHER_LAW = Threshold(
     "gain that suffices a further law",
     200.0,
     "nat",
-    "above what an aerodynamic law gains by mending a wrong number of an exact effect",
+    "above the gain of an aerodynamic law that explains a wrong parameter of an exact effect",
     DEVELOPMENT,
 )
 BESIDE_LAW = Threshold(
     "gain that suffices beside a law",
     350.0,
     "nat",
-    "above what any effect gains by mending an aerodynamic law that is off: more than beside a wrong number",
+    "above the gain of any effect that explains the error of an aerodynamic law",
     DEVELOPMENT,
 )
 SMALLEST = Threshold(
     "smallest size",
     0.13,
     "prior standard deviations, 1.5 typical sizes each",
-    "a fifth of the typical size: less is no finding, however certain it is",
+    "a fifth of the typical size: a smaller effect is no finding, however certain it is",
     CONVENTION,
 )
 LOUDNESS = Threshold(
     "loudness",
     0.1,
     "of the noise, root mean square in the loudest axis",
-    "less closes no gap; in a hover all motion is noise of the estimator, and so are the forces that a "
-    "simulation makes of it",
+    "a quieter effect closes no gap; in a hover all motion is noise of the estimator, and so are the forces "
+    "simulated from it",
     DEVELOPMENT,
 )
 GROWTH = Threshold(
     "growth on flights left out",
     0.5,
-    "of what was left of an axis and of what the effect takes from all of them",
-    "coefficients settle elsewhere beside a true effect, which may enlarge what is left of an axis",
+    "of the squares left in an axis and of those that the effect takes from all axes",
+    "coefficients change beside a true effect, which may enlarge the residual of an axis",
     DEVELOPMENT,
 )
 FEW_FLIGHTS = Threshold(
     "flights to leave one out",
     4.0,
     "flights",
-    "fewer flights are each flown in their own way, and do not predict each other",
+    "fewer flights each contain different manoeuvres, and do not predict each other",
     DEVELOPMENT,
 )
 NAMED_ALONE = Threshold(
@@ -130,38 +130,38 @@ ALIKE = Threshold(
     "margin of a law",
     0.1,
     "of the gain of the effect",
-    "an aerodynamic law that is off by a third leaves this share of its gain, so another effect that does as "
-    "well may be the true one",
+    "an aerodynamic law that is wrong by a third loses this share of its gain, so another effect that does "
+    "as well may be the true one",
     DEVELOPMENT,
 )
 PREDICTABLE = Threshold(
     "squares that are predicted",
     0.3,
     "of those of the noise",
-    "of flights without any effect nothing is predicted, of a hover up to a quarter: all its motion is noise "
-    "of the estimator",
+    "nothing is predicted of flights without any effect, and up to a quarter of a hover, whose motion is all "
+    "noise of the estimator",
     DEVELOPMENT,
 )
 LOUD_AXIS = Threshold(
-    "squares of an axis that counts by itself",
+    "squares of an axis judged alone",
     0.8,
     "of those of the noise",
-    "an effect may explain another axis so well that it hides this one; above what is left beside effects of "
-    "the library that were found, of which a tilted rotor leaves most",
+    "an effect may explain another axis so well that it hides this one; above the residual of effects of the "
+    "library that were found, largest for a tilted rotor",
     DEVELOPMENT,
 )
 PART_OF_AXIS = Threshold(
-    "part of an axis that counts by itself",
+    "unexplained part of an axis judged alone",
     0.2,
-    "of what was named in the axis",
-    "less is what a law that is off leaves of its own axis",
+    "of the explained squares of the axis",
+    "the error of a law leaves less than that in its own axis",
     DEVELOPMENT,
 )
 UNEXPLAINED = Threshold(
-    "share without a name",
+    "unexplained share",
     0.05,
     "of the predictable discrepancy",
-    "effects of the library that were found leave less; of a force that no effect explains most is left",
+    "less is left after effects of the library that were found, and most of a force that none explains",
     DEVELOPMENT,
 )
 
@@ -171,10 +171,10 @@ class Judgement:
     """All that was decided about one candidate in one round of the search.
 
     Attributes:
-        effect: its name.
+        effect: name of the effect.
         label: the name with the rotor, where there is one.
         beside: names of the effects accepted before.
-        verdicts: in the order of the tests.
+        verdicts: verdicts in the order of the tests.
     """
 
     effect: str
@@ -208,9 +208,9 @@ def evidence_beside(energy: float, *, law: bool, beside_law: bool, scales: bool)
     """Evidence that an effect has to gain beside others.
 
     Args:
-        energy: evidence of what those add.
-        law: whether the effect is a law that may be off.
-        beside_law: whether one of the others is.
+        energy: evidence of the contribution of those.
+        law: whether the effect is a law that may be wrong.
+        beside_law: whether one of the others is such a law.
         scales: see :func:`scales_beside_law`.
     """
     if scales:
@@ -220,10 +220,10 @@ def evidence_beside(energy: float, *, law: bool, beside_law: bool, scales: bool)
 
 
 def scales_beside_law(candidate: Candidate, beside: Sequence[Candidate]) -> bool:
-    """Whether a candidate alone of a set scales all that acts, and a law of the set may be off.
+    """Whether a candidate alone of a set scales existing forces, beside a law that may be wrong.
 
-    A law that is off calls for a force or a moment at some place or time. What scales all that acts does not
-    gain by it (in none of 20 development cases), so it needs less evidence than other effects.
+    A wrong law lacks a force or a moment in some conditions. An effect that scales all existing forces does
+    not gain by that (in none of 20 development cases), so it needs less evidence than other effects.
     """
     alone = candidate.effect.scales_existing and not any(
         other.effect.scales_existing and other.name != candidate.name for other in beside
@@ -238,22 +238,22 @@ def judge_evidence(gain: float, needed: float) -> Verdict:
 
 
 def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
-    """Whether every effect of a set, by its name, is of some size, in prior standard deviations."""
+    """Whether every effect of a set, by its name, is large enough, in prior standard deviations."""
     name, smallest = min(sizes.items(), key=lambda item: item[1])
     sentence = f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed"
     return _verdict(SMALLEST, test, smallest, smallest > SMALLEST.value, sentence)
 
 
 def judge_loudness(loudness: float) -> Verdict:
-    """Whether what an effect adds is distinguishable from the noise."""
+    """Whether the contribution of an effect is distinguishable from the noise."""
     sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
     return _verdict(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
 
 
 def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
-    """Whether no axis of the flights left out is driven away, of squares (6,) before and after an effect.
+    """Whether no axis of flights left out grows much, given its squares (6,) before and after an effect.
 
-    They need not come closer: coefficients far beyond their tolerances may have closed the same gap.
+    They need not decrease: coefficients far beyond their tolerances may have closed the same gap.
     """
     room = before + max(0.0, float(before.sum() - after.sum()))
     grown = after - before
@@ -267,22 +267,22 @@ def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
 
 
 def rival_margin(gain: float) -> float:
-    """Evidence by which an effect with this gain has to exceed another in its place to be named alone."""
+    """Evidence by which an effect with this gain has to exceed others in its place to be named alone."""
     return max(NAMED_ALONE.value, ALIKE.value * gain)
 
 
 def predictable(left: Array, rows: int) -> Array:
-    """Squares (6,) that are predicted without a name, where they are more than noise of that many rows."""
+    """Predicted squares (6,) that no effect explains, 0 where they may be noise of that many rows."""
     return np.where(left > PREDICTABLE.value * rows, left, 0.0)
 
 
 def unexplained_share(left: Array, named: Array, rows: int) -> float:
-    """Share without a name of squares (6,) left and named: of all axes, or of the worst axis that is loud.
+    """Unexplained share of all axes, or of the worst loud axis.
 
     Args:
-        left: see :func:`predictable`.
-        named: that effects take away.
-        rows: of the noise.
+        left: (6,) unexplained squares, see :func:`predictable`.
+        named: (6,) squares that the effects explain.
+        rows: number of rows of the noise.
     """
     if not left.any():
         return 0.0
@@ -292,6 +292,6 @@ def unexplained_share(left: Array, named: Array, rows: int) -> float:
 
 
 def judge_unexplained(share: float) -> Verdict:
-    """Whether what the effects leave is little enough to call the discrepancy explained."""
+    """Whether the unexplained share is small enough to call the discrepancy explained."""
     sentence = f"{100.0 * share:.0f} % of what can be predicted has no name, {UNEXPLAINED.value:.0%} allowed"
     return _verdict(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)

@@ -36,14 +36,14 @@ from quadpi_core.version import __version__
 
 @dataclass(frozen=True)
 class AugmentedSimulation(Simulation):
-    """A simulation and what it lacked.
+    """A simulation with effects that it lacked.
 
-    Effects of every kind act where they belong: on the wrench, on the vehicle, on the air, and, for sensors,
-    on what a flight reports, which is corrected before the simulation sees it.
+    Effects act on the wrench, on the vehicle or on the air. The errors of sensors are removed from a flight
+    before the simulation gets it.
 
     Attributes:
-        base: that the effects are added to.
-        effects: every parameter of each.
+        base: simulation that the effects are added to.
+        effects: every parameter of each effect.
         adjusted: multiples of the columns of the base's tolerances, by their names.
     """
 
@@ -73,7 +73,7 @@ class AugmentedSimulation(Simulation):
 
     @property
     def memoryless(self) -> bool:  # type: ignore[override]
-        """As the base, but not with effects on sensors: what they change depends on the whole flight."""
+        """As the base, but not with effects on sensors, whose change depends on the whole flight."""
         return self.base.memoryless and not self._of("sensor")
 
     @cached_property
@@ -83,16 +83,16 @@ class AugmentedSimulation(Simulation):
 
     @property
     def hover_rotor_speed(self) -> float:
-        """Rotor speed of the base, which the coefficients of effects refer to."""
+        """Rotor speed of the base, to which the coefficients of effects refer."""
         return self.base.hover_rotor_speed
 
     @cached_property
     def physical(self) -> AugmentedSimulation:
-        """Without the effects on sensors: the simulation of flights as :meth:`corrected`."""
+        """The simulation without effects on sensors, for flights as :meth:`corrected`."""
         return replace(self, effects={e.name: self.effects[e.name] for e in self._of() if e.kind != "sensor"})
 
     def corrected(self, flight: Flight) -> Flight:
-        """The flight as sensors without the effects on them would have reported it."""
+        """The flight as sensors without errors would have reported it."""
         biases = BiasResponse(flight, self.vehicle, flight.rate_hz)
         for effect in reversed(self._of("sensor")):
             flight = without_sensor_effect(flight, effect, self.vehicle, self._values(effect), biases)
@@ -116,14 +116,14 @@ class AugmentedSimulation(Simulation):
         return self.base.thrusts(self._in_wind(flight))
 
     def record(self) -> npt.NDArray[np.void]:
-        """See :class:`Simulation`; what coefficients of effects refer to stays that of the base."""
+        """See :class:`Simulation`; quantities that effects refer to stay those of the base."""
         record = self.base.record()
         for name in ("mass", "inertia", "inverse_inertia"):
             record[name] = super().record()[name]
         return record
 
     def uncertain(self, flight: Flight) -> list[Column]:
-        """Columns of the base, and one per effect and axis for a law that may be off."""
+        """Columns of the base, and one per effect and axis for the error of its law."""
         columns = self.base.uncertain(self._in_wind(flight))
         whole = self.wrench(flight)
         for effect in self._of():
@@ -133,7 +133,7 @@ class AugmentedSimulation(Simulation):
             share = max(effect.form, self.tolerances.coefficient)
             added = share * (whole - replace(self, effects=others).wrench(flight))
             for axis, name in enumerate(AXES):
-                # Every flight must have the same columns, also one that the effect does not act on.
+                # Every flight must have the same columns, even one without the effect.
                 if name in effect.axes:
                     single = np.zeros_like(added)
                     single[:, axis] = added[:, axis]
@@ -173,13 +173,12 @@ class AugmentedSimulation(Simulation):
 
 
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
-    """The simulation with the effects that were found, and its coefficients as the flights have them.
+    """The simulation with the effects that were found, and with adjusted coefficients.
 
-    Coefficients move by their posterior means within their tolerances, if that brings flights left out
-    closer; otherwise none of them moves.
+    Coefficients are adjusted by their posterior means, if that reduces the residual of flights left out.
 
     Args:
-        discovery: its search.
+        discovery: result of the search.
         without: index of a flight to leave out of the fit, so that the result can be judged on it.
 
     Raises:
@@ -204,7 +203,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
 
 
 def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
-    """The effects, with parameters that are possible on the vehicle: noise can take a fit beyond."""
+    """The effects with parameters that are possible on the vehicle, which a fit to noise may exceed."""
     possible = dict(effects)
     for name, parameters in effects.items():
         feasible = EFFECTS[name].feasible
@@ -214,7 +213,7 @@ def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
 
 
 def _adjusting_helps(found: Found) -> bool:
-    """Whether coefficients moved within their tolerances bring flights that are left out closer."""
+    """Whether adjusted coefficients reduce the residual of flights left out."""
     gained = 0.0
     for own, fit in zip(found.closing.grams, found.closing.left_out, strict=True):
         weights = fit.left
@@ -242,7 +241,7 @@ def _named(name: str, values: Any) -> dict[str, float]:
 
 
 def merged(one: Effects, other: Effects) -> Effects:
-    """Effects of two sets, in the order in which they act; those in both add up.
+    """Union of two sets of effects, in the order in which they act; effects in both are added.
 
     Raises:
         DiscrepancyError: for two of a kind that do not add up: of different rotors, or tethers.
@@ -259,7 +258,7 @@ def merged(one: Effects, other: Effects) -> Effects:
             return one.get(name) or other[name]
         whole = {p.name: one[name][p.name] for p in EFFECTS[name].parameters if p.whole}
         both = [(p, one[name][p.name], other[name][p.name]) for p in EFFECTS[name].parameters]
-        # The second change of a moment of inertia is one of what the first has left.
+        # Changes of a moment of inertia are multiplied: the second refers to the result of the first.
         shares = EFFECTS[name].kind == "vehicle"
         sums = [a + b + (a * b if shares and not p.unit else 0.0) for p, a, b in both]
         return _named(name, sums) | whole | _both_shapes(name, one[name], other[name])
@@ -268,7 +267,7 @@ def merged(one: Effects, other: Effects) -> Effects:
 
 
 def _both_shapes(name: str, one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """Shape of the law of two effects that add up: each weighted by its part in their sum."""
+    """Shape of the law of the sum of two effects: the mean of theirs, weighted by their parts in the sum."""
     free = [p for p in EFFECTS[name].parameters if not p.whole]
     parts = np.array([[own[p.name] / (abs(p.default) or 1.0) for p in free] for own in (one, other)])
     total = parts.sum(axis=0)
@@ -285,7 +284,7 @@ def _both_shapes(name: str, one: Mapping[str, float], other: Mapping[str, float]
 def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float]) -> AugmentedSimulation:
     before: Mapping[str, float] = {}
     if isinstance(simulation, AugmentedSimulation):
-        # A simulation has no setting for how far the laws of its earlier effects are off.
+        # A simulation has no parameter for the error of the laws of its earlier effects.
         own = {name for name in adjusted if not any(name.endswith(f" of {e}") for e in simulation.effects)}
         adjusted = {name: adjusted[name] for name in own}
         effects, before = merged(simulation.effects, effects), simulation.adjusted
@@ -298,14 +297,15 @@ def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float])
 
 
 def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
-    """Write the simulation with what was found added, and the formulas of the effects.
+    """Write the simulation with the effects that were found, and the formulas of the effects.
 
-    A vehicle file becomes a vehicle file of the same name, with `simulation.effects`; any other simulation
-    gets an `addition.json` that refers to it and loads in its place. Without effects nothing is written.
+    For a vehicle file it is a vehicle file of the same name with `simulation.effects`; for any other
+    simulation an `addition.json` that refers to it and loads in its place. Without effects nothing is
+    written.
 
     Args:
-        discovery: of the search.
-        folder: that exists.
+        discovery: result of the search.
+        folder: existing folder.
 
     Returns:
         Paths of the files, the simulation first.

@@ -3,12 +3,13 @@
 """Response of the estimated IMU biases to systematic errors of the IMU.
 
 An IMU that is turned or displaced reports rates and forces that motion capture contradicts. The smoother
-absorbs the slow part of that error in its biases; the flight keeps the rest. How slow depends on the noise in
-the vehicle file and on the flight: a wrong rate tilts the attitude, and a tilt looks like a force.
+absorbs the slow part of that error in its biases; the flight keeps the rest. Which part is slow depends on
+the noise in the vehicle file and on the flight: a wrong rate tilts the attitude, and a tilt looks like a
+force.
 
 To first order this is a least-squares problem in the error state of the EKF, linear in the error of the IMU,
-so one factorisation per flight serves every error. It is solved in steps of STEP_S, as biases change over
-seconds.
+so one factorisation per flight serves every error. It is solved in steps of STEP_S, short beside
+the seconds over which biases change.
 """
 
 from __future__ import annotations
@@ -33,16 +34,17 @@ from quadpi_core.estimator.filter_state import (
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotation_matrix
+from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.vehicle import Vehicle
 
 STEP_S = 0.04
-# Assumed, since a flight does not record it; twice or half of it changes a tenth of what the biases follow.
+# Assumed rate of poses, which a flight does not record; twice or half of it changes the biases by a tenth.
 MOCAP_HZ = 120.0
 # Standard deviation of the EKF's velocity once it has converged.
 _VELOCITY_STD_M_S = 0.01
 # Priors far wider than any bias: they only keep a flight of a few samples solvable.
 _GYRO_BIAS_STD_RAD_S, _ACCELEROMETER_BIAS_STD_M_S2 = 1.0, 10.0
-# Smallest random walk of a bias: less is none over a flight, and would make the equations singular.
+# Smallest random walk of a bias: less is negligible over a flight, and would make the equations singular.
 _LEAST_WALK = 1e-5
 # Standard deviation and random walk of a delay that is known.
 _EXACT_S = 1e-6
@@ -52,9 +54,9 @@ class BiasResponse:
     """Biases that the smoother estimates from errors of the IMU over one flight.
 
     Args:
-        flight: as it was estimated.
-        vehicle: for the noise of sensors and gravity.
-        imu_rate_hz: of the IMU, which the noise of a sample refers to; a flight may have been thinned.
+        flight: estimated flight.
+        vehicle: vehicle with the noise of its sensors, and gravity.
+        imu_rate_hz: rate of the IMU, which its noise refers to; the flight may have been thinned.
     """
 
     def __init__(self, flight: Flight, vehicle: Vehicle, imu_rate_hz: float) -> None:
@@ -200,8 +202,8 @@ class BiasResponse:
     def _at_samples(self, values: Array) -> Array:
         """Values (K + 1, 3) at the ends of steps, at each sample (N, 3)."""
         time = self._flight.time - self._flight.time[0]
-        ends = self._dt * np.arange(self._steps + 1)
-        return np.stack([np.interp(time, ends, column) for column in values.T], axis=1)
+        ends: Array = self._dt * np.arange(self._steps + 1, dtype=np.float64)
+        return interpolate_columns(ends, values, time)
 
 
 def _significant_squares(motion: Array, variance: float) -> Array:

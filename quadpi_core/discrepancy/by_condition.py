@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where simulation and flights disagree beyond what noise and tolerances allow: conditions, and times."""
+"""Conditions and times in which simulation and flights disagree beyond noise and tolerances."""
 
 from __future__ import annotations
 
@@ -66,12 +66,13 @@ class Range:
     """Conditions in which an axis disagrees.
 
     Attributes:
-        axis: of `AXES`.
-        variable: of `residuals.VARIABLES`; None for an axis that disagrees alike in all conditions.
-        low, high: in its unit; None where nothing that was flown lies beyond the range.
-        share: of the energy of the axis that noise and tolerances do not account for.
-        time_share: of all samples.
-        p_value: adjusted for all bins, variables and axes.
+        axis: name in `AXES`.
+        variable: name in `residual_bins.VARIABLES`; None for an axis that disagrees in all conditions
+            equally.
+        low, high: bounds in the unit of the variable; None where no flight went beyond the range.
+        share: share of the energy of the axis beyond noise and tolerances.
+        time_share: share of all samples.
+        p_value: p-value, adjusted for all bins, variables and axes.
     """
 
     axis: str
@@ -122,11 +123,11 @@ class Segment:
     """A time in which an axis of one flight disagrees.
 
     Attributes:
-        flight: its name.
-        axis: of `AXES`.
-        start_s, end_s: of the flight.
-        share: of the energy of the axis in all flights.
-        p_value: adjusted for all times, flights and axes.
+        flight: name of the flight.
+        axis: name in `AXES`.
+        start_s, end_s: times of the flight.
+        share: share of the energy of the axis in all flights.
+        p_value: p-value, adjusted for all times, flights and axes.
     """
 
     flight: str
@@ -143,9 +144,9 @@ class Profile:
 
     Attributes:
         axis, variable: see :class:`Range`.
-        edges: (K + 1,) of the bins.
-        beyond, after: (K,) root mean square, N or Nm, of what :class:`Residual` has.
-        allowed: (K,) what 95 % of draws without any effect stay below.
+        edges: (K + 1,) edges of the bins.
+        beyond, after: (K,) root mean square, N or Nm, of these of :class:`Residual`.
+        allowed: (K,) root mean square that 95 % of draws without any effect stay below.
     """
 
     axis: str
@@ -161,11 +162,11 @@ class Where:
     """Where simulation and flights disagree.
 
     Attributes:
-        ranges: that hold more energy than their share of the time: of each axis those of the most informative
-            variable, then those of the next; among these, axes furthest above their noise first.
-        segments: of axes that have ranges, most energy first.
-        profiles: of each axis.
-        residuals: of the flights, in their order.
+        ranges: ranges with more energy than their share of the time: of each axis those of the most
+            informative variable, then those of the next; axes furthest above their noise come first.
+        segments: segments of axes that have ranges, most energy first.
+        profiles: one of each axis.
+        residuals: one of each flight, in their order.
     """
 
     ranges: tuple[Range, ...]
@@ -185,12 +186,8 @@ class Where:
 def locate(found: Found, seed: int = 0) -> Where:
     """Find where the flights of a search disagree with its simulation.
 
-    Coefficients of the simulation are first put where they fit best within their tolerances, beside the
-    effects that were found, so that what a coefficient explains is not located anywhere.
-
-    Args:
-        found: by a search.
-        seed: of the draws.
+    Coefficients of the simulation are first fitted within their tolerances, together with the effects that
+    were found, so that a residual that a coefficient explains is not located anywhere.
     """
     flights = residuals(found)
     cells = Cells.of(flights)

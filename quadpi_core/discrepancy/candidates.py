@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is looked for: the effects of the simulation's registry, as columns of wrench.
+"""Candidates of the search: the effects of the simulation's registry, as columns of wrench.
 
-A candidate is one effect with its whole-number parameters fixed, such as the rotor that is weak. Its other
-parameters are found; about a point of linearisation its contribution is a sum of columns, one for each.
-Effects that are linear in their parameters are linearised once, at none; others, such as wind, again at what
-was found.
+A candidate is one effect with its whole-number parameters fixed, such as the number of a weak rotor. Its
+other parameters are fitted: about a point of linearisation its contribution is a sum of columns, one for
+each. Effects that are linear in their parameters are linearised once, at zero; others, such as wind, again at
+the fitted parameters.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class Candidate:
     """One effect to look for.
 
     Attributes:
-        effect: of the registry.
-        start: (P,) parameters, in the order of the effect: whole numbers as they stay, others 0.
-        free: (k,) indices of the parameters to find.
+        effect: effect of the registry.
+        start: (P,) parameters, in the order of the effect: fixed whole numbers, others 0.
+        free: (k,) indices of the parameters to fit.
         scale: (k,) prior standard deviation of each.
-        linear: whether one linearisation will do.
+        linear: whether one linearisation is enough.
     """
 
     effect: Effect
@@ -58,7 +58,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect.name
 
     @property
@@ -73,18 +73,18 @@ class Candidate:
 
     @property
     def form(self) -> float:
-        """Share by which the contribution of the effect may differ from what is computed of it."""
+        """Share by which the contribution of the effect may differ from the computed one."""
         # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
         return AERODYNAMIC if self.effect.kind == "wind" else self.effect.form
 
     def excludes(self, other: Candidate) -> bool:
-        """Whether the two are not looked for together: one effect twice, or two of a group on one rotor."""
+        """Whether no set contains both: one effect twice, or two of a group on one rotor."""
         group = self.effect.indistinguishable_group
         alike = bool(group) and group == other.effect.indistinguishable_group
         return self.name == other.name or (alike and bool(self.start[0] == other.start[0]))
 
     def values(self, found: Array) -> Array:
-        """All parameters (P,) from those found (k,)."""
+        """All parameters (P,) from fitted ones (k,)."""
         values = self.start.copy()
         values[list(self.free)] = found
         return values
@@ -96,7 +96,7 @@ class Candidate:
 
 
 def typical_sizes(effect: Effect, vehicle: Vehicle) -> Array:
-    """Typical size (P,) of each parameter on a vehicle; one whose default is 0 is like its neighbours.
+    """Typical size (P,) of each parameter on a vehicle; one whose default is 0 has that of its neighbours.
 
     Forces grow with mass, moments with mass times arm, according to their units.
     """
@@ -121,8 +121,8 @@ def candidates(vehicle: Vehicle, names: Sequence[str] | None = None) -> list[Can
     """The candidates for a vehicle, in the order of the registry.
 
     Args:
-        vehicle: whose mass and arm the typical sizes scale with.
-        names: of effects; unless given, all that a search looks for.
+        vehicle: vehicle with whose mass and arm the typical sizes scale.
+        names: names of effects; unless given, all that a search looks for.
 
     Raises:
         DiscrepancyError: for a name that no effect has.
@@ -155,12 +155,7 @@ def _variants(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
 
 
 def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> list[tuple[Array, Array]]:
-    """Contribution and columns of a candidate for each flight.
-
-    Args:
-        candidate: to linearise.
-        flights: F flights.
-        at: (k,) free parameters.
+    """Contribution and columns of a candidate for each flight, about free parameters (k,).
 
     Returns:
         Per flight the contribution (M, 6) at that point, and columns (M, 6, k): what one prior standard

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far a set of effects closes the gap between simulation and flights, on flights left out of the fit.
 
-To the search, what a law leaves is noise, and most of that is slow: a fit in units of it hardly sees what is
-left of a law in steady flight. So the shape of a law is found by least squares, all frequencies alike, with
-the parameters of the effects as the search found them.
+The search counts the error of a law as noise, most of which is slow, so a fit weighted by that noise hardly
+sees the error of a law in steady flight. So the shape of a law is fitted by least squares with the same
+weight at all frequencies, and the parameters of the effects stay as the search found them.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ class Gap(NamedTuple):
     """Root-mean-square differences up to the highest compared frequency, order as `AXES`, N and Nm.
 
     Attributes:
-        before, after: (6,) of measured and simulated wrench, each flight with what the others found.
-        floor: (6,) of the noise: what no simulation can close.
-        reduction: share of the removable gap that was closed, all axes in units of their noise.
+        before, after: (6,) difference of measured and simulated wrench, after with the effects fitted on all
+            other flights.
+        floor: (6,) noise, which no simulation can close.
+        reduction: closed share of the removable gap, all axes in units of their noise.
     """
 
     before: Array
@@ -42,14 +43,14 @@ class Gap(NamedTuple):
 
 @dataclass(frozen=True)
 class Closing:
-    """What closes the gap: the effects, their laws shaped, and the tolerances; see :meth:`fits`.
+    """Fits that close the gap: effects, shapes of their laws, and tolerances; see :meth:`fits`.
 
     Attributes:
-        regression: of the search.
+        regression: regression of the search.
         chosen: indices of the candidates that were named.
-        shaped: those of them whose laws the flights shape, because that brings flights left out closer.
-        grams: (F, K, K) Gram matrices that weigh what is left: all frequencies alike with shapes, in units of
-            the noise without.
+        shaped: those whose laws are shaped, because that reduces the residual of flights left out.
+        grams: (F, K, K) Gram matrices that weigh the residual: equally at all frequencies with shapes, by the
+            noise without.
     """
 
     regression: Regression
@@ -59,12 +60,12 @@ class Closing:
 
     @classmethod
     def by_laws(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
-        """By the laws alone."""
+        """Fits of the laws alone."""
         return cls(regression, tuple(chosen), (), regression.weighting.per_flight)
 
     @classmethod
     def of(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
-        """With laws shaped where that helps."""
+        """Fits with laws shaped where that reduces the residual of flights left out."""
         bare = cls.by_laws(regression, chosen)
         laws = [regression.candidates[index] for index in chosen]
         # A law that is not linear in its parameters is shaped by them.
@@ -75,7 +76,7 @@ class Closing:
         return whole if whole._leaves(whole.grams) < bare._leaves(whole.grams) else bare
 
     def fits(self, without: int | None = None) -> tuple[Fit, Fit]:
-        """Fit of the parameters, by the laws alone, and of all that is added: tolerances and shapes too.
+        """Fit of the parameters by the laws alone, and fit of parameters, tolerances and shapes.
 
         Args:
             without: index of a flight to leave out of both, so that they can be judged on it.
@@ -96,11 +97,11 @@ class Closing:
 
     @cached_property
     def left_out(self) -> list[Fit]:
-        """Per flight all that the others would add."""
+        """For each flight the second of :meth:`fits` on all other flights."""
         return [self.fits(place)[1] for place in range(len(self.regression.flights))]
 
     def left_out_squares(self) -> Array:
-        """Squares (6,) left of the flights, each by a fit of all others, in variances of the noise."""
+        """Squares (6,) of the flights, each after the fit of all others, in variances of the noise."""
         regression, squares = self.regression, np.zeros(len(AXES))
         for place, (found, band) in enumerate(zip(self.left_out, regression.columns.bands, strict=True)):
             left = np.square(regression.columns.combined(place, found.left))
@@ -108,9 +109,9 @@ class Closing:
         return squares
 
     def gap(self) -> Gap:
-        """The gap of each flight with what all others add; unchanged where no effect was chosen.
+        """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
 
-        Coefficients alone are not moved: without the missing effect they would go beyond their tolerances.
+        Coefficients alone are not fitted: without the missing effect they would exceed their tolerances.
         """
         columns, noise = self.regression.columns, self.regression.noise
         before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
@@ -134,7 +135,7 @@ class Closing:
         """Parameters of `effect_definition.SHAPE` by which the flights shape the law of a candidate.
 
         Args:
-            index: of the candidate.
+            index: index of the candidate.
             law: fit of its parameters, see :meth:`fits`.
             found: fit of the shapes.
         """
@@ -158,14 +159,14 @@ class Closing:
         return self.regression.weighting.per_flight
 
     def _leaves(self, grams: Array) -> float:
-        """Squares that flights are left with when they are left out, by Gram matrices (F, K, K)."""
+        """Squares of flights left out after the fit of all others, by Gram matrices (F, K, K)."""
         return sum(float(fit.left @ own @ fit.left) for own, fit in zip(grams, self.left_out, strict=True))
 
 
 def _even_grams(regression: Regression, chosen: Sequence[int]) -> Array:
-    """Gram matrices (F, K, K) in which all frequencies count alike, in units of the fastest noise.
+    """Gram matrices (F, K, K) with the same weight at all frequencies, in units of the fastest noise.
 
-    Only of the residual, the tolerances and the candidates chosen; 0 for all other columns.
+    They hold the residual, the tolerances and the chosen candidates; all other columns are 0.
     """
     parts = [np.zeros(1, dtype=np.intp), regression.columns.tolerances]
     for block in (regression.block(index) for index in chosen):

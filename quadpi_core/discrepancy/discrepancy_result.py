@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a study of a simulation against flights gives, as types, and the JSON made of them."""
+"""Results of a study of a simulation against flights, and the JSON made of them."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class FoundEffect:
     """An effect that was named.
 
     Attributes:
-        name: in the registry.
-        probability: against every other effect in its place, and none.
-        parameters: all that the effect takes.
-        shape: by which flights shape its law, see `simulation.effect_definition.SHAPE`; empty for the law
+        name: name in the registry.
+        probability: probability against every other effect in its place, and none.
+        parameters: all parameters of the effect.
+        shape: parameters that shape its law, see `simulation.effect_definition.SHAPE`; empty for the law
             itself.
-        axes: in which it shows.
+        axes: axes in which it shows.
         rivals: effects that do about as well in its place.
-        shown_by: what to fly to distinguish them.
+        shown_by: manoeuvres that distinguish them.
     """
 
     name: str
@@ -53,16 +53,16 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Discovery:
-    """What is missing in a simulation.
+    """The effects that a simulation lacks.
 
     Attributes:
         verdict: "none", "effects" or "unknown".
-        effects: that were named, largest first.
-        unexplained: share of the discrepancy that can be predicted but has no name, of all axes together or
-            of a loud axis.
-        unexplained_by: per axis that matters, what predicts it.
-        gap: before and after.
-        found: the search behind it.
+        effects: named effects, largest first.
+        unexplained: share of the predictable discrepancy that no effect explains, of all axes together or of
+            a loud axis.
+        unexplained_by: generic functions that predict each axis that matters.
+        gap: gap before and after.
+        found: result of the search.
     """
 
     verdict: str
@@ -78,9 +78,9 @@ class BeforeAfter:
     """A root-mean-square error without and with the effects.
 
     Attributes:
-        before: of the simulation as it was.
-        after: with the effects.
-        floor: what no simulation can be below: the error of sensors and estimator.
+        before: error of the simulation as it is.
+        after: error with the effects.
+        floor: error of sensors and estimator, the least of any simulation.
     """
 
     before: float
@@ -93,9 +93,9 @@ class Rollouts:
     """Errors of open-loop roll-outs at their horizon.
 
     Attributes:
-        horizon_s: of each.
+        horizon_s: duration of each.
         starts: number of roll-outs.
-        errors: by quantity, with its unit in the name.
+        errors: errors by quantity, with its unit in the name.
     """
 
     horizon_s: float
@@ -108,11 +108,11 @@ class ClosedLoops:
     """References of flights flown again by the simulation, against the measured flights.
 
     Attributes:
-        flights: number that was flown again.
-        missing: why none could be; empty where some could.
-        lost: of each flight that got out of control, why.
-        errors: by quantity, with its unit in the name.
-        reduction: share of the removable error that the effects take away; None without flights.
+        flights: number of flights that were flown again.
+        missing: reason why none could be; empty where some could.
+        lost: reason for each flight that got out of control.
+        errors: errors by quantity, with its unit in the name.
+        reduction: share of the removable error that the effects remove; None without flights.
     """
 
     flights: int
@@ -137,7 +137,7 @@ class Reflights:
     Attributes:
         rollout: open loop.
         closed_loop: with a controller.
-        coverage: by axis, of a model with intervals; empty for any other simulation.
+        coverage: coverage of a model's intervals by axis; empty for any other simulation.
     """
 
     rollout: Rollouts
@@ -150,13 +150,13 @@ class Study:
     """A simulation beside flights.
 
     Attributes:
-        simulation: that was compared.
-        flights: in the air.
-        discovery: what is missing.
-        where: it shows.
-        not_flown: manoeuvres that no flight holds.
-        seed: of all draws.
-        flown_again: the gap in roll-outs and closed loop; None where no effect was named.
+        simulation: compared simulation.
+        flights: flights, in the air.
+        discovery: effects that it lacks.
+        where: conditions and times in which they show.
+        not_flown: manoeuvres that no flight contains.
+        seed: seed of all draws.
+        flown_again: gap in roll-outs and closed loop; None where no effect was named.
     """
 
     simulation: Simulation

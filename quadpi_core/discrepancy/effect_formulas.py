@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The formulas of effects, to read and to use elsewhere: text, LaTeX, and Python that needs numpy alone.
+"""Export of the formulas of effects: text, LaTeX, and Python that needs numpy alone.
 
-The Python is the effect's own source with all that it calls, so it computes what the effect computes.
+The Python is the source of the effect with all that it calls, so it computes the same.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def formula_text(effects: Sequence[FoundEffect]) -> str:
 
 
 def _shape_text(shape: Mapping[str, float]) -> str:
-    """What shapes a law, its values after their symbols of :data:`_SHAPED`, as Markdown with LaTeX."""
+    """Parameters that shape a law, by their symbols in :data:`_SHAPED`, as Markdown with LaTeX."""
     names = (p.name for p in SHAPE)
     return ", ".join(
         f"$s_{symbol} = {shape[name]:.3g}$"
@@ -132,7 +132,7 @@ def python_source(effects: Mapping[str, Mapping[str, float]]) -> str:
     """A Python file with a function for each effect that needs numpy and the standard library alone.
 
     Args:
-        effects: names and the values of their parameters, and of what shapes their laws.
+        effects: by name the values of their parameters and of those that shape their laws.
     """
     functions = [EFFECTS[name].function for name in effects]
     driver = ""
@@ -161,10 +161,10 @@ def _described(effect: Effect) -> str:
 
 
 def _sources(functions: Sequence[Any]) -> tuple[set[str], list[str]]:
-    """Imports, and the source of functions with all of quadpi that they use, each after what it needs.
+    """Imports, and the source of functions and of all of quadpi that they use, in order of dependence.
 
     Raises:
-        ValueError: for a name that files of effects give to different things.
+        ValueError: for a name with different meanings in two files of effects.
     """
     imports = {"import numpy as np"}
     definitions: dict[str, tuple[Any, str]] = {}
@@ -201,7 +201,7 @@ def _sources(functions: Sequence[Any]) -> tuple[set[str], list[str]]:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Names that code looks up outside of itself, and those of the functions within it."""
+    """Global names that code refers to, those of its inner functions included."""
     inner = (value for value in code.co_consts if isinstance(value, CodeType))
     return set(code.co_names).union(*map(_names, inner))
 

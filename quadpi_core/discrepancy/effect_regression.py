@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The regression behind the search, as immutable values: columns, the noise that weighs them, and fits."""
+"""Regression of residuals on the effects of a search, as immutable values: columns, noise, and fits."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
 
-# Rounds in which the columns of mass and inertia, and the accelerations that all columns explain, settle.
+# Rounds in which the columns of mass and inertia and the accelerations that all columns explain converge.
 _ACCELERATION_ROUNDS = 2
-# Steps to the point that candidates are linearised at.
+# Steps to the point of linearisation of candidates.
 _ROUNDS = 3
 STEP_LOSS = Threshold(
     "evidence that a step may lose",
@@ -48,13 +48,13 @@ class NoiseWeighting:
 
     @classmethod
     def of(cls, columns: Linearisation, noise: Array) -> NoiseWeighting:
-        """All columns weighted by a noise (6, BANDS)."""
+        """Weighting of all columns by a noise (6, BANDS)."""
         flights = len(columns.flights)
         none = np.zeros((flights, 0, 0))
         return cls(noise, none, none.sum(axis=0), ((),) * flights).extended(columns)
 
     def extended(self, columns: Linearisation) -> NoiseWeighting:
-        """With the columns that were appended since."""
+        """The weighting with columns that were appended since."""
         known, width = self.per_flight.shape[1], columns.width
         if width == known:
             return self
@@ -76,18 +76,18 @@ class NoiseWeighting:
 
 @dataclass(frozen=True)
 class Regression:
-    """Residual, tolerances and candidates of all flights, weighted; any change gives another value."""
+    """Weighted columns of residual, tolerances and candidates of all flights; changes give new values."""
 
     columns: Linearisation
     weighting: NoiseWeighting
 
     @classmethod
     def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
-        """Every candidate linearised at no effect, the noise as estimated from what all of them leave.
+        """Regression with every candidate linearised at zero, and the noise that all of them leave.
 
         Columns of another mass or inertia are made of the accelerations that all columns together explain.
-        Measured accelerations would explain their own noise; simulated ones are off by all that is looked
-        for, times the change of mass or inertia.
+        Measured accelerations would explain their own noise; simulated ones lack the effects that are looked
+        for.
         """
         columns = Linearisation.of(flights, candidates)
         regression = cls(columns, NoiseWeighting.of(columns, _estimated_noise(columns, ())))
@@ -108,7 +108,7 @@ class Regression:
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
-        """What is looked for."""
+        """The candidates of the search."""
         return self.columns.candidates
 
     @property
@@ -126,18 +126,18 @@ class Regression:
         return self.columns.blocks[index]
 
     def moved(self, points: Mapping[int, Array]) -> Regression:
-        """With candidates, by index, linearised about other points."""
+        """The regression with candidates, by index, linearised about other points."""
         columns = self.columns.moved(points)
         return Regression(columns, self.weighting.extended(columns))
 
     def weighted(self, noise: Array) -> Regression:
-        """With another noise (6, BANDS)."""
+        """The regression with another noise (6, BANDS)."""
         return replace(self, weighting=NoiseWeighting.of(self.columns, noise))
 
     def beside(self, chosen: Sequence[int], found: Fit) -> Regression:
-        """With what a set of effects leaves counted as noise, where that is more than the noise.
+        """The regression with at least the residual after a set of effects as noise.
 
-        A law that is slightly off would otherwise call for another effect to mend it.
+        An error of a law would otherwise be explained by another effect.
         """
         left = band_means([np.square(rows) for rows in self.left(found)], self.columns.bands)
         return self.weighted(np.maximum(_estimated_noise(self.columns, chosen), left))
@@ -160,11 +160,11 @@ class Regression:
         return float(np.abs(found.of(self.block(index).parameters)).max())
 
     def left(self, found: Fit) -> list[Array]:
-        """Rows (6, B) of each flight that a fit leaves of the residual."""
+        """Rows (6, B) of the residual of each flight after a fit."""
         return [self.columns.combined(place, found.left) for place in range(len(self.flights))]
 
     def loudness(self, index: int, found: Fit) -> float:
-        """Root mean square of what a candidate adds in a fit over that of the noise, in its loudest axis."""
+        """Root mean square of the contribution of a candidate over that of the noise, in its loudest axis."""
         squares, noise = np.zeros(len(AXES)), np.zeros(len(AXES))
         for place, band in enumerate(self.columns.bands):
             squares += np.square(self._added(place, (index,), found)).sum(axis=1)
@@ -172,14 +172,14 @@ class Regression:
         return float(np.sqrt(np.max(squares / noise)))
 
     def energy(self, chosen: Sequence[int], found: Fit) -> float:
-        """Half of the squares of what candidates add in a fit, in variances of the noise: their evidence."""
+        """Evidence of candidates in a fit: half of the squares that they add, in variances of the noise."""
         squares = 0.0
         for place, band in enumerate(self.columns.bands):
             squares += float(np.sum(np.square(self._added(place, chosen, found)) / self.noise[:, band]))
         return 0.5 * squares
 
     def _added(self, place: int, chosen: Sequence[int], found: Fit) -> Array:
-        """Rows (6, B) that candidates add to a flight in a fit."""
+        """Rows (6, B) of the contribution of candidates to a flight in a fit."""
         weights = np.zeros(self.columns.width)
         for block in map(self.block, chosen):
             weights[block.parameters] = found.of(block.parameters)
@@ -188,7 +188,7 @@ class Regression:
         return self.columns.combined(place, weights)
 
     def _left_of_everything(self) -> Array:
-        """Weights (K,) of what tolerances and every linear candidate leave together."""
+        """Weights (K,) of the residual after tolerances and every linear candidate together."""
         linear = self.columns.linear_columns
         matrix = self.gram[np.ix_(linear, linear)] + np.eye(len(linear))
         weights = residual_weights(self.columns.width, ())
@@ -197,7 +197,7 @@ class Regression:
 
 
 def settled(regression: Regression) -> Regression:
-    """Every candidate linearised where it fits best alone, with the columns of its form there."""
+    """The regression with every candidate linearised where it fits best alone."""
     best: dict[int, tuple[float, Array]] = {}
     for turn in range(_ROUNDS + 1):
         last = turn == _ROUNDS
@@ -211,16 +211,17 @@ def settled(regression: Regression) -> Regression:
                 if not last:
                     points[index] = regression.parameters(index, found)
             elif index in best:
-                # The step went too far: take half of it, and in the last round none.
+                # The step overshot: take half of it, and none in the last round.
                 points[index] = best[index][1] if last else 0.5 * (best[index][1] + here)
         regression = regression.moved(points)
     return regression
 
 
 def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[Regression, Fit] | None:
-    """The chosen linearised where they fit together, and that fit; None where bounds then exclude one.
+    """The regression with the chosen linearised where they fit together, and that fit.
 
-    A step that lowers the evidence, as long ones of a tether do, is halved.
+    A step that lowers the evidence, as long ones of a tether do, is halved. None where bounds exclude one of
+    the effects.
     """
     curved = any(not regression.candidates[index].linear for index in chosen)
     best, at = found, [regression.columns.points[index] for index in chosen]
@@ -245,7 +246,7 @@ def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[
 
 
 def _estimated_noise(columns: Linearisation, chosen: Sequence[int]) -> Array:
-    """Noise (6, BANDS) that tolerances, every linear candidate, and those chosen leave."""
+    """Noise (6, BANDS) of the residual after tolerances, every linear candidate, and those chosen."""
     blocks = [columns.blocks[index] for index in chosen]
     residual = residual_weights(columns.width, blocks)
     parts = [columns.linear_columns]

@@ -1,14 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect adds to the residual of a flight: the difference that removing it would make.
+"""Response of the residual of a flight to an effect: the residual less the residual with the effect removed.
 
 The residual is the measured wrench less the simulated one. An effect can hide in either: a force that the
-simulation lacks, a mass that the vehicle file has wrong, wind that nothing measured, a sensor that reports
-what did not happen. All are brought to one form, the residual less the residual with the effect removed, so
-that one search treats them alike.
+simulation lacks, a wrong mass in the vehicle file, wind that was not measured, an error of a sensor. In this
+form one search treats them in the same way.
 
-Accelerations that an effect is proportional to are those that the simulation predicts. The measured ones
-carry the noise of the residual itself: a vehicle of no mass in no air would fit every flight to the last bit.
+Effects that are proportional to accelerations use those that the simulation predicts. The measured ones carry
+the noise of the residual itself: a vehicle without mass in no air would fit every flight to the last bit.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
+from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_definition import Effect
@@ -51,13 +51,12 @@ _NO_NUMBERS = np.random.default_rng(0)
 
 
 class Compared:
-    """A flight and the simulation it is compared with.
+    """A flight beside the simulation that it is compared with.
 
-    Columns and residuals are thinned: a flight has been low-passed far below their rate.
+    Columns and residuals are thinned to about `RATE_HZ`: a flight has been low-passed far below that.
 
     Attributes:
-        flight: as given to the simulation: at its own rate, or thinned where that makes no difference.
-        simulation: that the flight is compared with.
+        flight: input of the simulation, at its own rate, or thinned where that makes no difference.
         thinned: the flight at about `RATE_HZ`.
     """
 
@@ -90,10 +89,9 @@ class Compared:
 
     @cached_property
     def states(self) -> npt.NDArray[np.void]:
-        """Records (M,) that wrench effects look at, thinned; the force in them is the measured one.
+        """Input records (M,) of wrench effects, thinned, with the measured force.
 
-        The measured force acts even where the simulation does not know it, and its noise does not affect
-        moments.
+        The measured force acts even where the simulation lacks it, and its noise does not affect moments.
         """
         states = self.simulation.states(self.flight)[:: self.step].copy()
         states["wrench"][:, :3] = self.measured[:, :3]
@@ -101,7 +99,7 @@ class Compared:
 
     @cached_property
     def record(self) -> npt.NDArray[np.void]:
-        """Record (1,) that wrench effects look at."""
+        """Vehicle record (1,), an input of wrench effects."""
         return self.simulation.record()
 
     @cached_property
@@ -111,21 +109,21 @@ class Compared:
 
     @cached_property
     def expected_measured(self) -> Array:
-        """Wrench (M, 6) that would be measured of :attr:`expected`, thinned."""
+        """Measured wrench (M, 6) of the flight :attr:`expected`, thinned."""
         return measured_wrench(self.expected_thinned, self.simulation.vehicle)
 
     @cached_property
     def expected_residual(self) -> Array:
-        """Residual (M, 6) that would be left of :attr:`expected`, thinned."""
+        """Residual (M, 6) of the flight :attr:`expected`, thinned."""
         return residual(self.expected, self.simulation)[:: self.step]
 
     @cached_property
     def bias_response(self) -> BiasResponse:
-        """What the estimator takes for biases where the IMU reports what did not happen."""
+        """Biases that the estimator attributes to errors of the IMU in this flight."""
         return BiasResponse(self.flight, self.simulation.vehicle, self._imu_rate_hz)
 
     def uncertain(self) -> list[Column]:
-        """What tolerances allow, a column (M, 6) each."""
+        """Columns (M, 6) of the tolerances, one each."""
         tolerances = self.simulation.tolerances
         columns = [
             Column(name, wrench[:: self.step]) for name, wrench in self.simulation.uncertain(self.flight)
@@ -140,8 +138,8 @@ class Compared:
         """What an effect adds to the residual (M, 6).
 
         Args:
-            effect: of any kind.
-            values: of its parameters, in their order, within their bounds or not.
+            effect: effect of any kind.
+            values: parameters in their order, within their bounds or not.
         """
         return _KINDS[effect.kind](self, effect, values)
 
@@ -172,14 +170,14 @@ def share_of_wrench(effect: Effect, vehicle: Vehicle, values: Array) -> Array:
 
 
 def predicted_flight(flight: Flight, simulation: Simulation) -> Flight:
-    """A flight with the accelerations that a simulation predicts, but its slow angular ones as measured."""
+    """A flight with the accelerations that a simulation predicts; slow angular ones stay as measured."""
     vehicle = simulation.vehicle
     wrench = simulation.wrench(flight)
     momentum = flight.rates @ vehicle.inertia
     moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
     turning = moment @ np.linalg.inv(vehicle.inertia)
-    # A moment that the simulation has wrong would spin up the predicted vehicle, and another inertia would
-    # seem to explain a share of it. Slow angular acceleration is measured with little noise.
+    # A wrong simulated moment would spin up the predicted vehicle, and another inertia would seem to explain
+    # a share of it. Slow angular acceleration is measured with little noise.
     smoothing = flight.rate_hz / (2.0 * np.pi * SLOW_HZ.value)
     turning += gaussian_filter1d(flight.angular_acceleration - turning, smoothing, axis=0, mode="nearest")
     return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
@@ -268,8 +266,7 @@ def without_sensor_effect(
 
 def _delayed(time: Array, values: Array, delay_s: float) -> Array:
     """Values (N, C) delayed by a time, constant beyond their ends."""
-    at = time - delay_s
-    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+    return interpolate_columns(time, values, time - delay_s)
 
 
 _Added: TypeAlias = Callable[[Compared, Effect, Array], Array]

@@ -5,8 +5,8 @@
 For columns X with prior N(0, 1) on every coefficient and white noise of unit variance, the evidence of a
 residual r is, up to a constant, ln p = −½ (r·r − bᵀA⁻¹b) − ½ ln det A with A = XᵀX + 1 and b = Xᵀr. The
 tolerances of the simulation are part of every set, so that an effect has to explain what no coefficient
-within its tolerance can. The law of an effect may be off as well: once the effect is in a set, so are columns
-for its form, in proportion to its size.
+within its tolerance can. The law of an effect may be wrong, too: with the effect, a set contains columns for
+the error of its form, in proportion to its size.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array
 
-# Prior precision of form columns of an effect without size, which may not differ at all.
+# Prior precision of the form columns of an effect of size zero, whose form cannot differ.
 _PRECISE = 1e12
 Indices = npt.NDArray[np.intp]
 
@@ -30,10 +30,10 @@ class Block:
     """The columns of one candidate.
 
     Attributes:
-        parameters: indices of its k columns of parameters.
-        form: indices of the columns that its form allows, made for an effect of the size `formed_at`.
-        formed_at: length of the coefficients that the columns of the form are in proportion to.
-        offset: index of what its linearisation adds to the residual; none for a linear effect.
+        parameters: indices of its k parameter columns.
+        form: indices of the columns for the error of its form, made for an effect of the size `formed_at`.
+        formed_at: length of the coefficients that the form columns are in proportion to.
+        offset: index of the column that its linearisation adds to the residual; none for a linear effect.
         lowest, highest: (k,) bounds of the parameters, in prior standard deviations.
     """
 
@@ -46,14 +46,14 @@ class Block:
 
 
 class Fit(NamedTuple):
-    """A set of effects, fitted.
+    """Fit of a set of effects.
 
     Attributes:
-        log_evidence: relative to other fits on the same Gram matrix.
-        columns: (c,) indices of the columns that took part.
+        log_evidence: log evidence [nat] relative to other fits on the same Gram matrix.
+        columns: (c,) indices of the fitted columns.
         coefficients: (c,) their posterior mean.
-        covariance: (c, c) of the posterior.
-        left: (K,) weight of each column of the Gram matrix in what the fit leaves of the residual.
+        covariance: (c, c) their posterior covariance.
+        left: (K,) weight of each column of the Gram matrix in the residual after the fit.
     """
 
     log_evidence: float
@@ -63,11 +63,11 @@ class Fit(NamedTuple):
     left: Array
 
     def of(self, wanted: Indices) -> Array:
-        """Coefficients of some columns; 0 for those that a bound took out."""
+        """Coefficients of some columns; 0 for those that a bound excluded."""
         return self._at(wanted, self.coefficients)
 
     def deviation(self, wanted: Indices) -> Array:
-        """Posterior standard deviation of some columns; 0 for those that a bound took out."""
+        """Posterior standard deviation of some columns; 0 for those that a bound excluded."""
         return self._at(wanted, np.sqrt(np.diag(self.covariance)))
 
     def _at(self, wanted: Indices, values: Array) -> Array:
@@ -76,7 +76,7 @@ class Fit(NamedTuple):
 
 
 def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None:
-    """Fit tolerances and a set of effects; None where bounds leave nothing of an effect.
+    """Fit tolerances and a set of effects; None where bounds exclude every parameter of an effect.
 
     A parameter whose posterior mean violates its bound is set to zero, its nearest bound, and the rest are
     fitted again.
@@ -84,7 +84,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
     Args:
         gram: (K, K); column 0 is the residual.
         tolerances: indices of the columns of the simulation's tolerances.
-        blocks: of the effects.
+        blocks: columns of each effect.
     """
     residual = residual_weights(len(gram), blocks)
     out: set[int] = set()
@@ -111,7 +111,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         if not any(len(block.form) for block in blocks):
             return found
         if exact is not None:
-            # A law may be off or exact: form columns that are not needed must not cost it evidence.
+            # A law may be exact: form columns that are not needed must not cost it evidence.
             return found if found.log_evidence > exact.log_evidence else exact
         exact = found
         # The sizes of the effects, now known, scale by how much their forms may differ.
@@ -126,9 +126,9 @@ def fit_forms(
     Args:
         gram: (K, K); column 0 is the residual.
         tolerances: indices of the columns of the simulation's tolerances.
-        blocks: of the effects.
-        fixed: the fit that their parameters come from.
-        formed: those of the blocks whose forms are fitted.
+        blocks: columns of each effect.
+        fixed: fit that the parameters are taken from.
+        formed: blocks whose forms are fitted.
     """
     residual = residual_weights(len(gram), blocks)
     for block in blocks:
@@ -179,15 +179,15 @@ def _beyond_bounds(found: Fit, blocks: Sequence[Block]) -> set[int]:
 def null_gains(
     gram: Array, tolerances: Indices, blocks: Sequence[Block], draws: int, rng: np.random.Generator
 ) -> Array:
-    """Largest gain (draws,) in evidence of any single effect where there is none.
+    """Largest gain (draws,) in evidence of any single effect, of residuals without any effect.
 
-    Coefficients are drawn within their tolerances and noise with the autocorrelation of the residual, on the
-    very flights: both are one normal distribution of the projections of the residual on the columns.
+    Residuals are drawn for the same flights: coefficients within their tolerances, and noise with the
+    autocorrelation of the residual. Both are one normal distribution of the projections on the columns.
 
     Args:
-        gram: (K, K).
-        tolerances: see :func:`fit`.
-        blocks: of the candidates, each alone.
+        gram: (K, K) Gram matrix.
+        tolerances: indices of the columns of the tolerances.
+        blocks: columns of each candidate.
         draws: number of draws.
         rng: source of the draws.
     """

@@ -24,7 +24,13 @@ from quadpi_core.logs.bags import read_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.signals.filters import zero_phase
-from quadpi_core.signals.resample import first_gap, interpolate, nominal_rate, uniform_stamps
+from quadpi_core.signals.resample import (
+    first_gap,
+    interpolate,
+    interpolate_columns,
+    nominal_rate,
+    uniform_stamps,
+)
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _HOVER_ROUNDS = 10
@@ -34,9 +40,8 @@ _HOVER_ROUNDS = 10
 class CallableSimulation(Simulation):
     """Any function from a flight to its wrench.
 
-    It is known only by its answers: that to the same rotor speeds in still air without rotation counts as
-    thrust and torque of the rotors; what rates add, and what the airspeed adds, as coefficients of their own,
-    axis by axis.
+    Its wrench for the same rotor speeds in still air without rotation counts as thrust and torque of the
+    rotors. What body rates add, and what the airspeed adds, have one uncertain coefficient per axis each.
     """
 
     name: str
@@ -67,7 +72,7 @@ class CallableSimulation(Simulation):
 
     @cached_property
     def hover_rotor_speed(self) -> float:
-        """See :class:`Simulation`: from its answers to hovers, thrust being about quadratic in the speed."""
+        """See :class:`Simulation`; found by iteration, as thrust is about quadratic in the speed."""
         vehicle = self.vehicle
         weight = vehicle.mass_kg * vehicle.gravity_m_s2
         speed = self._about_hover
@@ -80,11 +85,11 @@ class CallableSimulation(Simulation):
 
     @property
     def _about_hover(self) -> float:
-        """Rotor speed [rad/s] that the search for hover starts from."""
+        """Rotor speed [rad/s] at which the iteration for hover starts."""
         return 0.5 * self.vehicle.rotor_speed_max_rad_s
 
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
-        """See :class:`Simulation`: what it says of hover, shared among the rotors by their speeds squared."""
+        """See :class:`Simulation`; those of hover, shared among the rotors by their squared speeds."""
         still = self.wrench(_still(flight))
         squares = np.square(flight.rotor_speeds)
         total = squares.sum(axis=1)
@@ -94,7 +99,7 @@ class CallableSimulation(Simulation):
         return thrust * squares, torque * squares * self.vehicle.rotor_spins
 
     def uncertain(self, flight: Flight) -> list[Column]:
-        """Per axis: of the rotors at rest, of what rates add, of what the airspeed adds."""
+        """Per axis the parts of the rotors at rest, of body rates and of the airspeed."""
         moved, still = self.wrench(_without_airspeed(flight)), self.wrench(_still(flight))
         parts = {"rotors": still, "rates": moved - still, "airspeed": self.wrench(flight) - moved}
         return [column for column in axis_columns(parts, self.tolerances) if np.any(column.wrench)]
@@ -102,12 +107,9 @@ class CallableSimulation(Simulation):
 
 @dataclass(frozen=True)
 class ModelSimulation(CallableSimulation):
-    """The predictions of an identified model, whose intervals can be judged before and after.
+    """The predictions of an identified model of all six axes.
 
     Flights must have passed the low-pass of the model.
-
-    Attributes:
-        model: of all six axes.
     """
 
     model: AerodynamicModel | None = None
@@ -117,8 +119,8 @@ class ModelSimulation(CallableSimulation):
         """Read a model folder.
 
         Args:
-            folder: of the model.
-            vehicle: name or path of the vehicle file; unless given, by the name that the model holds.
+            folder: model folder.
+            vehicle: name or path of the vehicle file; the vehicle that the model names unless given.
 
         Raises:
             ModelError: for a folder that is no model, or a model of another vehicle.
@@ -140,14 +142,14 @@ class ModelSimulation(CallableSimulation):
         return cls(str(folder), flown, predict, read_tolerances(file), file, model=model)
 
     def intervals(self, flight: Flight) -> tuple[Array, Array]:
-        """Lower and upper bounds (N, 6) of the model's own confidence."""
+        """Lower and upper bounds (N, 6) at the confidence of the model."""
         assert self.model is not None  # by load
         found = self.model.evaluate(flight_inputs(flight, self.vehicle))
         return found.lower, found.upper
 
     @property
     def _about_hover(self) -> float:
-        """The middle of what the model was identified on."""
+        """The middle of the range that the model was identified on."""
         assert self.model is not None  # by load
         envelope, index = self.model.envelope, INPUT_INDEX["omega_avg"]
         return float(np.mean((envelope.lower[index], envelope.upper[index])))
@@ -193,14 +195,14 @@ class Recorded(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordedSimulation(Simulation):
-    """What a simulation of any kind gave for each flight, on the topic `simulation/wrench`.
+    """Wrench of each flight that a simulation of any kind recorded on the topic `simulation/wrench`.
 
-    It cannot answer for other winds or rotor speeds than it was given, so wind and effects on rotor speeds
-    are not found with it. The part in proportion to the rotor speeds squared counts as thrust and torque.
+    It cannot be evaluated for other wind or rotor speeds, so neither wind nor errors of rotor speeds are
+    found with it. The part in proportion to the squared rotor speeds counts as thrust and torque.
 
     Attributes:
-        wrenches: by the source of the flight.
-        thrust_n_s2: of a rotor, over its speed squared.
+        wrenches: recorded wrench by the source of the flight.
+        thrust_n_s2: thrust of a rotor over its squared speed.
     """
 
     vehicle: Vehicle
@@ -218,8 +220,8 @@ class RecordedSimulation(Simulation):
 
         Args:
             vehicle: name or path of the vehicle file.
-            bags: of the flights.
-            cutoff_hz: of the low-pass that flights pass.
+            bags: bags of the flights.
+            cutoff_hz: cut-off of the low-pass that flights pass.
 
         Raises:
             DiscrepancyError: for bags without the topic, or without rotor speeds.
@@ -258,8 +260,7 @@ class RecordedSimulation(Simulation):
                 f"{where}: its stamps, {1e-9 * first:.3f} to {1e-9 * last:.3f} s after the start of the "
                 f"flight, do not cover it, 0 to {1e-9 * end:.3f} s; they must be on the clock of the sensors"
             )
-        columns = [np.interp(stamps, recorded.time_ns, column) for column in recorded.wrench.T]
-        return np.stack(columns, axis=1)
+        return interpolate_columns(recorded.time_ns, recorded.wrench, stamps)
 
     @property
     def hover_rotor_speed(self) -> float:
@@ -275,7 +276,7 @@ class RecordedSimulation(Simulation):
         return self.thrust_n_s2 * squares, torque * squares * self.vehicle.rotor_spins
 
     def uncertain(self, flight: Flight) -> list[Column]:
-        """Per axis: of thrust and torque, and of the rest."""
+        """Per axis the part of thrust and torque, and the rest."""
         wrench = self.wrench(flight)
         thrusts, torques = self.thrusts(flight)
         x, y, _ = self.vehicle.rotor_positions.T

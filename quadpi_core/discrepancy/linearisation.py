@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The columns of the regression, in frequency: residual, tolerances and candidates of all flights."""
+"""Columns of the regression in frequency: residual, tolerances and candidates of all flights."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ NO_COLUMNS: Indices = np.empty(0, dtype=np.intp)
 
 @dataclass(frozen=True)
 class Modulators:
-    """What an effect may depend on beyond what its law says, standardised over all flights.
+    """Quantities that a law may depend on beyond its formula, standardised over all flights.
 
     Attributes:
         mean, deviation: (C,) over all flights.
-        values: per flight (M, C), less the mean and over the deviation.
+        values: (M, C) of each flight, standardised.
     """
 
     mean: Array
@@ -59,14 +59,14 @@ class Linearisation:
     """Columns of all flights about one point per candidate; immutable, a move gives another value.
 
     Column 0 is the residual; the tolerances follow, then the blocks of the candidates. The columns are held
-    as tables that are only ever appended: the block of a candidate that has moved is at the end, its former
-    columns stay where they are, and no other index changes.
+    in tables, and columns are only appended: a candidate that has moved gets a new block at the end, and no
+    other index changes.
 
     Attributes:
         flights: F flights.
-        candidates: that the blocks belong to.
-        points: per candidate, the free parameters that it is linearised at.
-        blocks: per candidate, its columns.
+        candidates: the candidates of the blocks.
+        points: free parameters at which each candidate is linearised.
+        blocks: columns of each candidate.
         tolerance_names, tolerances: names and indices of the columns of the tolerances.
         bands: per flight (B,) the frequency band of each row.
         tables: per flight, tables (6, B, ·) of columns.
@@ -138,7 +138,7 @@ class Linearisation:
         return total
 
     def moved(self, points: Mapping[int, Array]) -> Linearisation:
-        """Candidates, by index, linearised about other points, with form columns for their sizes there."""
+        """The linearisation about other points of candidates, by index, with form columns for their sizes."""
         value = self
         for index, at in points.items():
             moved = replace(value, points=_with(value.points, index, at))
@@ -148,7 +148,7 @@ class Linearisation:
         return value
 
     def accelerated(self, changes: Sequence[Array]) -> Linearisation:
-        """With the columns of another mass or inertia made of other accelerations.
+        """The linearisation with the columns of mass and inertia made of other accelerations.
 
         Args:
             changes: per flight, rows (6, B) by which the wrench of the vehicle's accelerations changed.
@@ -183,7 +183,7 @@ class Linearisation:
         return shares
 
     def _with_block(self, index: int) -> Linearisation:
-        """The columns of a candidate about its point appended; its block is those."""
+        """The linearisation with a new block of columns of a candidate about its point."""
         candidate, at, first = self.candidates[index], self.points[index], self.width
         found = linearise(candidate, self.flights, at)
         in_time = self._in_time
@@ -208,7 +208,7 @@ class Linearisation:
         return replace(appended, blocks=_with(self.blocks, index, block), _in_time=in_time)
 
     def _with_form(self, index: int) -> Linearisation:
-        """Columns appended by which the law of a candidate may be off, in proportion to its size."""
+        """The linearisation with columns for the error of a candidate's law, in proportion to its size."""
         candidate, at = self.candidates[index], self.points[index]
         size = float(np.linalg.norm(at / candidate.scale))
         if size == 0.0 or candidate.form == 0.0:
@@ -239,7 +239,7 @@ class Linearisation:
         return np.stack(columns, axis=2)
 
     def _appended(self, columns: Iterable[Array]) -> Linearisation:
-        """With columns (M, 6, K) in time of each flight appended."""
+        """The linearisation with further columns, (M, 6, K) in time of each flight."""
         tables = tuple(
             (*own, spectrum(added, flight.thinned.rate_hz).rows)
             for own, added, flight in zip(self.tables, columns, self.flights, strict=True)
@@ -253,7 +253,7 @@ def table_starts(tables: Sequence[Array]) -> list[int]:
 
 
 def _located(tables: Sequence[Array], columns: Indices) -> list[tuple[int, int]]:
-    """Which of the tables (6, B, ·) each column is in, and its place there."""
+    """Table (6, B, ·) and index in that table of each column."""
     starts = table_starts(tables)
     within = np.searchsorted(starts, columns, side="right") - 1
     return [(int(table), int(column - starts[table])) for table, column in zip(within, columns, strict=True)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Loads simulations by the names that the command line takes."""
+"""Load simulations by the names that the command line accepts."""
 
 from __future__ import annotations
 
@@ -66,21 +66,21 @@ def load_simulation(
     allow_code: bool = False,
     within: tuple[Path, ...] = (),
 ) -> Simulation:
-    """A simulation by what names it.
+    """Load a simulation by its name, path or function.
 
     Args:
         text: name or path of a vehicle file that can be simulated; folder of an identified model;
             `module:function` of Python, found from the working directory or installed; `recorded`, a wrench
             in the bags; or an `addition.json` that an earlier search wrote.
         vehicle: name or path of the vehicle file, for those that do not name one.
-        bags: that a recorded wrench is read from.
-        allow_code: whether an `addition.json` may name a function. Its module is then imported, so whoever
-            wrote the file chooses what runs here. A function named by `text` itself is always allowed.
-        within: files of additions that led here, so that none refers to itself.
+        bags: bags that a recorded wrench is read from.
+        allow_code: whether an `addition.json` may name a function. Its module is then imported, so the author
+            of the file chooses what runs here. A function named by `text` itself is always allowed.
+        within: files of additions that refer to this one, so that none refers to itself.
 
     Raises:
-        DiscrepancyError: for what names no simulation, a function that cannot be imported, a vehicle that is
-            missing, and an addition that is not understood.
+        DiscrepancyError: for a name of no simulation, a function that cannot be imported, a missing vehicle,
+            and an invalid addition.
         QuadpiError: of vehicle files, models and bags that cannot be read.
     """
     path = Path(text)

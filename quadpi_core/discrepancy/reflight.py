@@ -36,7 +36,7 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
-from quadpi_core.signals.resample import interpolate, interpolate_attitude
+from quadpi_core.signals.resample import interpolate, interpolate_attitude, interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan
@@ -58,7 +58,7 @@ class RolloutError(NamedTuple):
     Attributes:
         velocity_m_s: over ground.
         attitude_deg: angle of rotation.
-        rates_rad_s: of the body.
+        rates_rad_s: body rates.
         starts: number of roll-outs.
     """
 
@@ -83,14 +83,14 @@ class _Motion(NamedTuple):
         return _Motion(position, velocity, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), rates)
 
 
-# Wrench (K, 6) of K bodies, each at a time [s] of the flight of its own.
+# Wrench (K, 6) of K bodies in their states, each at its own time [s] of the flight.
 _Wrench: TypeAlias = Callable[[Array, _Motion], Array]
 
 
 def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S) -> RolloutError:
-    """Roll a simulation out from many instants of a flight.
+    """Errors of roll-outs of a simulation from many instants of a flight.
 
-    Effects on sensors are taken out of the flight first, as the simulation knows them.
+    Errors of sensors that the simulation has as effects are removed from the flight first.
 
     Raises:
         DiscrepancyError: for a flight shorter than the horizon.
@@ -101,7 +101,7 @@ def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S
 
 
 def rollout_floor(flight: Flight, vehicle: Vehicle, horizon_s: float = HORIZON_S) -> RolloutError:
-    """Roll the measured wrench of a flight out: what is left is no fault of a simulation.
+    """Errors of roll-outs of the measured wrench of a flight, which no simulation causes.
 
     Raises:
         DiscrepancyError: for a flight shorter than the horizon.
@@ -109,16 +109,16 @@ def rollout_floor(flight: Flight, vehicle: Vehicle, horizon_s: float = HORIZON_S
     measured = measured_wrench(flight, vehicle)
 
     def wrench(time: Array, _: _Motion) -> Array:
-        return _at(flight.time, measured, time)
+        return interpolate_columns(flight.time, measured, time)
 
     return _rolled_out(flight, vehicle, wrench, horizon_s)
 
 
 def _simulated(flight: Flight, simulation: Simulation) -> _Wrench:
-    """The wrench of a simulation for bodies in states of their own, with rotor speeds and wind of the flight.
+    """The wrench of a simulation for bodies in given states, with rotor speeds and wind of the flight.
 
-    Each is asked for at three instants, so that what depends on how fast rotors change has its differences:
-    over a whole step, which add up to the change of the speeds.
+    Each is evaluated at three instants, so that effects of changing rotor speeds see differences over a whole
+    step, which add up to the change of the speeds.
     """
     step = 0.5 / _ROLLOUT_HZ
 
@@ -136,8 +136,8 @@ def _simulated(flight: Flight, simulation: Simulation) -> _Wrench:
             rates=rates,
             angular_acceleration=none,
             specific_force=none,
-            rotor_speeds=_at(flight.time, flight.rotor_speeds, instants),
-            wind=_at(flight.time, flight.wind, instants),
+            rotor_speeds=interpolate_columns(flight.time, flight.rotor_speeds, instants),
+            wind=interpolate_columns(flight.time, flight.wind, instants),
         )
         return simulation.wrench(asked)[1::3]
 
@@ -170,12 +170,12 @@ def _rolled_out(flight: Flight, vehicle: Vehicle, wrench: _Wrench, horizon_s: fl
 
 def _measured(flight: Flight, time: Array) -> _Motion:
     velocity = rotate_body_to_world(flight.attitude, flight.velocity)
-    attitude = _at(flight.time, flight.attitude, time)
+    attitude = interpolate_columns(flight.time, flight.attitude, time)
     return _Motion(
-        _at(flight.time, flight.position, time),
-        _at(flight.time, velocity, time),
+        interpolate_columns(flight.time, flight.position, time),
+        interpolate_columns(flight.time, velocity, time),
         attitude / np.linalg.norm(attitude, axis=1, keepdims=True),
-        _at(flight.time, flight.rates, time),
+        interpolate_columns(flight.time, flight.rates, time),
     )
 
 
@@ -190,11 +190,6 @@ def _slope(vehicle: Vehicle, wrench: Array, motion: _Motion) -> _Motion:
         (-x * p - y * q - z * r, w * p + y * r - z * q, w * q + z * p - x * r, w * r + x * q - y * p), axis=1
     )
     return _Motion(motion.velocity, acceleration, 0.5 * turning, moment @ np.linalg.inv(vehicle.inertia).T)
-
-
-def _at(time: Array, values: Array, wanted: Array) -> Array:
-    """Values (N, C) at times (M,), linear between samples."""
-    return np.stack([np.interp(wanted, time, column) for column in values.T], axis=1)
 
 
 def _rms(errors: Array) -> float:
@@ -285,10 +280,10 @@ def rollouts(
 def closed_loops(
     flights: Sequence[Flight], before: Simulation, after: Sequence[AugmentedSimulation]
 ) -> ClosedLoops:
-    """References of flights flown again by the simulation, before and after, beside the measured flights.
+    """Errors of references flown again by the simulation, before and after, against the measured flights.
 
-    Only flights of quadpi's own simulation record their reference; that of other controllers is not known.
-    The floor is the error of the estimator, where the bag holds the truth.
+    Only flights of quadpi's own simulation record their reference. The floor is the error of the estimator,
+    known where the bag holds the truth.
     """
     base = before.base if isinstance(before, AugmentedSimulation) else before
     if not isinstance(base, VehicleSimulation):
@@ -347,7 +342,7 @@ def fly_again(plan: FlightPlan, vehicle: SimulatedVehicle) -> Track:
 
 
 def _plan(flight: Flight) -> FlightPlan | None:
-    """The plan recorded in the bag of a flight; None where there is no bag, or the bag is not simulated."""
+    """The plan in the bag of a flight; None without a bag, or if the bag is not simulated."""
     path = Path(flight.source)
     if not path.exists():
         return None
@@ -374,7 +369,7 @@ def _true_track(flight: Flight) -> Track:
 def coverages(
     flights: Sequence[Flight], model: ModelSimulation, before: Simulation, after: Iterable[Simulation]
 ) -> dict[str, Coverage]:
-    """Share of samples in the intervals of a model, per axis: about its predictions, and those after."""
+    """Share of samples inside a model's intervals, per axis, about its predictions before and after."""
     inside = {"before": np.zeros(len(AXES)), "after": np.zeros(len(AXES))}
     samples = 0
     for flight, added in zip(flights, after, strict=True):

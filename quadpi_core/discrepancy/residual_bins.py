@@ -1,14 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Residuals of flights over time, their energy in bins of a variable and seconds, and which hold too much.
+"""Energy of residuals in bins of a variable and in seconds, tested against noise and tolerances.
 
-The regression works in frequency; people and bins need time. A flight has as many samples here as it has rows
-there, and mean squares are the same in both.
+The regression works in frequency; bins need time. A flight has as many samples here as it has rows there, and
+mean squares are the same in both.
 
-Coefficients have first been put where they fit best within their tolerances. The energy left in a cell is
-compared with that of draws without any effect, treated in the same way. Its p-value is adjusted for all cells
-examined by the smallest p-value of each draw (Westfall and Young): cells share samples, and noise is
-correlated over more than one.
+Coefficients are first fitted within their tolerances. The remaining energy in a cell is compared with that of
+draws without any effect, treated in the same way. P-values are adjusted for all cells by the smallest p-value
+of each draw (Westfall and Young), as cells share samples and noise is correlated over several cells.
 """
 
 from __future__ import annotations
@@ -97,14 +96,14 @@ class Residual(NamedTuple):
     """One flight; wrenches (B, 6) in N and Nm, body axes, measured less simulated, up to the band's end.
 
     Attributes:
-        flight: its name.
+        flight: name of the flight.
         time: (B,) s since the flight began.
         variables: (B,) each, by names of `VARIABLES`: m/s through the air, m above the world's origin,
             rad/s (mean of the rotors; magnitude of the rates), degrees, m north and east of that origin, s
             since the first sample.
-        before: as it is.
-        beyond: with coefficients where, beside the effects, they fit best within their tolerances.
-        after: with effects and coefficients as found on all other flights.
+        before: residual of the simulation as it is.
+        beyond: residual with coefficients fitted within their tolerances, together with the effects.
+        after: residual with effects and coefficients as fitted on all other flights.
     """
 
     flight: str
@@ -119,7 +118,7 @@ def residuals(found: Found) -> list[Residual]:
     """Residuals of the flights of a search, in their order."""
     regression, columns = found.regression, found.regression.columns
     tolerances = columns.tolerances
-    # Beside the effects that were found: alone, coefficients would bend to take their place.
+    # Together with the effects that were found: alone, coefficients would take their place.
     without = found.fit.left.copy()
     without[tolerances] = 0.0
     projected = regression.gram[tolerances, : len(without)] @ without
@@ -147,11 +146,11 @@ def residuals(found: Found) -> list[Residual]:
 
 
 def over_time(rows: Array, samples: int) -> Array:
-    """Rows (6, B, C) among frequencies, as `whitening.spectrum` gives them, over time (B, 6, C).
+    """Series (B, 6, C) in time of rows (6, B, C) in frequency, the inverse of `whitening.spectrum`.
 
     Args:
         rows: see :class:`quadpi_core.discrepancy.whitening.Spectrum`.
-        samples: of the flight that they are of.
+        samples: number of samples of the flight.
     """
     count = rows.shape[1]
     kept = (count + 1) // 2
@@ -170,18 +169,18 @@ def sample_indices(count: int, samples: int) -> npt.NDArray[np.intp]:
 
 
 def largest_deviation(count: int) -> float:
-    """Tolerances that the furthest of `count` coefficients exceeds with the probability allowed for."""
+    """Multiple of its tolerance that the furthest of `count` coefficients may reach."""
     return float(norm.isf(BEYOND_TOLERANCES.value / (2.0 * count)))
 
 
 def within_tolerance(gram: Array, projected: Array) -> Array:
-    """Coefficients (K, D) that fit best, none further off than :func:`largest_deviation`.
+    """Best-fitting coefficients (K, D), none further off than :func:`largest_deviation`.
 
-    One that would go further is held at its bound, and the others are fitted again.
+    A coefficient that would go further is fixed at its bound, and the others are fitted again.
 
     Args:
-        gram: (K, K) of the columns of tolerances, whitened.
-        projected: (K, D) of D residuals on them.
+        gram: (K, K) Gram matrix of the whitened columns of tolerances.
+        projected: (K, D) projections of D residuals on them.
     """
     matrix, most = gram + np.eye(len(gram)), largest_deviation(len(gram))
     best = np.linalg.solve(matrix, projected).astype(float)
@@ -198,7 +197,7 @@ def within_tolerance(gram: Array, projected: Array) -> Array:
 
 
 def variables(compared: Compared) -> dict[str, Array]:
-    """What a residual may depend on, (M,) each, by the names of `VARIABLES`."""
+    """Variables (M,) that a residual may depend on, by the names of `VARIABLES`."""
     states = compared.states
     velocity = states["velocity_air"]
     ahead = rotation_matrix(states["attitude"])[:, :2, 0]
@@ -220,12 +219,12 @@ def variables(compared: Compared) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of all flights; C of them: the bins of each variable, then the seconds of each flight.
+    """The C cells of all flights: the bins of each variable, then the seconds of each flight.
 
     Attributes:
-        edges: of the bins, by variable.
-        bins: by variable, its cells.
-        seconds: per flight, its cells.
+        edges: edges of the bins of each variable.
+        bins: cells of each variable.
+        seconds: cells of each flight.
         members: per flight (C, B), 1 where a sample lies in a cell.
     """
 
@@ -247,7 +246,7 @@ class Cells:
         owned = []
         for flight in flights:
             second = ((flight.time - flight.time[0]) / SEGMENT_S.value).astype(np.intp)
-            # What is left over at the end belongs to the last whole one.
+            # An incomplete second at the end belongs to the one before.
             second = np.minimum(second, max(int((flight.time[-1] - flight.time[0]) / SEGMENT_S.value) - 1, 0))
             seconds.append(slice(first, first + int(second[-1]) + 1))
             within = [
@@ -266,12 +265,12 @@ class Cells:
 
     @property
     def samples(self) -> Array:
-        """Number of samples (C,) in each."""
+        """Number of samples (C,) in each cell."""
         total: Array = sum(own.sum(axis=1) for own in self.members)
         return total
 
     def energy(self, series: Sequence[Array]) -> Array:
-        """Sum of squares (C, …) over the samples of each, of per flight (B, …)."""
+        """Sum of squares (C, …) over the samples of each cell, of series (B, …) of each flight."""
         total: Array = sum(
             (own @ np.square(values).reshape(len(values), -1)).reshape(-1, *values.shape[1:])
             for own, values in zip(self.members, series, strict=True)
@@ -281,13 +280,13 @@ class Cells:
 
 @dataclass(frozen=True)
 class CellTest:
-    """The energy of cells, tested against draws without any effect.
+    """Test of the energy of cells against draws without any effect.
 
     Attributes:
         excess: (C, 6) energy beyond the mean of the draws; 0 where there is less.
         p_value: (C, 6) adjusted for all bins, or for all seconds.
         stands_out: (C, 6) whether that is significant, and large enough to matter.
-        allowed: (C, 6) energy that 95 % of the draws stay below.
+        allowed: (C, 6) energy that most of the draws stay below.
     """
 
     excess: Array
@@ -332,7 +331,7 @@ def allowed_energy(drawn: Array) -> Array:
 
 
 def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
-    """Energy (C, 6, D) of D residuals without any effect, coefficients put where they fit best."""
+    """Energy (C, 6, D) of D residuals without any effect, after the same fit of coefficients."""
     regression, columns = found.regression, found.regression.columns
     tolerances = columns.tolerances
     gram = regression.gram[np.ix_(tolerances, tolerances)]
@@ -340,18 +339,18 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     off = np.clip(rng.standard_normal((len(tolerances), draws)), -most, most)
 
-    # What generic functions predict is no noise either, where it has no name.
+    # What generic functions predict is not noise, even where no effect explains it.
     spectrum = np.minimum(regression.noise, found.left.noise)
 
     def noise(place: int) -> Array:
         rng, band = np.random.default_rng((seed, place)), columns.bands[place]
-        # Noise differs from flight to flight: it is known no better than its own squares in a band allow.
+        # Noise differs from flight to flight: its variance is known as well as its squares in a band allow.
         count = np.maximum(np.bincount(band, minlength=BANDS), 1)[:, None]
         share = rng.chisquare(count, (len(AXES), BANDS, draws)) / count
         deviation = np.sqrt(spectrum[:, :, None] / share)
         return deviation[:, band] * rng.standard_normal((len(AXES), len(band), draws))
 
-    # Made twice rather than kept: it is by far the largest of all arrays.
+    # Noise is made twice rather than kept: it is by far the largest of all arrays.
     projected = gram @ off
     allowed = [columns.rows(place, tolerances) for place in range(len(regression.flights))]
     for place, rows in enumerate(allowed):

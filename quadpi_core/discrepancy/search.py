@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The search: which effects, if any, explain what flights and simulation disagree in."""
+"""The search for the effects, if any, that explain where simulation and flights disagree."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MOST_EFFECTS = Threshold(
     "most effects",
     3,
     "effects",
-    "more than a person would look for at once; what is left beyond them is said to have no name",
+    "more than a person would look for at once; the rest counts as unexplained",
     CONVENTION,
 )
 CALIBRATION_DRAWS = Threshold(
@@ -49,21 +49,20 @@ CALIBRATION_DRAWS = Threshold(
 
 @dataclass(frozen=True)
 class Found:
-    """What a search found.
+    """Result of a search.
 
     Attributes:
-        regression: at its end.
+        regression: regression at the end of the search.
         chosen: indices of the candidates that were named.
-        fit: of them.
-        closing: what they close the gap by.
-        gain: evidence of the set over none.
-        threshold: that a first effect has to exceed.
-        rivals: per chosen candidate, others that do about as well in its place, best first, each with its
-            odds against the chosen one.
-        left: what generic functions predict beyond the set.
-        named: (6,) squares that the effects take away beside the coefficients as they were found, in
-            variances of the noise of `left`.
-        judgements: of every candidate in every round, best first.
+        fit: their fit.
+        closing: fits by which they close the gap.
+        gain: evidence of the set over no effect [nat].
+        threshold: evidence that a first effect has to gain [nat].
+        rivals: for each chosen candidate others that do about as well in its place, best first, with their
+            odds against it.
+        left: prediction of the residual after the set by generic functions.
+        named: (6,) squares by which the effects reduce the residual, in variances of the noise of `left`.
+        judgements: one of every candidate in every round, best first.
     """
 
     regression: Regression
@@ -88,18 +87,12 @@ class Accepted:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Names of the effects."""
         return tuple(self.regression.candidates[index].name for index in self.chosen)
 
 
 def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: int) -> Found:
-    """Look for effects in flights.
-
-    Args:
-        flights: two at least.
-        candidates: to look for.
-        seed: of the calibration of the threshold.
-    """
+    """Search flights, at least two, for candidates; the seed is that of the calibration of the threshold."""
     regression = Regression.of(flights, candidates)
     threshold = _calibrated_threshold(regression, seed)
     none = _require(regression.fit(()))
@@ -115,7 +108,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         gain += more
         accepted, dropped = without_idle(larger, threshold)
         judgements += dropped
-        # A dropped effect is not tried again: two effects could take turns for ever.
+        # A dropped effect is not tried again: two effects could replace each other forever.
         idle |= set(larger.chosen) - set(accepted.chosen)
     names, spectra = generic_spectra(flights)
     left = predicted(accepted.regression.left(accepted.fit), spectra, names)
@@ -146,7 +139,7 @@ def _one_more(
 ) -> tuple[Accepted | None, float, list[Judgement]]:
     """One round: the set with the best candidate that passes all tests, its gain, and all judgements.
 
-    None where no candidate passes.
+    The set is None where no candidate passes.
     """
     regression, chosen = before.regression, before.chosen
     energy = regression.energy(chosen, before.fit)
@@ -193,7 +186,7 @@ def _fits_with_one_more(before: Accepted) -> list[tuple[int, Fit | None]]:
 def _needed(
     regression: Regression, index: int, beside: Sequence[int], energy: float, threshold: float
 ) -> float:
-    """Evidence that an effect has to gain beside others, by the energy of what these add."""
+    """Evidence that an effect has to gain beside others, given the energy of their contribution."""
     if not beside:
         return threshold
     candidate, others = regression.candidates[index], [regression.candidates[other] for other in beside]
@@ -206,7 +199,7 @@ def _needed(
 
 
 def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Judgement]]:
-    """The set without an effect that is not needed any more, now that a better one is there."""
+    """The set without an effect that is no longer needed beside a better one, and its judgement."""
     regression, chosen, found = accepted.regression, accepted.chosen, accepted.fit
     for index in chosen:
         fewer = tuple(other for other in chosen if other != index)
@@ -225,7 +218,7 @@ def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[J
 
 
 def _rivals(accepted: Accepted) -> dict[int, list[tuple[int, float]]]:
-    """For each chosen candidate those that do about as well in its place, with their odds."""
+    """For each chosen candidate others that do about as well in its place, with their odds."""
     regression, found = accepted.regression, accepted.fit
     rivals: dict[int, list[tuple[int, float]]] = {}
     for index in accepted.chosen:
@@ -239,7 +232,7 @@ def _rivals(accepted: Accepted) -> dict[int, list[tuple[int, float]]]:
         for rival, candidate in enumerate(regression.candidates):
             if candidate.name == own.name or any(map(candidate.excludes, beside)):
                 continue
-            # An effect that explains the error of a law is no rival of one that scales what acts.
+            # An effect that explains the error of a law is no rival of one that scales existing forces.
             if scales and not candidate.effect.scales_existing:
                 continue
             swapped = regression.fit(tuple(sorted((*others, rival))))
@@ -253,7 +246,7 @@ def _rivals(accepted: Accepted) -> dict[int, list[tuple[int, float]]]:
 
 
 def _named_squares(accepted: Accepted, left: Left) -> Array:
-    """Squares (6,) that the effects take away, in variances of the noise of `left`."""
+    """Squares (6,) by which the effects reduce the residual, in variances of the noise of `left`."""
     columns, found = accepted.regression.columns, accepted.fit
     weights = residual_weights(len(found.left), ())
     weights[columns.tolerances] = found.left[columns.tolerances]

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a flight is compared with: a simulation that gives the wrench of the flight, and quadpi's own.
+"""Simulations that give the wrench of a flight: the interface of any simulation, and quadpi's own.
 
-:class:`Simulation` is what the search for discrepancies needs of any simulation. The known uncertainty of its
-coefficients is stated as tolerances: each is a column of wrench, that of one standard deviation of a
-coefficient. A discrepancy is what no coefficient within its tolerance explains.
+The search for discrepancies needs of a simulation what :class:`Simulation` declares. The known uncertainty of
+its coefficients is stated as tolerances: each is a column of wrench, the change by one standard deviation of
+    a
+coefficient. A discrepancy is a difference that no coefficient within its tolerance explains.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ class Tolerances(Section):
     """Standard deviations of the coefficients of a simulation.
 
     Attributes:
-        thrust: share of the thrust of rotors at rest in the air, of all together and of each.
+        thrust: share of the static thrust of rotors, of all together and of each.
         coefficient: share of every other coefficient.
         inertia: share of each moment of inertia.
-        cg_m: of the centre of gravity along each axis.
+        cg_m: position of the centre of gravity along each axis.
     """
 
     thrust: Share = 0.01
@@ -67,7 +68,7 @@ def read_tolerances(vehicle: str | Path) -> Tolerances:
 
 
 class Column(NamedTuple):
-    """Wrench (N, 6) that one standard deviation of a named uncertainty adds."""
+    """Change of the wrench (N, 6) by one standard deviation of a named uncertainty."""
 
     name: str
     wrench: Array
@@ -89,10 +90,10 @@ class Simulation(ABC):
     """A simulation of one vehicle.
 
     Attributes:
-        name: for people.
-        vehicle: as the simulation has it.
+        name: name for people.
+        vehicle: vehicle of the simulation.
         vehicle_file: name or path that the vehicle was read from; empty where it was not.
-        tolerances: what it is known to be uncertain in.
+        tolerances: known uncertainty of its coefficients.
         code: the user's code that it runs: the function, its file, and the file that named it; empty without.
         memoryless: whether the wrench at an instant depends on that instant alone.
     """
@@ -106,7 +107,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def wrench(self, flight: Flight) -> Array:
-        """Wrench (N, 6) [N, Nm], body axes, gravity not included, of a flight as it was flown.
+        """Wrench (N, 6) [N, Nm] of a flight, body axes, gravity not included.
 
         Raises:
             DiscrepancyError: where the simulation gives no such wrench.
@@ -114,11 +115,11 @@ class Simulation(ABC):
 
     @abstractmethod
     def uncertain(self, flight: Flight) -> list[Column]:
-        """A column for each aerodynamic coefficient of the vehicle that is known within a tolerance."""
+        """Columns of the tolerances of aerodynamic coefficients."""
 
     @abstractmethod
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
-        """Thrusts (N, 4) N along -z and torques (N, 4) Nm about z of the rotors, without any effect."""
+        """Thrusts (N, 4) N along -z and torques (N, 4) Nm about z of the rotors, without effects."""
 
     @property
     @abstractmethod
@@ -126,7 +127,7 @@ class Simulation(ABC):
         """Rotor speed [rad/s] that carries the weight in still air."""
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
-        """Records `simulation.state_records.STATE` (N,): what an effect looks at."""
+        """Records `simulation.state_records.STATE` (N,), the input of effects."""
         states = np.zeros(len(flight), dtype=STATE)
         states["position"], states["attitude"] = flight.position, flight.attitude
         velocity = airspeed(flight)
@@ -141,7 +142,7 @@ class Simulation(ABC):
         return states
 
     def record(self) -> npt.NDArray[np.void]:
-        """`state_records.VEHICLE` (1,) of what effects look at; aerodynamics where known."""
+        """Record `state_records.VEHICLE` (1,), the input of effects; aerodynamics where known."""
         return vehicle_record(self.vehicle, self.hover_rotor_speed)
 
 
@@ -151,8 +152,7 @@ def airspeed(flight: Flight) -> Array:
     return velocity
 
 
-# The columns of tolerances, by name: coefficients that one factor scales, and of these the first (at rest in
-# the air), all but the first, or all.
+# Coefficients that one factor scales, by the name of their column: the first (static), all others, or all.
 _SCALED = {
     "thrust": ("thrust", slice(0, 1)),
     "torque": ("torque", slice(0, 1)),
@@ -212,11 +212,11 @@ class VehicleSimulation(Simulation):
         return states["thrusts"].copy(), states["torques"].copy()
 
     def record(self) -> npt.NDArray[np.void]:
-        """See :class:`Simulation`; with the aerodynamics, as rotors have forces in their plane, too."""
+        """See :class:`Simulation`; with the aerodynamics, for effects on forces in the rotor plane."""
         return self.model.record()
 
     def uncertain(self, flight: Flight) -> list[Column]:
-        """One factor on each kind of coefficient; thrust and torque at rest have one of their own."""
+        """One factor on each kind of coefficient, and separate ones on static thrust and torque."""
         base = self.wrench(flight)
         return [
             Column(name, (self._wrench(self._scaled({name: 1.0}), flight) - base) * self._tolerance(name))

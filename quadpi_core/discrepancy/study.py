@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The whole study: from a simulation and bags to what the simulation lacks, where, and how it then flies."""
+"""Study of a simulation against flights: the effects it lacks, where they show, how it then flies."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def read_flights(
     *,
     workers: Workers = DEFAULT_WORKERS,
 ) -> list[Flight]:
-    """Flights of the simulation's vehicle, fused, low-passed as models are by default, and in the air.
+    """Read flights of the simulation's vehicle: fused, low-passed at the default of models, in the air.
 
     Args:
         paths: bags, or logs that need no mapping.
-        simulation: of the vehicle that flew.
-        workers: that read the files.
+        simulation: simulation of the vehicle that flew.
+        workers: processes that read the files.
 
     Raises:
         LogError: for what cannot be read or used, another vehicle, and a flight present twice.
@@ -104,17 +104,17 @@ def study(
     names: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Study:
-    """Find what a simulation is missing, and where it shows.
+    """Find the effects that a simulation lacks, and where they show.
 
     Args:
-        simulation: to compare with.
+        simulation: simulation to compare with.
         flights: see :func:`read_flights`.
-        names: of effects to look for; unless given, all.
-        seed: of all draws.
+        names: names of effects to look for; unless given, all.
+        seed: seed of all draws.
 
     Raises:
-        DiscrepancyError: see :func:`quadpi_core.discrepancy.discover`; for flights that hold nothing but
-            hover, and rotor speeds that do not change.
+        DiscrepancyError: see :func:`quadpi_core.discrepancy.discover`; for flights of hover alone, and rotor
+            speeds that do not change.
     """
     missing = require_excitation(flights, simulation.vehicle)
     discovery = discover(simulation, flights, names=names, seed=seed)
@@ -136,13 +136,13 @@ def discover(
     names: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Discovery:
-    """Find where a simulation and flights disagree, and which effects explain it.
+    """Find the effects that explain where a simulation and flights disagree.
 
     Args:
-        simulation: to compare with.
-        flights: fused and in the air, of the simulation's vehicle; two at least.
-        names: of effects to look for; unless given, all.
-        seed: of the calibration.
+        simulation: simulation to compare with.
+        flights: at least two flights of the simulation's vehicle, fused and in the air.
+        names: names of effects to look for; unless given, all.
+        seed: seed of the calibration.
 
     Raises:
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
@@ -155,7 +155,7 @@ def discover(
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
     compared = [Compared(flight, simulation) for flight in flights]
-    # Products this small are over before threads have shared one out: two of them took twice the time of one.
+    # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, candidates(simulation.vehicle, names), seed)
     rows = sum(len(band) for band in found.regression.columns.bands)
@@ -175,11 +175,7 @@ def discover(
 
 
 def require_flights(count: int) -> None:
-    """Refuse fewer flights than a search needs.
-
-    Raises:
-        DiscrepancyError: naming how many there are.
-    """
+    """Refuse fewer flights than a search needs, with a DiscrepancyError."""
     if count < FEWEST_FLIGHTS.value:
         raise DiscrepancyError(
             f"{count} flight: what is found on some flights is tested on others; "
@@ -212,7 +208,7 @@ def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
 
 
 def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str, ...]:
-    """Names of the manoeuvres that no flight holds, in a pilot's words.
+    """Names of the manoeuvres that no flight contains, in a pilot's words.
 
     Raises:
         DiscrepancyError: for flights of hover alone, naming what is missing; and, naming the file, for rotor
@@ -236,7 +232,7 @@ def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str
 
 
 def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
-    """Whether any flight holds a manoeuvre, by its name."""
+    """Whether any flight contains a manoeuvre, by its name."""
     induced = vehicle.hover_induced_velocity
     velocity = [relative_to_air(flight.velocity, flight.attitude, flight.wind) for flight in flights]
     rates = [flight.rates for flight in flights]

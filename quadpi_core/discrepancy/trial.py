@@ -29,18 +29,18 @@ from quadpi_core.frames import Array
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate beside the effects accepted before it; what a test asks for is computed once.
+    """A candidate beside the effects accepted before it; each quantity that a test uses is computed once.
 
     Attributes:
-        regression: before the candidate.
+        regression: regression before the candidate.
         chosen: indices of the effects accepted before.
         found: their fit.
         added: index of the candidate.
-        fit: of all together; None where bounds leave nothing of one.
+        fit: fit of all together; None where bounds exclude one.
         needed: evidence that the candidate has to gain.
-        dropped: whether it was accepted earlier and became idle.
+        dropped: whether it was accepted earlier and dropped beside a better one.
         behind: name of a better candidate that ended the round; empty without one.
-        squares_before: gives the squares (6,) that flights left out had before.
+        squares_before: gives the squares (6,) of flights left out before the candidate.
     """
 
     regression: Regression
@@ -55,7 +55,7 @@ class Trial:
 
     @property
     def candidate(self) -> Candidate:
-        """That is tried."""
+        """The candidate."""
         return self.regression.candidates[self.added]
 
     @property
@@ -76,29 +76,29 @@ class Trial:
 
     @property
     def loudness(self) -> float:
-        """Of what the candidate adds."""
+        """Loudness of the candidate, see :meth:`Regression.loudness`."""
         return self.regression.loudness(self.added, self.fitted)
 
     @cached_property
     def refined(self) -> tuple[Regression, Fit] | None:
-        """Linearised where all fit together."""
+        """Regression linearised where all fit together, and that fit."""
         return refined(self.regression, self.larger, self.fitted)
 
     @property
     def refinement(self) -> tuple[Regression, Fit]:
-        """That of a trial that passed the test of bounds after it."""
+        """:attr:`refined` of a trial that passed the test of bounds after it."""
         assert self.refined is not None
         return self.refined
 
     @cached_property
     def reweighted(self) -> Regression:
-        """The refined regression with what the set leaves counted as noise."""
+        """The refined regression with at least the residual after the set as noise."""
         regression, found = self.refinement
         return regression.beside(self.larger, found)
 
     @cached_property
     def accepted_fit(self) -> Fit | None:
-        """Fit of all together after refinement and with the noise that they leave."""
+        """Fit of all together in :attr:`reweighted`."""
         return self.reweighted.fit(self.larger)
 
     def sizes(self, regression: Regression, found: Fit) -> dict[str, float]:
@@ -141,7 +141,7 @@ def _left_out(trial: Trial) -> Verdict:
 
 
 def _size_by_law(trial: Trial) -> Verdict:
-    """The room that a law has for its form is not the effect: by the laws alone, every effect has a size."""
+    """Whether every effect is large enough by its law alone, without columns for the error of its form."""
     regression = trial.reweighted
     plain = regression.fit(trial.larger, form=False)
     sizes = {trial.candidate.name: 0.0} if plain is None else trial.sizes(regression, plain)
@@ -153,11 +153,11 @@ class AcceptanceTest:
     """One test of a candidate.
 
     Attributes:
-        name: as in its verdicts.
+        name: name of the test in its verdicts.
         judge: gives the verdict.
-        ends_round: whether a candidate that fails ends the round: what is left is then noise, or another law
-            that looks like it, and any effect that does less well would be named for the same. Otherwise the
-            next best is tried.
+        ends_round: whether a candidate that fails ends the round. The residual is then noise, or the error of
+            a law, and an effect that fits less well would be named for the same. Otherwise the next best
+            candidate is tried.
     """
 
     name: str
@@ -168,16 +168,16 @@ class AcceptanceTest:
 ACCEPTANCE_TESTS = (
     AcceptanceTest("bounds", lambda trial: _possible("bounds", trial.fit), False),
     AcceptanceTest("size", lambda trial: judge_size(trial.sizes(trial.regression, trial.fitted)), False),
-    # Two effects could take turns for ever.
+    # Two effects could replace each other forever.
     AcceptanceTest("not dropped", _not_dropped, False),
     AcceptanceTest("evidence", lambda trial: judge_evidence(trial.gain, trial.needed), True),
     AcceptanceTest("precedence", _precedence, False),
     AcceptanceTest("loudness", lambda trial: judge_loudness(trial.loudness), True),
-    # From here on linearised where all fit together.
+    # From here on with all linearised where they fit together.
     AcceptanceTest("bounds, refined", lambda trial: _possible("bounds, refined", trial.refined), True),
     AcceptanceTest("flights left out", _left_out, False),
     AcceptanceTest("size, refined", lambda t: judge_size(t.sizes(*t.refinement), "size, refined"), True),
-    # With what the set leaves counted as noise.
+    # With at least the residual after the set as noise.
     AcceptanceTest("size by its law", _size_by_law, True),
     AcceptanceTest("bounds, reweighted", lambda t: _possible("bounds, reweighted", t.accepted_fit), True),
 )

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What no effect of the library explains: the part of the residual that other flights predict.
+"""The part of the residual that no effect of the library explains, but that other flights predict.
 
-Noise cannot be predicted. So what the effects leave is fitted by many generic functions of motion, rotors,
-place, heading and time; if coefficients from all other flights predict a flight, something is left that has
-no name.
+Noise cannot be predicted. So the residual after the effects is fitted by many generic functions of motion,
+rotors, place, heading and time. If coefficients fitted on all other flights predict a flight, the search has
+missed something.
 """
 
 from __future__ import annotations
@@ -65,12 +65,12 @@ _ROUNDS = 4
 
 
 class Left(NamedTuple):
-    """What generic functions predict of flights that they were not fitted on.
+    """How well generic functions predict flights that they were not fitted on.
 
     Attributes:
-        gain: (6,) squares that prediction takes away from flights left out, in variances of `noise`.
-        functions: per axis, names of those that predict most, best first.
-        noise: (6, BANDS) variance of what the functions leave.
+        gain: (6,) squares by which prediction reduces flights left out, in variances of `noise`.
+        functions: per axis, names of the functions that predict most, best first.
+        noise: (6, BANDS) variance of the residual after the functions.
     """
 
     gain: Array
@@ -131,10 +131,10 @@ def functions(compared: Compared) -> tuple[list[str], Array]:
 
 
 def functions_of_place(flights: Sequence[Compared]) -> tuple[list[str], list[Array]]:
-    """Names and, per flight, values (M, 3, 3 P) of a vector of the world at P points of the ground.
+    """Generic functions of place: names and, per flight, values (M, 3, 3 P), at P points of the ground.
 
-    It decreases linearly to zero at the neighbouring points. Its components in body axes are functions of the
-    axes of the force, and of the moment.
+    Each is a constant vector of the world that decreases linearly to zero at the neighbouring points. Its
+    components in body axes are functions for the axes of the force, and for those of the moment.
     """
     arm = np.linalg.norm(flights[0].simulation.vehicle.rotor_positions[:, :2], axis=1).mean()
     positions = [flight.thinned.position[:, :2] / (SPACING.value * arm) for flight in flights]
@@ -160,9 +160,10 @@ def functions_of_place(flights: Sequence[Compared]) -> tuple[list[str], list[Arr
 
 
 def functions_of_course(flight: Compared) -> tuple[list[str], Array]:
-    """Names and values (M, 3, 18) of a vector of the world in proportion to the velocity through the air.
+    """Generic functions of course: names and values (M, 3, 18).
 
-    Such as the force of a cable that unrolls, or of air that one direction of flight stirs up.
+    They are vectors of the world in proportion to the velocity through the air. Examples are the force of a
+    cable that unrolls, and of air that one direction of flight stirs up.
     """
     rotation = rotation_matrix(flight.thinned.attitude)
     scale = flight.simulation.vehicle.hover_induced_velocity
@@ -175,7 +176,7 @@ def functions_of_course(flight: Compared) -> tuple[list[str], Array]:
 
 
 def _hats(away: Array) -> Array:
-    """1 at a point and 0 from one spacing on, of distances (…, 2) north and east in spacings."""
+    """Weights (…,) of distances (…, 2) in spacings: 1 at a point, falling linearly to 0 at one spacing."""
     hats: Array = np.prod(np.maximum(1.0 - np.abs(away), 0.0), axis=-1)
     return hats
 
@@ -197,15 +198,14 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
 
 
 def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:
-    """What the functions predict of each flight from the others.
+    """Prediction of each flight by generic functions fitted on the others.
 
-    The noise is estimated from what the functions leave; what the effects leave is more where something has
-    no name.
+    The noise is that of the residual after the functions.
 
     Args:
-        left: per flight, rows (6, B) that effects leave of the residual.
-        spectra: of the functions, see :func:`generic_spectra`.
-        names: of the functions.
+        left: per flight, rows (6, B) of the residual after the effects.
+        spectra: spectra of the functions, see :func:`generic_spectra`.
+        names: names of the functions.
     """
     bands = [flight.band for flight in spectra]
     noise = band_means([np.square(rows) for rows in left], bands)
@@ -225,7 +225,7 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
 
 
 def _noise_left(spectra: Sequence[Spectrum], noise: Array) -> Array:
-    """Variance (BANDS,) of what the functions leave of one axis, with what their uncertainty hides of it."""
+    """Variance (BANDS,) of one axis after the functions, the variance of their fit included."""
     grams, projections = _projections(spectra, noise)
     total = grams.sum(axis=0)
     lower = cholesky(total + _penalty(total, RIDGES.value[0]), lower=True)
@@ -237,10 +237,10 @@ def _noise_left(spectra: Sequence[Spectrum], noise: Array) -> Array:
 
 
 def _projections(spectra: Sequence[Spectrum], noise: Array) -> tuple[Array, Array]:
-    """Gram matrices (F, J, J) of the functions and projections (F, J) on them of what is left, whitened.
+    """Whitened Gram matrices (F, J, J) of the functions, and projections (F, J) of the residual on them.
 
     Args:
-        spectra: per flight (1, B, 1 + J): what is left of an axis, and the functions.
+        spectra: per flight (1, B, 1 + J): the residual of an axis, and the functions.
         noise: (BANDS,) variance of the axis.
     """
     grams, projections = [], []
@@ -252,10 +252,10 @@ def _projections(spectra: Sequence[Spectrum], noise: Array) -> tuple[Array, Arra
 
 
 def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
-    """Squares that prediction takes from flights left out in turn, and coefficients, with the best ridge.
+    """Squares by which prediction reduces flights left out, and coefficients (J,), with the best ridge.
 
     Args:
-        grams: (F, J, J).
+        grams: (F, J, J), see :func:`_projections`.
         projections: (F, J).
     """
     total, aim = grams.sum(axis=0), projections.sum(axis=0)
@@ -272,7 +272,7 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
 
 
 def _penalty(total: Array, ridge: float) -> Array:
-    # What stays zero, such as a force that a simulation does not have, must leave the matrix regular.
+    # A function that stays zero, such as a force that a simulation lacks, must leave the matrix regular.
     scale = np.sqrt(np.diag(total))
     penalty: Array = np.diag(ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
     return penalty

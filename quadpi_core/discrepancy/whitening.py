@@ -47,11 +47,11 @@ _ROUNDS = 4
 
 
 class Spectrum(NamedTuple):
-    """Columns of one flight among frequencies.
+    """Columns of one flight in frequency.
 
     Attributes:
-        rows: (6, B, K) per axis, real and imaginary parts as rows, scaled so that white noise of variance σ²
-            gives rows of variance σ².
+        rows: (6, B, K) real and imaginary parts per axis, scaled so that white noise of variance σ² gives
+            rows of variance σ².
         band: (B,) index of the band of each row.
     """
 
@@ -63,7 +63,7 @@ BANDS = len(EDGES_HZ.value) - 1
 
 
 def spectrum(columns: Array, rate_hz: float) -> Spectrum:
-    """Bring columns (M, 6, K) of a flight to frequencies up to BAND_HZ."""
+    """Spectrum of columns (M, 6, K) of a flight, up to `BAND_HZ`."""
     samples = len(columns)
     frequency = np.fft.rfftfreq(samples, 1.0 / rate_hz)
     kept = frequency <= BAND_HZ.value
@@ -93,10 +93,10 @@ def cross_gram(first: Array, second: Array) -> Array:
 
 
 def estimate_noise(spectra: Sequence[Spectrum]) -> Array:
-    """Variance (6, BANDS) of the noise, from what a fit of all other columns leaves of the first.
+    """Variance (6, BANDS) of the noise: that of the residual after a fit of all columns.
 
-    By expectation and maximisation: a band gets the mean square that is left plus what the uncertainty of the
-    fit would take from it, so that many columns do not make the noise look small.
+    By expectation and maximisation: the variance of a band is its mean square after the fit plus the variance
+    of the fit itself, so that many columns do not make the noise look small.
 
     Args:
         spectra: per flight the residual, and the columns that may explain it with a prior deviation of 1.
@@ -129,10 +129,10 @@ def _settled(spectra: Sequence[Spectrum], noise: Array) -> Array:
 
 
 def expected_squares(rows: Array, coefficients: Array, lower: Array) -> Array:
-    """Squares (A, B) of what a fit leaves of each row, with what its uncertainty hides of them.
+    """Expected squares (A, B) of each row after a fit: squared residual plus the variance of the fit.
 
     Args:
-        rows: (A, B, 1 + k): what was fitted, and the columns.
+        rows: (A, B, 1 + k): the fitted row, and the columns.
         coefficients: (k,) of the fit.
         lower: (k, k) Cholesky factor of the inverse of their covariance.
     """

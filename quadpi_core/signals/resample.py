@@ -47,6 +47,11 @@ def interpolate(time_ns: Stamps, values: Array, at_ns: Stamps, max_gap_ns: int) 
     return Resampled(resampled, exact | inside)
 
 
+def interpolate_columns(time: Array | Stamps, values: Array, at: Array | Stamps) -> Array:
+    """Values (M, C) at times (M,), linear between samples (N, C) at times (N,), constant beyond them."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
 def interpolate_attitude(time_ns: Stamps, attitude: Array, at_ns: Stamps, max_gap_ns: int) -> Resampled:
     """Interpolate unit quaternions (N, 4) of any signs: linear in components, then normalised.
 

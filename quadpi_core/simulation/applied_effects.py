@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Applies effects: in the compiled flight, to vehicle, air and sensors, and to recorded states."""
+"""Application of effects: in the compiled flight, to vehicle, air and sensors, and to recorded states."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
     effects act.
 
     Args:
-        effects: of any kind; only wrench effects are used.
+        effects: effects of any kind, of which only wrench effects are used.
         extra: compiled functions with the signature of a wrench effect that are not in the registry, each
             with its parameters. They act before the effects.
 
@@ -69,7 +69,7 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
         row[_SHAPE_AT:-1] = shape
         row[-1] = index
     if not rows:
-        # A flight without effects need not wait until all of them are compiled for the first time.
+        # A flight without effects need not wait until all effects are compiled for the first time.
         return _passable_whole(_none), parameters
     return _chain(tuple(function for function, _ in extra)), parameters
 
@@ -123,8 +123,8 @@ def effect_wrench(
     """Wrench (N, 6) [N, Nm] that one effect adds to recorded states.
 
     Args:
-        name: of a wrench effect.
-        parameters: all of them, within their bounds or not.
+        name: name of a wrench effect.
+        parameters: all parameters, within their bounds or not.
         states: (N,) of `state_records.STATE`, with the aerodynamics in them.
         vehicle: (1,) of `state_records.VEHICLE`.
 

@@ -3,10 +3,10 @@
 """Position and yaw controller: geometric, with incremental dynamic inversion of thrust and moments.
 
 Position and attitude errors give a demanded specific force and angular acceleration (geometric tracking
-control of Lee, Leok and McClamroch, 2010, with the rates that the reference implies fed forward). What the
-last instant's wrench holds beyond the rotors' hover thrust and torque, drag above all, is taken as a
-disturbance that stays until the next step (incremental nonlinear dynamic inversion, Smeur et al., 2016). The
-controller knows mass, inertia and hover coefficients of the nominal vehicle, and the true state.
+control of Lee, Leok and McClamroch, 2010, with feed-forward of the rates of the reference). The wrench of the
+last instant less the rotors' hover thrust and torque, mainly drag, is a disturbance that is assumed constant
+until the next step (incremental nonlinear dynamic inversion, Smeur et al., 2016). The controller knows mass,
+inertia and hover coefficients of the nominal vehicle, and the true state.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _TILT_GAIN = 8.0
 _YAW_GAIN = 3.0
 _RATE_GAIN = 18.0
 _YAW_RATE_GAIN = 6.0
-# The command leads the wanted rotor speed by this factor, to make up for the lag of a first-order motor.
+# The command leads the wanted rotor speed by this factor, to compensate the lag of a first-order motor.
 _MOTOR_LEAD = 2.0
 TILT_MAX_DEG = Threshold(
     "largest tilt of a path",
@@ -68,14 +68,14 @@ class Demand(NamedTuple):
 
 
 class Controls(NamedTuple):
-    """What the controller knows of the nominal vehicle, and what it remembers.
+    """Parameters of the nominal vehicle, and memory of the controller.
 
     Attributes:
         nominal: record VEHICLE (1,).
         thrust_slope: N per (rad/s)² of one rotor in hover.
         allocation: (4, 4) squares of the rotor speeds from thrust and moments.
         effectiveness: (4, 4) its inverse.
-        disturbance: (6,) wrench that the rotors in hover do not explain, at the last instant.
+        disturbance: (6,) wrench of the last instant less that of the rotors in hover.
         command: (4,) commanded rotor speeds [rad/s].
     """
 
@@ -127,13 +127,13 @@ def control(controls: Controls, motion: Any, demand: Demand, step: int) -> None:
     Args:
         controls: see :class:`Controls`; its `command` is replaced.
         motion: record MOTION of the true state.
-        demand: what is to be followed.
-        step: at which instant.
+        demand: reference to follow.
+        step: index of the instant.
     """
     vehicle: VehicleNumbers = controls.nominal[0]
     jerk, tilt, thrust = demand.jerk[step], demand.tilt[step], demand.thrust[step]
     rotation = rotations.matrix(motion.attitude)
-    # Specific force that the rotors have to give, in the world: what is demanded less what the air gives.
+    # Specific force of the rotors in the world: the demand less the disturbance.
     force = np.empty(3)
     for axis in range(3):
         force[axis] = (

@@ -105,13 +105,13 @@ def fly(
 
     Args:
         vehicle: record VEHICLE (1,) as it flies; one step lasts 1 / STEP_HZ.
-        effects: composed effects, see `applied_effects.compose`.
+        effects: compiled effects, see `applied_effects.compose`.
         parameters: (K, P) of the effects.
-        controls: what the controller knows and remembers.
+        controls: parameters and memory of the controller.
         demand: N instants.
         memory: holds the initial state, and the last one at the end.
         log: records LOGGED (L,), filled with every (N - 1) / (L - 1)-th instant.
-        done: (1,) number of steps that were flown, written as the flight goes on; N - 1 at its end.
+        done: (1,) number of steps flown so far; N - 1 at the end.
     """
     motions, flat, state = memory.motions, memory.flat, memory.state
     steps = len(demand.yaw)

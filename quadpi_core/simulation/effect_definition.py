@@ -56,9 +56,9 @@ class Parameter:
         name: with its unit at the end, as in a scenario file.
         unit: for people; empty for a share or a count.
         default: the typical size of the effect.
-        lowest, highest: what is physically possible, inclusive. An effect whose parameters are all 0, where
-            that is within bounds, changes nothing.
-        whole: only whole numbers, such as that of a rotor.
+        lowest, highest: physical bounds, inclusive. An effect whose parameters are all 0, where that is
+            within bounds, changes nothing.
+        whole: whether it is a whole number, such as that of a rotor.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Parameter:
     whole: bool = False
 
 
-# Parameters by which flights may shape a law that is off where the air is not as it assumes: its wrench is
+# Parameters by which flights may shape a law where its assumptions about the air fail: its wrench is
 # multiplied by one plus a share for the axis plus these slopes times :func:`modulators`. In a file
 # an effect may have any of them beside its own parameters.
 SHAPE = tuple(
@@ -102,15 +102,15 @@ class Effect:
         axes: those of `flight.AXES` in which it shows: for a wrench effect, all that can be non-zero.
         function: see the module.
         shown_by: manoeuvres that distinguish it from others; empty for one that no search looks for.
-        inverse: of a sensor effect: the parameters that undo those given; unless given, their negative.
-        form: share by which the law may be off where the air is not as it assumes; 0 for one that is exact.
-        formula: in LaTeX, the parameters by their symbols.
-        symbols: of the parameters, in LaTeX.
+        inverse: (p) -> p of the inverse of a sensor effect; unless given, the negative.
+        form: share by which the law may be wrong where its assumptions fail; 0 for an exact law.
+        formula: formula in LaTeX, with the symbols of the parameters.
+        symbols: symbols of the parameters in LaTeX.
         last: whether it acts after every other effect of its kind.
         composable: whether two of them act as one that has the sums of their parameters; not so where the
             effect is not linear in them.
-        scales_existing: whether it only scales what acts already. It then gains nothing where another law is
-            off, and needs less evidence beside one.
+        scales_existing: whether it only scales existing forces. It then gains nothing by the error of another
+            law, and needs less evidence beside one.
         indistinguishable_group: name of a group whose effects look alike on one rotor, their first parameter;
             a search looks for one of them on each rotor. Empty for none.
         size_grows_with_arm: whether its typical size is in proportion to the arm of the vehicle.
@@ -140,11 +140,11 @@ class Effect:
 
     @property
     def shape(self) -> tuple[Parameter, ...]:
-        """Parameters by which flights may shape its law; none of one that is exact or acts on the air."""
+        """Parameters by which flights may shape its law; none for an exact law and effects on the air."""
         return SHAPE if self.kind == "wrench" and self.form > 0.0 else ()
 
     def undo(self, values: Array) -> Array:
-        """Parameters that undo those given, to first order at least."""
+        """Parameters of the inverse effect, to first order at least."""
         return -values if self.inverse is None else self.inverse(values)
 
 
@@ -156,8 +156,8 @@ def effect(
     Args:
         kind: see the module.
         axes: names of axes with spaces between them.
-        parameters: in the order in which the function takes them.
-        symbols: of the parameters, with spaces between them.
+        parameters: parameters in the order in which the function takes them.
+        symbols: symbols of the parameters, with spaces between them.
         declared: other attributes of :class:`Effect` that differ from their defaults.
     """
 

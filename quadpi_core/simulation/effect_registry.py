@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The effects that the files of the folder `effects` declare, in the order in which they act; their settings.
+"""Registry of the effects in the folder `effects`, in the order in which they act, and their settings.
 
 The order is by kind, then by file name, then by position in the file. An effect that must act after all
 others of its kind declares `last`.
@@ -61,10 +61,10 @@ def added_wrench(index: int, state: State, vehicle: VehicleNumbers, p: Array) ->
 
 
 def read_effects(data: Any, where: str) -> Effects:
-    """Effects as a file gives them: a mapping from name to parameters, or to null for those of typical size.
+    """Effects of a file: a mapping from name to parameters, or to null for parameters of typical size.
 
     Args:
-        data: the mapping as YAML gives it; None or empty for no effect.
+        data: the mapping of YAML; None or empty for no effect.
         where: file and key, for messages.
 
     Returns:

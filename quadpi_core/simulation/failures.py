@@ -34,7 +34,7 @@ Time: TypeAlias = Annotated[float, Within(0.0, 1e6)]
 
 @dataclass(frozen=True)
 class Sent:
-    """What a sensor sends: a stream of N samples, when each was taken (N,), and when it arrives (N,)."""
+    """Messages of a sensor: a stream of N samples, when each was taken (N,), and when it arrives (N,)."""
 
     stream: Stream
     taken_ns: Stamps
@@ -43,12 +43,13 @@ class Sent:
 
 @dataclass(frozen=True)
 class FaultKind:
-    """How a kind of failure alters what is sent.
+    """How a kind of failure alters the messages of a sensor.
 
     Attributes:
-        summary: what it does, in a few words.
-        alter: gives what is sent, from what would be, the samples (N,) in its window, and the fault.
-        topics: where it can happen.
+        summary: description in a few words.
+        alter: gives the altered messages, from those without the failure, the samples (N,) in its window, and
+            the fault.
+        topics: topics that can fail in this way.
         one_signal: whether it may be confined to one signal of the topic.
         rotors: how many rotors may be named, fewest and most.
         size: "signal" where it adds to a signal, "stamps" where to the stamps, else "".
@@ -156,10 +157,10 @@ class Fault(Section):
 
     Attributes:
         kind: a name of :data:`KINDS`.
-        topic: of the stream that fails; `rotor_speeds` also where a bag holds `erpm`.
+        topic: topic that fails; `rotor_speeds` also where a bag holds `erpm`.
         signal: the one quantity of the stream that fails, by its name in :data:`SIGNALS`; None: all.
         size_rad_s, size_m_s2, size_m, size_m_s: how much is added to the signal of that unit.
-        size_s: by how much stamps are set back.
+        size_s: time by which stamps are set back.
         rotors: the rotors that fail, from 1; none named: all.
     """
 
@@ -176,7 +177,7 @@ class Fault(Section):
     rotors: Annotated[tuple[Any, ...], Expected("must be a list of rotors")] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what this kind of failure has not, on this topic."""
+        """Refuse keys that this kind of failure does not have on this topic."""
         kind = KINDS[self.kind]
         _require_one_of("topic", self.topic, kind.topics)
         sizes = kind.sizes(self.topic)
@@ -229,13 +230,13 @@ def _require_rotors(rotors: tuple[Any, ...], fewest: int, most: int) -> None:
 def apply_faults(
     faults: Iterable[Fault], sent: Mapping[str, Sent], start_ns: int, end_ns: int
 ) -> dict[str, Sent]:
-    """What the sensors send with the faults, one after the other; topics without a fault as they are.
+    """Messages of the sensors with the faults.
 
     Args:
-        faults: in the order in which they are applied.
-        sent: by topic.
-        start_ns: of the flight, from which the times of the faults count.
-        end_ns: of the flight.
+        faults: faults in the order in which they are applied.
+        sent: messages by topic.
+        start_ns: start of the flight, to which the times of the faults refer.
+        end_ns: end of the flight.
 
     Raises:
         SimulationError: for a fault of a topic that the flight does not have, or after its end.

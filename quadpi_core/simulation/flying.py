@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle that can be simulated, and its flight along a reference: the truth comes out."""
+"""Simulation of one flight: the truth of a vehicle that flies along a reference."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class SimulatedVehicle:
 
     Attributes:
         aerodynamics: its rotor-local model; holds the vehicle.
-        motor_time_constant: s, of the first-order answer of a rotor's speed to its command.
-        effects: that the vehicle always has.
+        motor_time_constant: time constant [s] of the first-order response of a rotor's speed.
+        effects: effects that the vehicle always has.
     """
 
     aerodynamics: RotorLocalModel
@@ -61,7 +61,7 @@ class SimulatedVehicle:
 
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
-            SimulationError: likewise, of effects.
+            SimulationError: for effects that are unknown or impossible.
         """
         path, section = read_simulation(name_or_path)
         aerodynamics = RotorLocalModel.load(path)
@@ -82,7 +82,7 @@ class SimulatedVehicle:
         return float(vehicle.mass_kg * vehicle.gravity_m_s2 * ratio**2)
 
     def with_own(self, effects: Effects) -> Effects:
-        """Effects of a flight and the vehicle's own; of the same name those of the flight count."""
+        """Effects of a flight and the vehicle; those of the flight replace others of the same name."""
         return {**self.effects, **effects}
 
     def altered(self, vehicle: Vehicle) -> SimulatedVehicle:
@@ -121,13 +121,13 @@ def simulate_flight(
     The controller knows the vehicle as in its file, without the effects that alter it.
 
     Args:
-        name: of the flight.
-        vehicle: to fly.
+        name: name of the flight.
+        vehicle: vehicle to fly.
         reference: N instants at STEP_HZ; the flight lasts (N - 1) / STEP_HZ seconds.
         known_wind: (3,) m/s of the world, steady, that an anemometer measures; None for still air.
-        effects: switched on beside the vehicle's own; those of kind "sensor" do not alter the flight.
-        extra: further wrench functions with their parameters, see `effects.compose`.
-        seed: of gusts.
+        effects: effects beside the vehicle's own; those of kind "sensor" do not alter the flight.
+        extra: further wrench functions with their parameters, see `applied_effects.compose`.
+        seed: seed of gusts.
         done: (1,) written with the number of steps flown, for a progress bar in another thread.
 
     Raises:
@@ -149,7 +149,7 @@ def simulate_flight(
     start = trim(vehicle.aerodynamics, still, float(reference.yaw[0]))
     memory = Memory.at(reference.position[0], reference.velocity[0], *start)
     nominal, altered = vehicle.record(), flown.record()
-    # What the coefficients of effects refer to does not change with a payload.
+    # The quantities that coefficients of effects refer to do not change with a payload.
     for hover in ("hover_rotor_speed", "hover_induced_velocity"):
         altered[hover] = nominal[hover]
     controls = Controls.of(nominal)
@@ -231,12 +231,12 @@ class Trim(NamedTuple):
 
 
 def trim(model: RotorLocalModel, wind: Array, yaw: float = 0.0) -> Trim:
-    """Stand still in a wind (3,) m/s of the world, nose at a yaw [rad].
+    """Equilibrium in a wind (3,) m/s of the world, nose at a yaw [rad].
 
     Newton's method on six unknowns, a tilt about two axes and four rotor speeds, for six equations.
 
     Raises:
-        SimulationError: if there is no such state within the limits of the rotors.
+        SimulationError: if there is none within the limits of the rotors.
     """
     vehicle = model.vehicle
     heading = np.array(rotations.from_rotation_vector(np.array([0.0, 0.0, yaw])))
@@ -258,7 +258,7 @@ def trim(model: RotorLocalModel, wind: Array, yaw: float = 0.0) -> Trim:
 
 
 def _solve(model: RotorLocalModel, wind: Array, heading: Array, start: Array) -> Array | None:
-    """Unknowns (6,) at which the accelerations vanish, from a start near them; None where there are none."""
+    """Unknowns (6,) at which the accelerations vanish, near a start; None without convergence."""
     unknowns = start.copy()
     for _ in range(_NEWTON_STEPS_MAX):
         probes = np.vstack((unknowns, unknowns + _DIFFERENCE * np.eye(6), unknowns - _DIFFERENCE * np.eye(6)))

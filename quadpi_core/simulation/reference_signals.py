@@ -55,8 +55,8 @@ class Window(Section):
     """A span of time with a smooth begin and a smooth end.
 
     Attributes:
-        duration_s: None in a file for a span that lasts to the end of the flight, see :func:`within_flight`.
-        fade_s: of each of the two, within the duration.
+        duration_s: duration; None in a file for a span to the end of the flight, see :func:`within_flight`.
+        fade_s: duration of begin and end each, within the duration.
     """
 
     start_s: NotNegative
@@ -150,7 +150,7 @@ class Edges(Section, ABC):
     """Smooth steps up and down, in the unit of their axis.
 
     Attributes:
-        rise_s: how long each edge takes.
+        rise_s: duration of each edge.
     """
 
     amplitude: Amplitude
@@ -293,7 +293,7 @@ def read_motion(data: Any) -> Motion:
 
 
 def motion_as_dict(motion: Motion) -> dict[str, Any]:
-    """What :func:`read_motion` reads."""
+    """The key `motion` of a flight, the inverse of :func:`read_motion`."""
     names = {kind: name for name, kind in _KINDS.items()}
     return {
         axis: [{names[type(signal)]: signal_as_dict(signal, AXES[axis])} for signal in signals]

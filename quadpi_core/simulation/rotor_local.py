@@ -109,10 +109,10 @@ class SimulationSection(Section):
     """The key `simulation` of a vehicle file.
 
     Attributes:
-        motor_time_constant_s: of the first-order answer of a rotor's speed to its command.
-        rotor_local: None where only flights of the vehicle are simulated, not the vehicle itself.
-        effects: read by :func:`quadpi_core.simulation.flying.own_effects`.
-        tolerances: read where simulations are compared with flights.
+        motor_time_constant_s: time constant of the first-order response of a rotor's speed.
+        rotor_local: aerodynamics; None for a vehicle that cannot be simulated.
+        effects: effects, read by :func:`quadpi_core.simulation.flying.own_effects`.
+        tolerances: tolerances, read where simulations are compared with flights.
     """
 
     motor_time_constant_s: Annotated[float, Within(0.001, 1.0)] | None = None
@@ -200,7 +200,7 @@ class RotorLocalModel:
         position: Array | None = None,
         attitude: Array | None = None,
     ) -> npt.NDArray[np.void]:
-        """Records STATE (N,) with the aerodynamics of each instant: what an effect looks at.
+        """Records STATE (N,) with the aerodynamics of each instant, the input of effects.
 
         Args:
             velocity: (N, 3) m/s relative to the air, body axes.
@@ -250,9 +250,9 @@ def vehicle_record(
     """Record VEHICLE (1,) of a vehicle without aerodynamics.
 
     Args:
-        vehicle: whose body it holds.
-        hover_rotor_speed: [rad/s] that carries the weight in still air.
-        motor_time_constant: [s] of the rotors.
+        vehicle: vehicle.
+        hover_rotor_speed: rotor speed [rad/s] that carries the weight in still air.
+        motor_time_constant: time constant [s] of the rotors.
     """
     record = np.zeros(1, dtype=VEHICLE)
     for name, value in {

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation of flight plans: fly each, sample its sensors, and write the bags, all of them or none."""
+"""Simulation of flight plans: fly each, sample its sensors, and write all bags or none."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def simulate(
     Args:
         plans: with different names.
         output: folder; bags of the same names in it are replaced.
-        workers: their count is the number of flights at a time, by default one per core. Flights fly in
-            threads of this process, whatever the scheduler.
+        workers: their count is the number of simultaneous flights, by default one per core. Flights fly in
+            threads of this process, with any scheduler.
 
     Returns:
         The flights in the order of the plans.
@@ -100,7 +100,7 @@ def simulate(
 
 
 def fly_plan(plan: FlightPlan, vehicle: SimulatedVehicle, done: Stamps | None = None) -> Truth:
-    """What happens in a flight; `done` as in :func:`quadpi_core.simulation.flying.simulate_flight`.
+    """Truth of a flight; `done` as in :func:`quadpi_core.simulation.flying.simulate_flight`.
 
     Raises:
         SimulationError: see :func:`simulate`.
@@ -119,15 +119,10 @@ def fly_plan(plan: FlightPlan, vehicle: SimulatedVehicle, done: Stamps | None = 
 
 
 def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Reference) -> None:
-    """Refuse a reference that asks for more than the vehicle has; drag is left out.
-
-    Args:
-        plan: of the flight.
-        vehicle: that flies it.
-        reference: of the plan, from its first to its last instant.
+    """Refuse a reference of a plan that demands more than the vehicle can do; drag is neglected.
 
     Raises:
-        SimulationError: naming flight and instant, what is demanded and what there is.
+        SimulationError: naming flight and instant, the demand and the limit.
     """
     nominal = vehicle.vehicle
     wind = 0.0 if plan.known_wind is None else plan.known_wind
@@ -145,7 +140,7 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
     )
     for quantity, unit, demanded, available in limits:
         worst = int(np.argmax(demanded))
-        # Written so that what is no number is refused too.
+        # Written so that NaN is refused, too.
         if not demanded[worst] <= available:
             seconds = plan.duration_s * worst / (len(reference) - 1)
             raise SimulationError(
@@ -162,7 +157,7 @@ def _size(vectors: Array) -> Array:
 def fly_and_sense(
     plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite, done: Stamps | None = None
 ) -> tuple[Truth, Sensed]:
-    """:func:`fly_plan`, and what the sensors send of it.
+    """:func:`fly_plan`, and the messages of the sensors.
 
     Raises:
         SimulationError: see :func:`simulate`.
@@ -187,7 +182,7 @@ def _watch(
     futures: Sequence[Future[SimulatedFlight]],
     progress: ReportProgress,
 ) -> None:
-    """Report progress until all flights are written; raise what the first plan that fails raises."""
+    """Report progress until all flights are written; raise the error of the first plan that fails."""
     waiting, durations = set(futures), [plan.duration_s for plan in plans]
     while waiting:
         finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_EXCEPTION)

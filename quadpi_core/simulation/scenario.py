@@ -53,18 +53,18 @@ class FlightPlan(Section):
     """One flight of a scenario; the fields are its keys in a file.
 
     Attributes:
-        name: of the flight and its bag.
-        scenario: to which the flight belongs.
-        vehicle: name or path of its file.
-        noise: name or path of the file of its sensors.
-        seed: of all that is random in this flight.
-        height_m: over ground, of the hover in which the flight begins, nose north.
-        head_wind_m_s: from the north, as an anemometer measures it; None where there is none.
+        name: name of the flight and its bag.
+        scenario: name of the scenario of the flight.
+        vehicle: name or path of the vehicle file.
+        noise: name or path of the file of the sensors.
+        seed: seed of all random numbers of the flight.
+        height_m: height over ground of the hover in which the flight begins, nose north.
+        head_wind_m_s: wind from the north that an anemometer measures; None without wind or anemometer.
         motion: signals of each axis.
-        orbit: in the place of motion along x and y.
-        effects: that are switched on.
-        faults: of the sensors.
-        truth_rate_hz: of the truth in the bag.
+        orbit: circle flown in place of motion along x and y.
+        effects: active effects.
+        faults: faults of the sensors.
+        truth_rate_hz: rate of the truth in the bag.
     """
 
     name: Text
@@ -109,7 +109,7 @@ class FlightPlan(Section):
 
     @classmethod
     def from_dict(cls, data: Any, where: str) -> FlightPlan:
-        """Read what a scenario file says about a flight, with its name, scenario and seed.
+        """Read a flight of a scenario file, with its name, scenario and seed.
 
         Args:
             data: keys and values, as of :meth:`as_dict`.
@@ -205,9 +205,9 @@ class Scenario:
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """Read a scenario by the name of a file in config/scenarios, or by path.
 
-    Flights of included files come first. What a file sets for all holds for the flights in it; the effects
-    that it switches on hold for the included flights too. A flight without a seed of its own gets one from
-    that of its file and its name, which other flights of the scenario do not change.
+    Flights of included files come first. The settings of a file apply to its own flights, its effects to the
+    included flights, too. A flight without a seed gets one from the seed of its file and its name,
+    independent of the other flights.
 
     Raises:
         SimulationError: naming file, flight and key that is missing, unknown or impossible; for flights of
@@ -257,7 +257,7 @@ def _own_flights(path: Path, content: _ScenarioFile, effects: Effects) -> Iterat
 
 
 def flight_seed(scenario_seed: int, name: str) -> int:
-    """The seed of a flight that has none of its own."""
+    """The seed of a flight that does not set one."""
     return zlib.crc32(f"{scenario_seed} {name}".encode())
 
 
@@ -289,18 +289,18 @@ def choose_flights(
     seed: int | None = None,
     effects: Effects | None = None,
 ) -> list[FlightPlan]:
-    """Flights of a scenario in its order; what is None stays as the scenario has it.
+    """Flights of a scenario in its order, with settings that replace those of the scenario unless None.
 
     Args:
-        scenario: that is flown.
-        names: of the flights; none for all.
-        vehicle: of every flight.
-        noise: of the sensors of every flight.
-        seed: from which, with its name, each flight gets its own.
-        effects: switched on in every flight; they replace those of the same name.
+        scenario: scenario to fly.
+        names: names of the flights; none for all.
+        vehicle: vehicle of every flight.
+        noise: sensors of every flight.
+        seed: seed from which, with its name, each flight gets its own.
+        effects: effects of every flight; they replace those of the same name.
 
     Raises:
-        SimulationError: for a flight that the scenario does not hold, and what no flight can have.
+        SimulationError: for a flight that the scenario does not have, and impossible settings.
     """
     known = [plan.name for plan in scenario.flights]
     for name in names:

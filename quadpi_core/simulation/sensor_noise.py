@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensor noise: suites of sensors, read from config/noise, and noise as pure functions.
 
-All random numbers come from one seed, through a separate stream for each name: a change to one sensor leaves
-the noise of the others unchanged.
+All random numbers come from one seed, with a separate stream for each name: a change of one sensor does not
+change the noise of the others.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class InertialSensor(Section):
     """A gyro [rad/s] or an accelerometer [m/s²] of three axes.
 
     Attributes:
-        noise: standard deviation of a sample; or instead
-        noise_density: of white noise over all frequencies up to half the sample rate, [1/√Hz], as data sheets
-            give it: noise = noise_density √(rate / 2).
+        noise: standard deviation of a sample; or
+        noise_density: spectral density [1/√Hz] of white noise up to half the sample rate, as in data sheets:
+            noise = noise_density √(rate / 2).
         bias: standard deviation of the bias at the start, drawn once per flight and axis.
         bias_walk: standard deviation [1/√s] that the bias gains in one second.
         range: beyond which it saturates.
@@ -117,9 +117,9 @@ class MotionCapture(Section):
         capture_jitter: [s] standard deviation of a frame's time from the even grid; its stamp shows it.
         latency: [s] from capture to arrival.
         arrival_jitter: [s] mean of the exponentially distributed delay beyond the latency.
-        dropout_probability: of any frame.
+        dropout_probability: probability that a frame is lost.
         obscured_angle: [deg] of roll or pitch, beyond which markers may be hidden.
-        obscured_share: of the time beyond it in which they are.
+        obscured_share: share of the time beyond that angle in which they are.
         obscured_burst: [s] for which they stay hidden, on average, while the vehicle stays tilted.
     """
 
@@ -159,7 +159,7 @@ class StateNoise(Section):
 
 @dataclass(frozen=True)
 class _SuiteFile(Section):
-    """The content of a file in config/noise; what it leaves out is perfect."""
+    """The content of a file in config/noise; sensors without a key are perfect."""
 
     source: Any = None
     imu: Imu = Imu()
@@ -192,14 +192,14 @@ class SensorSuite:
 
 
 def generator(seed: int, name: str) -> np.random.Generator:
-    """Random numbers that depend on seed and name alone, independent of those of any other name."""
+    """Random numbers that depend on seed and name alone, independent between names."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()),)))
 
 
 def inertial_samples(
     ideal: Array, sensor: InertialSensor, rate_hz: float, random: np.random.Generator
 ) -> Array:
-    """What a gyro or an accelerometer reports (N, 3) where `ideal` (N, 3) is true.
+    """Readings (N, 3) of a gyro or an accelerometer for true values `ideal` (N, 3).
 
     Bias and white noise are added, then the sensor saturates, then it rounds.
     """

@@ -56,11 +56,11 @@ JITTER_MAX = Threshold(
 
 @dataclass(frozen=True)
 class Sensed:
-    """What the sensors sent in one flight.
+    """Messages of the sensors of one flight.
 
     Attributes:
-        recording: as a bag of the flight gives it back; where faults ask for it, :meth:`Recording.check`
-            refuses it.
+        recording: recording as a bag of the flight holds it; with some faults :meth:`Recording.check` refuses
+            it.
         erpm: (M, 4) electrical speeds, whole numbers, whose mechanical ones are `recording.rotor_speeds`;
             None for a vehicle without pole pairs, whose mechanical speeds are measured directly.
         arrival_ns: when each sample arrived, by topic.
@@ -74,15 +74,15 @@ class Sensed:
 def sense(
     truth: Truth, vehicle: Vehicle, suite: SensorSuite, effects: Effects, faults: Iterable[Fault], seed: int
 ) -> Sensed:
-    """Sensor streams of a flight; wind only where the truth has one that an anemometer measures.
+    """Sensor streams of a flight; wind only where an anemometer measures it.
 
     Args:
-        truth: of the flight, evenly sampled.
-        vehicle: as its owner knows it, without the effects.
+        truth: truth of the flight, evenly sampled.
+        vehicle: nominal vehicle, without the effects.
         suite: sensors and their noise.
-        effects: only those of kind "sensor" act here.
+        effects: effects, of which only those of kind "sensor" act here.
         faults: applied last, before electrical speeds are rounded.
-        seed: of all that is random.
+        seed: seed of all random numbers.
 
     Raises:
         SimulationError: for a sensor whose rate does not divide that of the truth, and a fault of a sensor
@@ -110,7 +110,7 @@ def sense(
 
 
 def ideal_recording(truth: Truth, vehicle: Vehicle, suite: SensorSuite, seed: int) -> Recording:
-    """Noise-free sensor streams at the sensors' mounting, less the frames that motion capture loses.
+    """Noise-free sensor streams at the mounting of the sensors, without lost frames of motion capture.
 
     Raises:
         SimulationError: for a sensor whose rate does not divide that of the truth.
@@ -234,7 +234,7 @@ def _with_noise(stream: Stream, suite: SensorSuite, vehicle: Vehicle, seed: int)
 
 
 def _arrival(stream: Stream, mocap: MotionCapture, seed: int) -> Stamps:
-    """When each sample arrives: at once, but for the poses, which do not overtake each other either."""
+    """Arrival of each sample: at once, except for poses, which arrive late and in order."""
     if not isinstance(stream, PoseStream):
         return stream.time_ns
     late = mocap.latency + mocap.arrival_jitter * generator(seed, "mocap arrival").exponential(

@@ -80,9 +80,9 @@ def write_simulated_bag(path: Path | str, plan: FlightPlan, truth: Truth, sensed
 
     Args:
         path: .mcap file to write; it appears whole or not at all.
-        plan: of the flight; its `truth_rate_hz` divides the rate of the truth.
-        truth: of the flight.
-        sensed: of the flight.
+        plan: plan of the flight; its `truth_rate_hz` divides the rate of the truth.
+        truth: truth of the flight.
+        sensed: messages of its sensors.
     """
     step = round(1e9 / (plan.truth_rate_hz * float(truth.time_ns[1] - truth.time_ns[0])))
     vehicle = {
@@ -168,10 +168,10 @@ def _headings(yaw: Array) -> Array:
 
 
 def read_truth(path: Path | str) -> RecordedTruth:
-    """Read back what :func:`write_simulated_bag` wrote of the truth.
+    """Read the truth of a bag of :func:`write_simulated_bag`.
 
-    Every number is the one that was written; attitudes and the acceleration, which are rotated on the way,
-    are so to within a few roundings.
+    Numbers are those that were written; attitudes and the acceleration, which are rotated, to a few
+    roundings.
 
     Raises:
         LogError: naming bag and topic, for a bag without the truth.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulated flight is to follow, and what truly happened in it, as series of samples."""
+"""Reference and truth of a simulated flight, as series of samples."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Reference:
 
     @classmethod
     def hover(cls, position: Array, samples: int) -> Reference:
-        """Stand still at a position (3,), nose north."""
+        """Hover at a position (3,), nose north."""
         still = np.zeros((samples, 3))
         level = np.zeros(samples)
         return cls(still + position, still, still, level, level, np.zeros((samples, 2)), level)
@@ -61,8 +61,8 @@ class Truth:
     """N instants of a simulated flight; body axes forward-right-down, world north-east-down, SI.
 
     Attributes:
-        name: of the flight.
-        vehicle: as it truly flew: mass and inertia include effects such as a payload.
+        name: name of the flight.
+        vehicle: vehicle as it truly flew: mass and inertia include effects such as a payload.
         time_ns: (N,) stamps.
         position: (N, 3) m, world.
         attitude: (N, 4) body to world.
@@ -75,7 +75,7 @@ class Truth:
         wrench: (N, 6) aerodynamics and every effect, gravity not included.
         wind: (N, 3) m/s of the air over ground, world.
         known_wind: (N, 3) m/s, the part of it that an anemometer measures; None without one.
-        reference: what the controller was to follow, at the same instants.
+        reference: reference of the controller at the same instants.
     """
 
     name: str
@@ -105,7 +105,7 @@ class Truth:
 
     @property
     def specific_force(self) -> Array:
-        """What an ideal accelerometer at the centre of gravity reads (N, 3) m/s², body axes."""
+        """Specific force (N, 3) m/s² at the centre of gravity, body axes."""
         return self.wrench[:, :3] / self.vehicle.mass_kg
 
     @property
