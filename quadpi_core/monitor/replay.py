@@ -31,11 +31,11 @@ from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
-from quadpi_core.monitor import pairing
+from quadpi_core.monitor import pairing_kernel
 from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import by_arrival, split_recording
@@ -112,13 +112,8 @@ def replay(
 
 def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: Path) -> ReplaySummary:
     """Judge a flight, write its results and sum them up."""
-    model = monitor.model
-    metadata = {
-        "vehicle": vehicle.name,
-        "model": model.identity,
-        "source": flight.name,
-        "version": __version__,
-    }
+    metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
+    metadata |= {"source": flight.name, "version": __version__}
     tally = _Tally()
     with mcap_writer(output, metadata) as writer:
         names = ["odometry"] if flight.has_mocap else []
@@ -126,10 +121,10 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
             {f"/{name}": TOPIC_TYPES[name] for name in [*names, "prediction", "extrapolation_alarm"]}
         )
         for stretch in follow(flight, vehicle):
-            if stretch.begin != pairing.CONTINUES:
+            if stretch.begin != pairing_kernel.CONTINUES:
                 # Stamps repeat from here on, and must not mix with the earlier ones.
                 writer.flush()
-            if stretch.begin == pairing.SET_BACK:
+            if stretch.begin == pairing_kernel.SET_BACK:
                 monitor.reset()
             monitor.retune(stretch.rate)
             predictions, alarms, events = monitor.step(*stretch.samples)
@@ -141,11 +136,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
 
 
 def _messages(
-    states: FusedSamples | None,
-    predictions: Predictions,
-    alarms: Alarms,
-    events: Events,
-    monitor: Monitor,
+    states: FusedSamples | None, predictions: Predictions, alarms: Alarms, events: Events, monitor: Monitor
 ) -> Iterator[Topic]:
     """The topics that the nodes publish, with their messages."""
     if states is not None:
@@ -153,16 +144,11 @@ def _messages(
             states.odometry, states.pose_covariance, states.twist_covariance
         )
         yield output_topic("odometry", states.time_ns, payloads)
-    yield output_topic(
-        "prediction",
-        predictions.time_ns,
-        result_messages.pack_predictions(
-            predictions,
-            model=monitor.model.identity,
-            confidence=monitor.confidence,
-            axes=monitor.model.axes,
-        ),
+    model = monitor.model
+    packed = result_messages.pack_predictions(
+        predictions, model=model.identity, confidence=monitor.confidence, axes=model.axes
     )
+    yield output_topic("prediction", predictions.time_ns, packed)
     if len(alarms):
         yield output_topic(
             "extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms, reasons_by_row(alarms))
@@ -258,7 +244,7 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
     if ekf is None and flight.has_mocap:
         ekf = Ekf(vehicle)
     spans, started, measured = Spans(), False, False
-    meeting = pairing.Pairing()
+    meeting = Pairing()
     for block in flight.blocks:
         odometry, state_of, states = block.odometry, None, None
         imu = _Imu(block.imu.time_ns, with_gyro_faults(block.imu).specific_force, np.arange(len(block.imu)))
@@ -382,7 +368,7 @@ class _Imu(NamedTuple):
 
 def _arriving(
     block: Recording, imu: _Imu, odometry: OdometryStream, state_of: Stamps | None
-) -> pairing.Arriving:
+) -> pairing_kernel.Arriving:
     """The samples of a block in the order in which they reach the pairing.
 
     Args:
@@ -396,14 +382,14 @@ def _arriving(
     wind = block.wind or WindStream(np.empty(0, dtype=np.int64), np.empty((0, 3)))
     # Three places per IMU sample: for what came since the previous one, for the sample, and for its state.
     came = {
-        pairing.WIND_TOPIC: 3 * block.arrivals_of(wind),
-        pairing.ROTORS: 3 * block.arrivals_of(rotor_speeds),
-        pairing.IMU: 3 * imu.used + 1,
-        pairing.STATE: 3 * block.arrivals_of(odometry) if state_of is None else 3 * state_of + 2,
+        pairing_kernel.WIND_TOPIC: 3 * block.arrivals_of(wind),
+        pairing_kernel.ROTORS: 3 * block.arrivals_of(rotor_speeds),
+        pairing_kernel.IMU: 3 * imu.used + 1,
+        pairing_kernel.STATE: 3 * block.arrivals_of(odometry) if state_of is None else 3 * state_of + 2,
     }
-    rows = {kind: np.arange(len(places)) for kind, places in came.items()} | {pairing.IMU: imu.used}
+    rows = {kind: np.arange(len(places)) for kind, places in came.items()} | {pairing_kernel.IMU: imu.used}
     order = np.argsort(np.concatenate(list(came.values())), kind="stable")
-    return pairing.Arriving(
+    return pairing_kernel.Arriving(
         kind=np.repeat(list(came), [len(places) for places in came.values()])[order],
         row=np.concatenate([rows[kind] for kind in came])[order],
         imu_ns=imu.time_ns,

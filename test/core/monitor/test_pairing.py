@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.monitor.pairing import (
-    IMU,
-    ROTORS,
-    STATE,
-    Arriving,
-    PairedSamples,
-    Pairing,
-)
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.pairing_kernel import IMU, ROTORS, STATE, Arriving
 
 MS = 1_000_000
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
