@@ -21,18 +21,10 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import config_directory
+from test.core.evaluation.test_flight_results import EVALUATION, METRICS
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)
 SLOW_TO_IMPORT = ("numba", "scipy", "plotly", "pyarrow", "rosbags", "safetensors", "rclpy")
-METRICS = {
-    *("picp", "picp_ci", "mpiw", "nmpiw", "rmse", "r2", "winkler", "cwc", "crps", "calibration", "regimes"),
-    *("n", "n_eff"),
-}
-EVALUATION = {
-    *("quadpi_version", "model", "vehicle", "method", "adaptive", "confidence", "training_range"),
-    "data_quality",
-    *("nmpiw_denominator", "cwc", "calibration_levels", "regime_edges", "groups", "flights"),
-}
 RECORDING = {"kind", "name", "vehicle", "source", "topics", "envelope", "findings"}
 MODEL = {
     "alarm",

@@ -17,6 +17,11 @@ METRICS = {
     *("picp", "picp_ci", "mpiw", "nmpiw", "rmse", "r2", "winkler", "cwc", "crps", "calibration", "regimes"),
     *("n", "n_eff"),
 }
+EVALUATION = {
+    *("quadpi_version", "model", "vehicle", "method", "adaptive", "confidence", "training_range"),
+    *("nmpiw_denominator", "cwc", "calibration_levels", "regime_edges", "groups", "flights"),
+    "data_quality",
+}
 RANGES = {"Fx": 4.0, "Fz": 8.0}
 
 
@@ -45,11 +50,7 @@ def test_json_has_the_documented_keys_and_no_nan():
     evaluation = evaluate(flights, {"all": ["a", "b"], "one": ["b"]})
     loaded = json.loads(json.dumps(evaluation.to_json(), allow_nan=False))
     assert TypeAdapter(Evaluation).validate_python(loaded) == evaluation
-    assert set(loaded) == {
-        *("quadpi_version", "model", "vehicle", "method", "adaptive", "confidence", "training_range"),
-        *("nmpiw_denominator", "cwc", "calibration_levels", "regime_edges", "groups", "flights"),
-        "data_quality",
-    }
+    assert set(loaded) == EVALUATION
     assert isinstance(loaded[loaded["nmpiw_denominator"]], dict)
     assert loaded["groups"]["all"]["flights"] == ["a", "b"]
     for part in (*loaded["groups"].values(), *loaded["flights"].values()):
