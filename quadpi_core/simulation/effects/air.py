@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of the air over the ground: wind that nothing measures."""
+"""Effects of the air: wind that is not measured."""
 
 from __future__ import annotations
 

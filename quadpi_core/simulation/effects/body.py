@@ -155,7 +155,7 @@ def moment_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # n
     Parameter("y_m", "m", 0.0035, -0.1, 0.1),
     Parameter("z_m", "m", 0.0, -0.1, 0.1),
     shown_by="throttle steps and vertical accelerations",
-    # After every other force, whose moment it changes.
+    # After every other force, since it changes their moments.
     last=True,
     size_grows_with_arm=True,
     tolerance="cg_m",

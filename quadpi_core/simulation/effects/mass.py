@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects on mass and inertia: the vehicle that flies is not the one of the file."""
+"""Effects on mass and inertia: the vehicle differs from its file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import Parameter, effect
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
-# Share by which a moment of inertia is lowered at a time, far below its tolerance of 2 %, and how often at
-# most: until it is a twelfth.
+# Share by which a moment of inertia is lowered per step, far below its tolerance of 2 %, and the largest
+# number of steps, which lower it to a twelfth.
 _STEP, _STEPS_MOST = 0.005, 500
 
 
@@ -35,9 +35,9 @@ def payload(vehicle: Vehicle, p: Array) -> Vehicle:
 
 
 def _of_a_rigid_body(vehicle: Vehicle, p: Array) -> Array:
-    """Changes of the moments of inertia, the largest moment lowered until a rigid body can have the three.
+    """Changes of the moments of inertia, with the largest lowered until a rigid body can have the three.
 
-    Of a flat vehicle, one moment is nearly the sum of the others: noise alone can take it beyond.
+    One moment of a flat vehicle is nearly the sum of the others, which noise alone can exceed.
     """
     p = p.copy()
     for _ in range(_STEPS_MOST):

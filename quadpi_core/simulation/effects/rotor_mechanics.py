@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of the rotors as built: their inertia, their coefficient, how they are mounted, damage."""
+"""Effects of the rotors as built: inertia, thrust coefficient, mounting, damage."""
 
 from __future__ import annotations
 

@@ -1,9 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of the sensors: what they report is not what happens.
-
-In the order of the registry, that of the signal: where the IMU sits, how it is turned, scale, bias, stamps.
-"""
+"""Effects of the sensors: errors of mounting, scale, bias and stamps, in the order of the signal."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ def _inverse_scale(p: Array) -> Array:
     "sensor",
     "Fx Fy Fz",
     *three("m", "m", 0.01, 0.2),
-    # A centre of gravity that is elsewhere is elsewhere from the accelerometer, too.
+    # An offset of the centre of gravity is one of the accelerometer relative to it, too.
     tolerance="cg_m",
     formula=r"f' = f + \dot\Omega \times r + \Omega \times (\Omega \times r),\quad r = (r_x, r_y, r_z)",
     symbols="r_x r_y r_z",

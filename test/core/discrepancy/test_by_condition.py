@@ -14,14 +14,9 @@ from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.residual_bins import (
     Cells,
     against_draws,
-    largest_deviation,
-    over_time,
     residuals,
-    sample_indices,
-    within_tolerance,
 )
 from quadpi_core.discrepancy.search import search
-from quadpi_core.discrepancy.whitening import spectrum
 from quadpi_core.flight import AXES
 
 NULLS = 20
@@ -76,7 +71,7 @@ def test_nothing_is_located_in_flights_without_a_discrepancy(null):
 
 
 class TestDrag:
-    def test_stands_at_speed_on_the_axes_of_the_force(self, found):
+    def test_is_located_at_speed_on_the_axes_of_the_force(self, found):
         assert {part.axis for part in found.where.ranges} <= {"Fx", "Fy", "Fz"}
         for axis, variables in (("Fx", {"u", "speed"}), ("Fy", {"v", "speed"})):
             telling = [part for part in found.where.telling if part.axis == axis]
@@ -125,38 +120,6 @@ def test_a_force_in_one_place_is_found_there_and_whenever_a_flight_is_there(simu
         assert segment.axis == "Fy"
         assert flight.position[during, 0].max() > border
     assert len(where.segments) > 3
-
-
-def test_coefficients_within_tolerance_explain_what_they_can_and_no_more():
-    rng = np.random.default_rng(1)
-    columns = rng.standard_normal((200, 4)) * 30.0
-    most = largest_deviation(4)
-    assert 2.0 < most < 3.5
-    truth = np.array([[0.5, 0.5], [-1.0, -1.0], [0.2, 0.2], [1.0, 9.0]])
-    gram = columns.T @ columns
-    inside, outside = within_tolerance(gram, gram @ truth).T
-    assert inside == pytest.approx(truth[:, 0], abs=0.01)
-    assert outside[3] == most
-    assert np.abs(outside).max() <= most
-
-
-@pytest.mark.parametrize("samples", [1000, 1001])
-def test_rows_come_back_as_the_signal_that_they_were_made_of(samples):
-    """Within the band and away from the ends, that rise and fall; and squares stay the same."""
-    rate_hz = 125.0
-    time = np.arange(samples) / rate_hz
-    signal = np.sin(2.0 * np.pi * 3.0 * time + 0.4) + 0.5
-    columns = np.repeat((signal[:, None] * np.arange(1.0, 7.0))[:, :, None], 2, axis=2)
-    rows = spectrum(columns, rate_hz).rows
-    series = over_time(rows, samples)
-    at = sample_indices(rows.shape[1], samples)
-    assert series.shape == (len(at), 6, 2)
-    assert np.square(series).mean(axis=0) == pytest.approx(np.square(rows).sum(axis=1) / samples)
-    inner = (time[at] > 1.0) & (time[at] < time[-1] - 1.0)
-    # The taper takes a little of the whole, which the scale gives back.
-    fitted = series[inner, 0, 0] @ signal[at][inner] / (signal[at][inner] @ signal[at][inner])
-    assert 1.0 < fitted < 1.1
-    assert series[inner, 0, 0] == pytest.approx(fitted * signal[at][inner], abs=0.08)
 
 
 @pytest.mark.parametrize(

@@ -35,17 +35,16 @@ def shapes():
     return rng.standard_normal(400), rng.standard_normal(400)
 
 
-def test_a_parameter_and_its_room(shapes):
+def test_form_columns_that_are_not_needed_cost_no_evidence(shapes):
     law, other = shapes
     found = fit(gram(law, other, 2.0 * law), NONE, [block()])
     assert found.of(np.array([LAW]))[0] == pytest.approx(2.0, rel=0.01)
-    # Room that is not needed does not count against the law.
-    with_room = fit(gram(law, other, 2.0 * law), NONE, [block(np.array([FORM]))])
-    assert with_room.log_evidence == found.log_evidence
+    with_form = fit(gram(law, other, 2.0 * law), NONE, [block(np.array([FORM]))])
+    assert with_form.log_evidence == found.log_evidence
     assert fit(gram(law, other, -2.0 * law), NONE, [block()]) is None
 
 
-def test_a_law_that_its_room_would_turn_round_stays_as_it_is(shapes):
+def test_form_columns_that_would_flip_the_sign_of_a_law_are_left_out(shapes):
     law, other = shapes
     # 0.1 law + 0.3 other = 0.6 form − 0.5 law.
     form = law + 0.5 * other

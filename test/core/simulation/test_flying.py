@@ -182,7 +182,7 @@ def test_same_seed_same_flight_other_seed_other_gusts():
 
 
 def test_effects_come_as_a_surprise_to_the_controller():
-    """It is told the nominal mass: with a payload it sags until its position gain makes up for the weight."""
+    """It knows the nominal mass: with a payload the vehicle sags until the position gain compensates."""
     vehicle = SimulatedVehicle.load("bebop2")
     loaded = simulate_flight(
         "loaded", vehicle, COUPLED, effects=read_effects({"payload": {"mass_kg": 0.05}}, "test")

@@ -250,7 +250,7 @@ class TestComposition:
         ):
             load({}, include=["other.yaml"], files=files)
 
-    def test_a_name_that_stands_twice_in_a_file_is_refused(self, tmp_path: Path):
+    def test_a_duplicate_name_in_a_file_is_refused(self, tmp_path: Path):
         path = tmp_path / "twice.yaml"
         path.write_text("description: a test\nflights:\n  one: {}\n  one: {}\n")
         with pytest.raises(SimulationError, match=r"twice\.yaml: .*duplicate key `one`.* line 4"):

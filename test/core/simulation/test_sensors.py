@@ -142,7 +142,7 @@ def test_electrical_speeds_are_whole_and_give_the_mechanical_ones(long_truth):
     np.testing.assert_allclose((sent.erpm - true_erpm).mean(axis=0), 0.0, atol=0.2)
 
 
-def test_a_rotor_that_stands_still_never_reads_negative(truth):
+def test_a_stopped_rotor_never_reads_negative(truth):
     stopped = replace(truth, rotor_speeds=np.zeros_like(truth.rotor_speeds))
     erpm = sensed(stopped, replace(PERFECT, rotor_speeds=RotorSpeedSensor(noise=5.0))).erpm
     assert erpm.min() == 0.0

@@ -39,7 +39,7 @@ def test_another_seed_is_another_gust():
     assert np.abs(wind({"gust": None}) - wind({"gust": None}, seed=1)).max() > 0.5
 
 
-def test_steady_wind_blows_where_told_and_adds_to_gusts():
+def test_steady_wind_has_its_direction_and_adds_to_gusts():
     steady = {"north_m_s": 3.0, "east_m_s": -1.0, "down_m_s": 0.5}
     assert np.all(wind({"wind": steady}) == [3.0, -1.0, 0.5])
     both = wind({"wind": steady, "gust": None})

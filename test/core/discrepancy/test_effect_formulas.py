@@ -53,7 +53,7 @@ def test_has_a_formula_with_every_parameter(effect):
     assert len(effect.symbols) == len(effect.parameters)
     bare = effect.formula.replace("{", "").replace("}", "")
     for symbol in effect.symbols:
-        # An index j names one rotor: it stands as an index.
+        # An index j names one rotor: it is a subscript.
         assert symbol in bare or f"_{symbol}" in bare, symbol
     assert effect.formula.count("{") == effect.formula.count("}")
     assert effect.formula.count(r"\left") == effect.formula.count(r"\right")
@@ -91,7 +91,7 @@ def test_exported_source_is_that_of_the_library():
     assert "noqa" not in python_source({"tether": defaults(EFFECTS["tether"])})
 
 
-def test_exported_effects_stand_together_in_one_file():
+def test_exported_effects_share_one_file():
     effects = {name: defaults(effect) for name, effect in EFFECTS.items()}
     namespace = {}
     exec(compile(python_source(effects), "all", "exec"), namespace)
@@ -99,9 +99,9 @@ def test_exported_effects_stand_together_in_one_file():
 
 
 @EACH
-def test_documentation_tells_form_and_size(effect):
-    told = inspect.cleandoc(effect.function.__doc__)
-    assert "Size" in told or "k = 1" in told
+def test_documentation_states_form_and_size(effect):
+    text = inspect.cleandoc(effect.function.__doc__)
+    assert "Size" in text or "k = 1" in text
 
 
 # What these leave in such flights is small, or another effect's as well, or just what a coefficient of the

@@ -1,19 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Verdicts of the search: nothing, an effect, what no effect explains, and effects that look alike."""
+"""Verdicts of a study: none, effects, unknown, and effects that look alike."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
-from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.search import Accepted, without_idle
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
@@ -36,7 +33,7 @@ def test_what_is_missing_is_named_among_all(simulation, dragged):
     assert found.gap.reduction > 0.98
 
 
-def test_what_no_effect_explains_is_unknown_and_told(simulation, dragged):
+def test_what_no_effect_explains_is_unknown_and_named(simulation, dragged):
     """The library without the effect that is there."""
     found = discover(simulation, dragged, names=["payload", "rate_damping"])
     assert found.verdict == "unknown"
@@ -99,7 +96,7 @@ def test_effects_that_look_alike_are_one_set(simulation, flights, pushed):
         ("payload", {"mass_kg": 0.1}),
     ],
 )
-def test_another_body_is_told_from_another_thrust(effect, true, flown):
+def test_mass_and_inertia_are_distinguished_from_thrust(effect, true, flown):
     """Mass, moments of inertia and thrust of another size all together leave accelerations as they are."""
     text = ",".join(f"{name}={value}" for name, value in true.items())
     found = discover(load_simulation("bebop2"), flown(f"{effect}:{text}"))
@@ -110,7 +107,7 @@ def test_another_body_is_told_from_another_thrust(effect, true, flown):
 
 
 @pytest.mark.slow
-def test_a_tether_is_told_from_hover(flown):
+def test_a_tether_is_found_in_hovers(flown):
     """Along one line stiffness, length and anchor do the same: steps from one such point overshoot."""
     hidden = "tether:stiffness_n_m=0.1,length_m=2,north_m=0,east_m=0,height_m=0,hook_m=0.01"
     found = discover(load_simulation("bebop2"), flown(hidden, hover=True))
@@ -125,7 +122,7 @@ def test_every_flight_has_to_be_of_the_vehicle(simulation, flights):
         discover(simulation, [flights[0], replace(flights[1], vehicle="other")])
 
 
-def test_a_driving_law_that_few_flights_tell_is_kept(simulation, flights, pushed):
+def test_a_strong_law_that_each_flight_shows_differently_is_kept(simulation, flights, pushed):
     """Of two flights, one in drag along x alone and one along y alone, each left out is a surprise."""
     made = []
     none = {"x_n_s2_m2": 0.0, "y_n_s2_m2": 0.0, "z_n_s2_m2": 0.0}
@@ -135,51 +132,3 @@ def test_a_driving_law_that_few_flights_tell_is_kept(simulation, flights, pushed
         made.append(pushed(flight, simulation.vehicle, added))
     found = discover(simulation, made, names=["body_drag"])
     assert [effect.name for effect in found.effects] == ["body_drag"]
-
-
-class ListedEvidence:
-    """A regression in which the evidence of each set is listed, and every effect is linear and exact."""
-
-    def __init__(self, evidence, reweighted=()):
-        self.evidence = {tuple(sorted(chosen)): value for chosen, value in evidence.items()}
-        effect = SimpleNamespace(scales_existing=False)
-        names = [f"effect {k}" for k in range(3)]
-        self.candidates = [
-            SimpleNamespace(name=name, label=name, form=0.0, linear=True, effect=effect) for name in names
-        ]
-        self.columns = SimpleNamespace(points=[np.zeros(1)] * 3)
-        self.reweighted = reweighted
-
-    def fit(self, chosen, *_, **__):
-        columns = np.array(chosen, dtype=np.intp)
-        value = self.evidence[tuple(chosen)]
-        return Fit(value, columns, np.ones(len(columns)), np.eye(len(columns)), np.zeros(3))
-
-    def parameters(self, *_):
-        return np.ones(1)
-
-    def size(self, *_):
-        return 1.0
-
-    def moved(self, _):
-        return self
-
-    def energy(self, chosen, _):
-        return self.evidence[tuple(chosen)]
-
-    def beside(self, chosen, _):
-        return ListedEvidence(self.evidence, chosen)
-
-
-@pytest.mark.parametrize(("alone", "kept"), [(1190.0, (1,)), (900.0, (0, 1))])
-def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
-    """The first did well until the second came; that one does nearly as well, or does not, without it."""
-    regression = ListedEvidence({(0,): 1000.0, (1,): alone, (0, 1): 1200.0})
-    both = Accepted(regression, (0, 1), regression.fit((0, 1)))
-    after, judgements = without_idle(both, threshold=5.0)
-    assert after.chosen == kept
-    assert after.fit.log_evidence == regression.evidence[kept]
-    dropped = kept != (0, 1)
-    assert after.regression.reweighted == (kept if dropped else ())
-    assert [own.effect for own in judgements] == ["effect 0"] * dropped
-    assert not any(own.accepted for own in judgements)
