@@ -14,7 +14,9 @@ from quadpi_core.frames import Array
 
 # Gyros of flight controllers end at 2000 deg/s, 35 rad/s, or 4000 deg/s.
 RATE_MAX_RAD_S = 70.0
-# Their accelerometers end at 16 g or 32 g.
+# One g, in which accelerometers are specified.
+STANDARD_GRAVITY = 9.80665
+# Accelerometers of flight controllers end at 16 g or 32 g.
 SPECIFIC_FORCE_MAX_M_S2 = 320.0
 # Of a state and of wind; no quadrotor flies as fast.
 AIRSPEED_MAX_M_S = 100.0
@@ -23,6 +25,8 @@ POSITION_MAX_M = 10_000.0
 MEASURED_SPEED_MAX_M_S = 300.0
 # Of a state. What an estimator is given may be off by any scale between the last two: it is normalised.
 QUATERNION_NORM_TOLERANCE = 0.1
+# Of an attitude in a log or message, which stores it rounded, perhaps in single precision or as integers.
+NORM_TOLERANCE = 0.05
 _MIN_QUATERNION_NORM, _MAX_QUATERNION_NORM = 0.5, 1e6
 
 

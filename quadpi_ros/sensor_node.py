@@ -21,9 +21,8 @@ from rclpy.subscription import Subscription
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, Stream
-from quadpi_core.messages.frame_ids import BodyFrames
+from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames
 from quadpi_core.messages.mounting import Mounting
-from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.monitor.health import TopicHealth
 from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.vehicle import Vehicle

@@ -33,11 +33,10 @@ from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
-from quadpi_core.messages.frame_ids import BodyFrames, Framed
+from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.topics import TOPIC_TYPES
-from quadpi_core.messages.transforms import TF_TOPIC, TF_TYPE
 from quadpi_core.recording_blocks import join_blocks, split_by_stamp
 from quadpi_core.results import Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle

@@ -17,7 +17,7 @@ from pydantic import PlainValidator
 
 from quadpi_core.config_schema import OneOf, Section, Share, load_config, unknown_key
 from quadpi_core.errors import LogError
-from quadpi_core.units import STANDARD_GRAVITY
+from quadpi_core.sample_limits import STANDARD_GRAVITY
 
 ERPM = "erpm"
 QUATERNION_ORDERS = MappingProxyType({"wxyz": (0, 1, 2, 3), "xyzw": (3, 0, 1, 2)})

@@ -26,7 +26,7 @@ from quadpi_core.frames import (
 )
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
-from quadpi_core.units import NORM_TOLERANCE, STANDARD_GRAVITY
+from quadpi_core.sample_limits import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 ARDUPILOT, PX4 = 3, 12

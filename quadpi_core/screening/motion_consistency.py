@@ -28,8 +28,8 @@ from quadpi_core.rotations import (
     rotation_matrix,
     to_rotation_vectors,
 )
+from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.excerpt import Excerpt
-from quadpi_core.units import STANDARD_GRAVITY
 
 # The gyro is integrated over TURN_S; the position is differentiated twice over 2 FALL_S.
 TURN_S, FALL_S = 0.1, 0.2

@@ -17,9 +17,9 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
 from quadpi_core.signals.resample import nominal_rate
-from quadpi_core.units import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 # Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.

@@ -15,11 +15,11 @@ import numpy as np
 
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
-from quadpi_core.logs.autopilot import note, odometry_of, require_imu, rising, rotors_together, usable
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
+from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, rotors_together, usable
 from quadpi_core.rotor_order import RPM, RotorOrder
-from quadpi_core.units import NORM_TOLERANCE
+from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _GYRO, _ACCELERATION = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")

@@ -19,11 +19,11 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd
-from quadpi_core.logs.autopilot import note, require_imu, usable
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import LogFormat
+from quadpi_core.logs.reader_steps import note, require_imu, usable
 from quadpi_core.rotor_order import ERPM, RotorOrder
-from quadpi_core.units import STANDARD_GRAVITY
+from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 _MAGIC = b"H Product:Blackbox"

@@ -25,8 +25,9 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.log_format import LogFormat
+from quadpi_core.logs.reader_steps import normalised_attitude
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.units import STANDARD_GRAVITY, unit_attitude
+from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 _MAGIC = 0xBC
@@ -121,7 +122,7 @@ def _odometry(source: str, event: Event) -> OdometryStream:
 
 def _pose(source: str, event: Event, group: str) -> tuple[Array, Array]:
     position = event.stack(tuple(f"{group}.{name}" for name in _POSITION))
-    attitude = unit_attitude(source, group, event.stack(tuple(f"{group}.{name}" for name in _ATTITUDE)))
+    attitude = normalised_attitude(source, group, event.stack(tuple(f"{group}.{name}" for name in _ATTITUDE)))
     return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)
 
 

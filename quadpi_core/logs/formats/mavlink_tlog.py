@@ -15,7 +15,6 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stream
 from quadpi_core.frames import Array
-from quadpi_core.logs.autopilot import note, require_imu, usable
 from quadpi_core.logs.clocks import Line, line_below
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mavlink_frames import MARKERS, Frame, FrameCounts, Framer, MessageDecoder, frame_length
@@ -26,6 +25,7 @@ from quadpi_core.logs.mavlink_samples import (
     is_epoch,
     stream_of,
 )
+from quadpi_core.logs.reader_steps import note, require_imu, usable
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 

@@ -17,7 +17,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording,
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.matlab import read_matlab
-from quadpi_core.units import stamps_ns, unit_attitude
+from quadpi_core.logs.reader_steps import normalised_attitude, stamps_ns
 from quadpi_core.vehicle import Vehicle
 
 _COLUMN_COUNT = 41
@@ -45,7 +45,9 @@ def read_neurobem(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
     time_ns = stamps_ns(source, matrix[:, _TIME])
     rates = body_flu_to_frd(matrix[:, _RATES])
     position = world_enu_to_ned(matrix[:, _POSITION])
-    attitude = quaternion_flu_enu_to_frd_ned(unit_attitude(source, PoseStream.topic, matrix[:, _ATTITUDE]))
+    attitude = quaternion_flu_enu_to_frd_ned(
+        normalised_attitude(source, PoseStream.topic, matrix[:, _ATTITUDE])
+    )
     velocity = body_flu_to_frd(matrix[:, _VELOCITY_BODY])
     specific_force = body_flu_to_frd(matrix[:, _SPECIFIC_FORCE])
     return Recording(

@@ -20,10 +20,10 @@ import numpy as np
 from quadpi_core.errors import LogError, one_line, require_library
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.autopilot import note, odometry_of, require_imu, rising, usable
 from quadpi_core.logs.log_format import LogFormat
+from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, usable
 from quadpi_core.rotor_order import RPM, RotorOrder
-from quadpi_core.units import NORM_TOLERANCE
+from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".

@@ -38,9 +38,10 @@ from quadpi_core.frames import (
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, UNITS, Mapping
 from quadpi_core.logs.parquet_pages import unpacked_bytes
+from quadpi_core.logs.reader_steps import normalised_attitude, stamps_ns
 from quadpi_core.logs.unpacking import require_unpackable
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.units import STANDARD_GRAVITY, stamps_ns, unit_attitude
+from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ class _TableReader:
         signal = self.mapping.signals[name]
         if signal.unit is None:
             order = QUATERNION_ORDERS[str(signal.form)]
-            quaternion = unit_attitude(str(self.path), name, self._raw(name)[:, order])
+            quaternion = normalised_attitude(str(self.path), name, self._raw(name)[:, order])
         else:
             quaternion = quaternion_from_roll_pitch_yaw(self._scaled(name))
         if self.mapping.body == "flu":

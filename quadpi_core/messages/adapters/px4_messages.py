@@ -18,7 +18,7 @@ from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream
 from quadpi_core.messages.cdr import Columns, microsecond_stamps
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.units import NORM_TOLERANCE
+from quadpi_core.sample_limits import NORM_TOLERANCE
 
 _NED, _FRD, _BODY = 1, 2, 3
 

@@ -20,7 +20,7 @@ from quadpi_core.frames import (
 )
 from quadpi_core.messages.adapters.adapter_settings import FRD_NED, FUR_EUS, BodySettings
 from quadpi_core.messages.foreign_messages import Items
-from quadpi_core.units import NORM_TOLERANCE
+from quadpi_core.sample_limits import NORM_TOLERANCE
 
 _WXYZ = [3, 0, 1, 2]
 _SEEN_MAX = 8

@@ -18,10 +18,9 @@ from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
-from quadpi_core.messages.frame_ids import BodyFrames, Framed
+from quadpi_core.messages.frame_ids import TF_TYPE, BodyFrames, Framed, StaticTransforms
 from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.messages.payloads import Payloads, Topic
-from quadpi_core.messages.transforms import TF_TYPE, StaticTransforms
 
 START_NS = 1_700_000_000_000_000_000
 # A half turn about z, as of a board that is mounted backward, then that board's place.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steps that readers of autopilot logs share: rising stamps, states from separate messages, notes."""
+"""Steps that log readers share: stamps and attitudes, and states that autopilots log in separate messages."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, Stam
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
+from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.vehicle import Vehicle
@@ -140,3 +141,37 @@ def rotors_together(
         return None
     speeds = np.concatenate([one.values[valid] for one in together], axis=1)
     return RotorSpeedStream(time_ns[valid], order.speeds(speeds, vehicle))
+
+
+def stamps_ns(source: str, time: Array, seconds_per_unit: float = 1.0) -> Stamps:
+    """Integer nanosecond stamps (N,) of a clock (N,) that counts in units of `seconds_per_unit`.
+
+    Raises:
+        LogError: if a time is not finite, or too large to be held as nanoseconds.
+    """
+    seconds = time * seconds_per_unit
+    usable = np.isfinite(seconds) & (np.abs(seconds) < np.iinfo(np.int64).max / 1e9)
+    if not np.all(usable):
+        index = int(np.argmin(usable))
+        raise LogError(f"{source}: sample {index}: the time is not a usable number ({time[index]})")
+    return np.round(seconds * 1e9).astype(np.int64)
+
+
+def normalised_attitude(source: str, topic: str, attitude: Array) -> Array:
+    """Attitude quaternions (N, 4) scaled to unit length; logs store them rounded.
+
+    Samples that are not finite pass as they are: they are judged with the rest of their stream.
+
+    Raises:
+        LogError: naming the sample whose norm is not near 1, for then it is not an attitude.
+    """
+    norm = np.linalg.norm(attitude, axis=1)
+    wrong = np.abs(norm - 1.0) > NORM_TOLERANCE
+    if np.any(wrong):
+        index = int(np.argmax(wrong))
+        raise LogError(
+            f"{source}: topic {topic}: sample {index}: the attitude quaternion has norm {norm[index]:.3g}, "
+            "expected 1; are the columns or their order right?"
+        )
+    unit: Array = attitude / norm[:, np.newaxis]
+    return unit
