@@ -145,6 +145,11 @@ def test_links_lead_somewhere(page):
             assert (page.parent / target).exists(), target
 
 
+def test_every_page_is_linked_from_the_readme():
+    linked = set(re.findall(r"\]\(docs/([^)#]+\.md)", (ROOT / "README.md").read_text()))
+    assert {page.name for page in PAGES} <= linked
+
+
 def keys(data: Any) -> Iterator[str]:
     if isinstance(data, dict):
         yield from data
