@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_triangular
 
-from benchmarks.direct_stepwise import direct_stepwise, squared_error
+from benchmarks.stepwise import direct_stepwise, squared_error
 from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
