@@ -73,3 +73,8 @@ def test_the_bundled_flight_that_leaves_the_envelope_raises_no_false_alarm(quadp
     assert alarm["alarms_outside"] > 0
     assert alarm["false_alarms_per_hour"] is None
     assert "too short for a rate" in ran.output
+
+
+@pytest.mark.parametrize(("missed_s", "off"), [(1.4, 0), (1.6, 1)])
+def test_a_model_is_off_where_it_misses_more_than_half_of_three_seconds(missed_s, off):
+    assert assess([flight(60.0, missed=[(20.0, 20.0 + missed_s)])]).flights_off == off

@@ -13,7 +13,6 @@ from scipy.signal import lfilter
 
 from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.metrics import (
-    MOST_BINS,
     RegimeBins,
     autocovariance,
     block_bootstrap_variance,
@@ -162,7 +161,7 @@ def test_edges_span_any_values_in_few_equal_bins(seed):
     edges = round_edges(values)
     assert edges[0] <= values.min()
     assert values.max() <= edges[-1]
-    assert 2 <= len(edges) <= MOST_BINS + 1
+    assert 2 <= len(edges) <= 9
     np.testing.assert_allclose(np.diff(edges), edges[1] - edges[0])
 
 
@@ -312,3 +311,11 @@ def test_a_constant_series_is_worth_one_sample(size):
 
 def test_negative_correlation_never_claims_more_than_the_samples():
     assert effective_sample_size(ar1_flights(-0.8, (5000,), seed=7)) == 5000
+
+
+def test_a_range_has_eight_bins_at_most():
+    np.testing.assert_allclose(round_edges(np.linspace(0.0, 7.9, 100)), np.arange(9.0))
+
+
+def test_a_block_is_a_fifth_of_a_flight_at_most():
+    assert block_length([np.arange(1000.0)]) == 200

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alarm, hover_rotor_speed
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
+from quadpi_core.models.alarm_limits import AlarmLimits, allowance
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
@@ -121,20 +121,20 @@ def test_few_flights_are_told_less_of():
 
 
 def test_what_has_no_signal_keeps_its_plain_limit():
-    envelope, limits = calibrated([left_out(60.0, seed) for seed in range(FEWEST_FLIGHTS)])
+    envelope, limits = calibrated([left_out(60.0, seed) for seed in range(8)])
     assert np.all(envelope.leverage_limit == 1.0)
     assert np.all(envelope.width_limit[1:] == 1.0)
     assert np.all(limits.miscoverage_s[1:] == AlarmLimits().miscoverage_s[1:])
 
 
 def test_few_flights_or_flights_unlike_each_other_calibrate_nothing():
-    few = [left_out(60.0, seed) for seed in range(FEWEST_FLIGHTS - 1)]
+    few = [left_out(60.0, seed) for seed in range(7)]
     envelope, limits = calibrated(few)
     assert not limits.calibrated
     assert "uncalibrated" in limits.sentence()
     assert np.all(envelope.margin == 0.1)
     apart = []
-    for k in range(FEWEST_FLIGHTS + 2):
+    for k in range(10):
         flight, shift = left_out(60.0, k), 100.0 * (np.arange(len(INPUT_NAMES)) == k)
         moved = {name: getattr(flight, name) + shift for name in ("inputs", "lower", "upper")}
         apart.append(replace(flight, **moved))

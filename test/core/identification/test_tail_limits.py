@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2, t
 
-from quadpi_core.identification.tail_limits import USUAL_FLIGHTS, lasting_maximum, next_flight, sums_of_misses
+from quadpi_core.identification.tail_limits import Walk, lasting_maximum, next_flight, sums_of_misses
 
 PERSISTENCE_S, RELEASE_S = 0.1, 0.5
 STEP_S = 0.01
@@ -19,7 +19,7 @@ USUAL = 0.6
 def test_one_more_flight_passes_its_limit_with_the_chance(flights, chance):
     rng = np.random.default_rng(flights)
     # Sets of flights differ in their spread as is known beforehand: by a scaled inverse chi-square.
-    spread = USUAL * np.sqrt(USUAL_FLIGHTS / rng.chisquare(USUAL_FLIGHTS, size=(4000, 1)))
+    spread = USUAL * np.sqrt(6 / rng.chisquare(6, size=(4000, 1)))
     drawn = np.exp(0.3 + spread * rng.standard_normal((4000, flights + 1)))
     passed = sum(one[-1] > next_flight(one[:-1], chance, USUAL) for one in drawn)
     assert binomtest(passed, len(drawn), chance).pvalue > 0.01
@@ -68,3 +68,24 @@ def test_the_sequential_test_rises_by_misses_beyond_the_allowed_share():
     miss[:, 2] = np.nan
     sums = sums_of_misses(time, miss, 0.1)
     assert sums[-1] == pytest.approx([0.0, 0.9 * 100 * STEP_S, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_the_usual_spread_counts_as_six_flights():
+    spread = np.sqrt(6 * USUAL**2 / 13 * (1 + 1 / 8))
+    assert next_flight(np.ones(8), 0.01, USUAL) == pytest.approx(np.exp(t.isf(0.01, 13) * spread))
+
+
+def test_a_signal_that_never_moved_counts_as_a_fiftieth():
+    assert next_flight(np.zeros(8), 0.01, USUAL) == pytest.approx(0.02 * next_flight(np.ones(8), 0.01, USUAL))
+
+
+@pytest.mark.parametrize(("seconds", "blocks"), [(1001, 20), (251, 10)])
+def test_the_tail_of_the_sequential_test_is_a_tenth_of_blocks_of_five_seconds(seconds, blocks):
+    """Ten blocks at least; the mean excess is that at the upper end of 80 % confidence."""
+    time = np.arange(float(seconds))
+    sums = np.zeros(seconds)
+    sums[2 : 5 * blocks : 5] = 1.0
+    walk = Walk.of([sums], [time])
+    assert walk.start == 0.0
+    assert walk.per_hour == pytest.approx(blocks / (time[-1] / 3600.0))
+    assert walk.mean == pytest.approx(2.0 / chi2.ppf(0.2, 2))

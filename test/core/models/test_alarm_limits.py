@@ -39,3 +39,12 @@ def test_json_gives_the_same_limits() -> None:
 def test_numbers_that_no_calibration_gives_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ModelError, match=f"^alarm: {message}"):
         AlarmLimits.from_json(STORED | changes)
+
+
+def test_the_sequential_test_looks_for_five_times_the_allowed_misses() -> None:
+    assert AlarmLimits().allowance == pytest.approx(np.log(0.95 / 0.75) / np.log(0.25 * 0.95 / (0.05 * 0.75)))
+
+
+def test_uncalibrated_limits_are_two_seconds_and_claim_no_rate() -> None:
+    np.testing.assert_array_equal(AlarmLimits().miscoverage_s, np.full(6, 2.0))
+    assert "no rate is claimed" in AlarmLimits().sentence()

@@ -10,7 +10,7 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.envelope import LEVERAGE_HEADROOM, MARGIN, WIDTH_HEADROOM, Envelope
+from quadpi_core.models.envelope import Envelope
 
 SAMPLES = 3000
 U, COS_PHI = INPUT_INDEX["u"], INPUT_INDEX["cos_phi"]
@@ -75,7 +75,7 @@ def test_axes_that_the_model_does_not_hold_never_count(training):
     envelope = Envelope.fit(**training)
     np.testing.assert_array_equal(envelope.leverage_limit[1:], 1.0)
     np.testing.assert_array_equal(envelope.width_limit[1:], 1.0)
-    assert envelope.leverage_limit[0] == pytest.approx(LEVERAGE_HEADROOM * 0.01, rel=0.01)
+    assert envelope.leverage_limit[0] == pytest.approx(2.0 * 0.01, rel=0.01)
 
 
 def test_constant_input_is_measured_in_its_unit(training):
@@ -104,9 +104,9 @@ def test_the_warning_keeps_the_plain_limits_unless_others_are_nearer(training):
 
     for times, near in ((3.0, 1.0), (0.5, 0.5)):
         envelope = with_limits(times).near
-        np.testing.assert_allclose(envelope.margin, near * MARGIN)
-        assert envelope.leverage_limit[0] == pytest.approx(near * LEVERAGE_HEADROOM * peaks[0])
-        assert envelope.width_limit[0] == pytest.approx(near * WIDTH_HEADROOM * peaks[1])
+        np.testing.assert_allclose(envelope.margin, near * 0.1)
+        assert envelope.leverage_limit[0] == pytest.approx(near * 2.0 * peaks[0])
+        assert envelope.width_limit[0] == pytest.approx(near * 1.25 * peaks[1])
 
 
 def test_json_gives_the_same_envelope(training):
@@ -165,3 +165,8 @@ def test_training_that_is_not_finite_or_does_not_fit_is_refused(training):
         Envelope.fit(**training | {"inputs": inputs})
     with pytest.raises(ModelError, match="flight labels"):
         Envelope.fit(**training | {"groups": training["groups"][:-1]})
+
+
+def test_the_range_of_a_flight_leaves_out_a_thousandth_at_either_end():
+    lower, upper = Envelope.flight_range(np.tile(np.arange(1001.0)[:, None], (1, 19)))
+    assert (lower[0], upper[0]) == pytest.approx((1.0, 999.0))

@@ -19,6 +19,8 @@ from quadpi_core.models.interval_rules import (
     Rule,
     TrainedRule,
     calibrate,
+    conformal_rank,
+    flights_peak,
     rule_from_json,
 )
 
@@ -152,3 +154,17 @@ def test_held_out_coverage_uses_the_factors_of_the_others() -> None:
     np.testing.assert_allclose(
         covered[1], np.mean(np.abs(rough.error) < np.quantile(np.abs(calm.error), 0.95)), atol=2e-3
     )
+
+
+def test_nine_tenths_of_the_flights_and_one_more_are_to_be_covered() -> None:
+    assert [conformal_rank(flights) for flights in (1, 9, 19, 29)] == [1, 9, 18, 27]
+
+
+def test_a_flight_counts_from_half_inside() -> None:
+    trained = [flight_errors(np.ones(1000)) for _ in range(3)]
+    held_out = [flight_errors(np.ones(1000), inside_share=share) for share in (0.49, 0.5, 0.51)]
+    assert calibrate(held_out, trained).flights_inside == 2
+
+
+def test_a_thousandth_of_a_flight_is_above_its_peak() -> None:
+    assert flights_peak([np.arange(1001.0), np.zeros(10)]) == pytest.approx(999.0)

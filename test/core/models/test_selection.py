@@ -16,7 +16,6 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.least_squares import Gram, fit_coefficients
 from quadpi_core.models.regressors import RegressorProgram
 from quadpi_core.models.selection import (
-    HELD_OUT_FLOOR,
     SelectionSettings,
     StopRule,
     select,
@@ -133,7 +132,7 @@ def test_held_out_score_is_that_of_explicit_refits() -> None:
             columns = list(step.active)
             coefficients = np.linalg.lstsq(Z[rest][:, columns], y[rest], rcond=None)[0]
             errors.append(np.mean((y[part] - Z[part][:, columns] @ coefficients) ** 2))
-        floored = np.array(errors) + HELD_OUT_FLOOR * np.var(y)
+        floored = np.array(errors) + 0.01 * np.var(y)
         assert step.score == pytest.approx(np.mean(np.log(floored)), abs=1e-9)
 
 
@@ -228,3 +227,30 @@ def test_unknown_rule_is_refused() -> None:
     Z = with_bias(rng.normal(size=(50, 2)))
     with pytest.raises(ModelError, match="unknown stop rule 'aic'; known: pse"):
         select_from(Z, Z[:, 1], SelectionSettings(stop="aic"))  # type: ignore[arg-type]
+
+
+def chosen_of_two(first: float, second: float, rest: float, stop: StopRule) -> int:
+    """Number of terms chosen of two that add so much to the mean square of y, in two flights alike."""
+    rng = np.random.default_rng(0)
+    columns = np.linalg.qr(np.column_stack((np.ones(1000), rng.normal(size=(1000, 3)))))[0] * np.sqrt(1000)
+    y = columns[:, 1:] @ np.sqrt([first, second, rest])
+    flights = 2 if stop == "leave-one-flight-out" else 1
+    Z = with_bias(np.tile(columns[:, 1:3], (flights, 1)))
+    return len(select_from(Z, np.tile(y, flights), SelectionSettings(stop=stop), flights)) - 1
+
+
+@pytest.mark.parametrize(("growth", "chosen"), [(0.0045, 1), (0.0055, 2)])
+def test_a_term_must_raise_r2_by_half_a_percent(growth: float, chosen: int) -> None:
+    assert chosen_of_two(0.9 - growth, growth, 0.1, "r2") == chosen
+
+
+@pytest.mark.parametrize(("fall", "chosen"), [(0.009, 1), (0.011, 2)])
+def test_a_term_must_lower_the_held_out_error_by_a_hundredth(fall: float, chosen: int) -> None:
+    # With an error of 0.04 and a floor of 0.01 beside it.
+    second = 0.05 * np.expm1(fall)
+    assert chosen_of_two(0.96 - second, second, 0.04, "leave-one-flight-out") == chosen
+
+
+@pytest.mark.parametrize(("second", "chosen"), [(0.9e-4, 1), (1.1e-4, 2)])
+def test_held_out_errors_below_a_hundredth_of_the_variance_are_equal(second: float, chosen: int) -> None:
+    assert chosen_of_two(1.0 - second, second, 1e-9, "leave-one-flight-out") == chosen
