@@ -164,7 +164,7 @@ def comparison_verdict(comparison: Comparison) -> str:
         for group in comparison.groups
     }
     found = count_verdicts(coverages, comparison.confidence)
-    return f"{nominal(comparison.confidence)} prediction intervals {found} (axes of all models)."
+    return f"Over the axes of all models, {nominal(comparison.confidence)} prediction intervals {found}."
 
 
 def write_comparison_page(
