@@ -36,7 +36,7 @@ def run() -> list[Result]:
         read, rosbags_read = interleaved_seconds(
             [lambda: read_bag(bag, vehicle), lambda: sum(1 for _ in rosbags_messages(bag))]
         ).T
-        # Only now: so many objects in memory would slow whatever is measured beside them.
+        # Only now: this many objects in memory would slow the measurements above.
         loaded = list(rosbags_messages(bag))
         write, rosbags_wrote = interleaved_seconds(
             [lambda: write_bag(rewritten, recording), lambda: rosbags_write(folder_bag, loaded)]

@@ -89,7 +89,7 @@ def smooth_samples() -> tuple[Floats, Floats]:
 
 
 def eager_epoch(inputs: Floats, targets: Floats, members: int, threads: int) -> None:
-    """An epoch of so many networks, one after the other."""
+    """An epoch of some networks, one after the other."""
     import torch
     from torch import nn
 

@@ -45,7 +45,7 @@ def run() -> list[Result]:
 
 
 def three_methods() -> ValidationCase:
-    """The paper's case with so many of its validation flights as last FLIGHT_S."""
+    """The paper's case with as many of its validation flights as together last FLIGHT_S."""
     own = published_case(methods=("polynomial",))
     polynomial = own.case.models["polynomial"]
     X = np.concatenate([flight.inputs for flight in own.training])
@@ -61,7 +61,7 @@ def three_methods() -> ValidationCase:
 
 
 def seconds(case: ValidationCase, count: int) -> float:
-    """Wall time of so many realisations, the start of the workers included."""
+    """Wall time of a number of realisations, the start of the workers included."""
     start = time.perf_counter()
     run_realisations(case, count, workers=Workers(WORKERS))
     return time.perf_counter() - start

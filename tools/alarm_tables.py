@@ -50,9 +50,9 @@ CONFIDENCE = 0.95
 SCENARIOS = ("training", "validation", "dash")
 # Flights that a model of random flights is identified on, and for the rates a second model of few.
 MANY, FEW = 12, FEWEST_FLIGHTS
-# Models before this one were looked at while limits were set: the table is of others.
+# Models of lower seeds were looked at while limits were set, so the table has others.
 FIRST_SEED = 13
-# In which a state that begins in the air still settles.
+# Time in which the state of a flight that begins in the air settles.
 EARLY_S = 5.0
 # Of each axis the largest speed in m/s, and the frequencies in Hz that it is made of.
 _RANDOM = {"x": (3.5, (0.08, 0.35)), "y": (3.5, (0.08, 0.35)), "height": (1.2, (0.1, 0.4))}
@@ -70,8 +70,8 @@ class Job:
     Attributes:
         work: folder of bags and models.
         data: folder that holds `neurobem`.
-        seeds: how many models of each number of flights are asked for false alarms.
-        flights: unseen ones that each of them is asked about.
+        seeds: number of models of each number of flights whose false alarms are counted.
+        flights: number of unseen flights for each of these models.
         flight_s: duration of a random flight.
         ensembles: judge the width of ensembles as well, which takes their training.
         workers: that simulate, read and replay flights.
@@ -135,7 +135,7 @@ def random_plan(name: str, kind: str, seed: tuple[int, int], duration_s: float) 
 
 
 def model_of(flights: Sequence[PreparedFlight], vehicle: str, method: str = "polynomial") -> AerodynamicModel:
-    """Default settings."""
+    """A model in default settings."""
     pools = load_pools("quadrotor")
     return identify(
         flights,
@@ -249,12 +249,12 @@ def signals(job: Job) -> str:
 
 @dataclass(frozen=True)
 class Counts:
-    """What the alarm said of flights on which it should say nothing.
+    """Alarms on flights on which there should be none.
 
     Attributes:
-        hours: that it judged.
-        alarms: (2,) how often EXTRAPOLATION and MISCOVERAGE were raised.
-        early: how many of these in the first :data:`EARLY_S`.
+        hours: that the alarm judged.
+        alarms: (2,) numbers of alarms of EXTRAPOLATION and MISCOVERAGE.
+        early: those of them in the first :data:`EARLY_S`.
         warned: hours at a warning or an alarm of EXTRAPOLATION.
     """
 
@@ -279,14 +279,14 @@ class Counts:
 
 
 def poisson_interval(count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Expected number that a count is not too rare for, either way (Garwood 1936)."""
+    """Confidence interval of the expected number from a Poisson count (Garwood 1936)."""
     tail = 0.5 * (1.0 - confidence)
     low = 0.5 * float(chi2.ppf(tail, 2 * count)) if count else 0.0
     return low, 0.5 * float(chi2.ppf(1.0 - tail, 2 * count + 2))
 
 
 def count_alarms(replayed: Path) -> Counts:
-    """What the replayed bag of a flight holds.
+    """Alarms in the bag of a replayed flight.
 
     Raises:
         ValueError: if the bag holds no alarm.
@@ -351,7 +351,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     parser.add_argument("--only", choices=TABLES, action="append", help="this table; may be repeated")
     parser.add_argument(
-        "--seeds", type=int, default=4, help="models of each kind that are asked for false alarms"
+        "--seeds", type=int, default=4, help="models of each kind whose false alarms are counted"
     )
     parser.add_argument("--flights", type=int, default=64, help="unseen ones for each of them")
     parser.add_argument("--flight-s", type=float, default=60.0, help="duration of a random flight")

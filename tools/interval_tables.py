@@ -39,7 +39,7 @@ PAGE = ROOT / "docs" / "intervals.md"
 
 
 def coverage(model: AerodynamicModel, flight: PreparedFlight) -> tuple[Array, Array]:
-    """Share (6,) of the samples of a flight inside their interval: smoothed, as `quadpi evaluate`; live."""
+    """Shares (6,) of the samples of a flight inside their interval: on smoothed states, and on live ones."""
     live = flight.judged
     shares = []
     for inputs, wrench in (
@@ -69,7 +69,7 @@ def cases(job: Job) -> Iterator[tuple[str, list[Case]]]:
 
 
 def live(job: Job) -> str:
-    """Coverage of unseen flights per axis, on either states."""
+    """Table of the coverage of unseen flights by axis, on smoothed and on live states."""
     rows = []
     for name, group in cases(job):
         shares = []

@@ -487,7 +487,7 @@ def _damaged_matlab(rng: random.Random) -> bytes:
     seed = rng.choice(_matlab_seeds())
     if rng.random() < 0.5:
         return mutate(rng, seed, _matlab_parts, _matlab_seeds())
-    # As MATLAB writes it: each variable packed, whatever is in it.
+    # As MATLAB writes it: each variable is packed.
     packed = zlib.compress(mutate(rng, seed[128:], _matlab_parts, [seed[128:]]), 1)
     whole = seed[:128] + struct.pack("<II", 15, len(packed)) + packed
     return change_bytes(rng, whole) if rng.random() < 0.2 else whole

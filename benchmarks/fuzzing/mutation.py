@@ -81,7 +81,7 @@ def mutate(rng: random.Random, data: bytes, split: Split | None, others: Sequenc
         rng: source of randomness.
         data: the file.
         split: splits the file into records whose concatenation is the file; None without records.
-        others: files of the same format, pieces of which may be inserted.
+        others: files of the same format, whose pieces may be inserted.
     """
     for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
         if split is not None and rng.random() < 0.6:
