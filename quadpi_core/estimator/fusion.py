@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the sensor streams of a recording to a flight: one grid, the state estimated, one low-pass."""
+"""Turn the sensor streams of a recording into a flight: estimated state, one time grid, one low-pass."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from quadpi_core.signals.resample import (
 )
 from quadpi_core.vehicle import Vehicle
 
-# The rotors carry the vehicle while their thrust exceeds this share of its weight.
+# Share of the weight above which the rotors carry the vehicle.
 _CARRYING_SHARE = 0.5
 
 
@@ -43,25 +43,26 @@ class Estimate(NamedTuple):
 def fuse(
     recording: Recording, vehicle: Vehicle, cutoff_hz: float, segments: Sequence[Segment] | None = None
 ) -> Flight:
-    """Estimate the state, bring every stream to the IMU's nominal grid and low-pass all of it alike.
+    """Estimate the state, resample all streams to the nominal grid of the IMU, and apply one low-pass to all.
 
-    The state comes from the smoother over the EKF's model where the recording has motion capture, else from
-    its odometry, whose biases are taken as zero. The IMU is corrected by the bias estimates of each instant,
-    which wander at the pace of the bias walk in the vehicle file. The flight covers the time in which every
-    stream has samples and the estimator is initialised; wind may be absent (still air), else its first and
-    last sample hold beyond its ends.
+    With motion capture, the state and the IMU biases come from the smoother of the EKF; without it, the state
+    comes from the recorded odometry and the biases are taken as zero. The estimated biases vary over time as
+    a random walk whose intensity is in the vehicle file; they are subtracted from the IMU samples.
+
+    The flight covers the time in which all streams have samples and the estimator is initialised. Wind is
+    optional: still air without it, and its first and last sample hold before and after its stream.
 
     Args:
-        recording: checked streams.
-        vehicle: for sensor noise and gravity.
-        cutoff_hz: of the fourth-order Butterworth low-pass, run both ways
-            (see :func:`quadpi_core.signals.filters.zero_phase`).
-        segments: what the filter did over the recording, where it has run already.
+        recording: with the streams that :func:`require_streams` asks for.
+        vehicle: gives sensor noise and gravity.
+        cutoff_hz: of the fourth-order Butterworth low-pass, applied forward and backward
+            (:func:`quadpi_core.signals.filters.zero_phase`).
+        segments: record of the EKF over this recording, if it has run already.
 
     Raises:
-        LogError: naming the topic that is missing or pauses for more than 0.1 s, or if the streams share too
-            little time.
-        SignalError: if the estimator never starts, or the cut-off is impossible.
+        LogError: naming the topic that is missing or pauses for more than 0.1 s, or if the streams do not
+            overlap in time.
+        SignalError: if the estimator never starts, or the cut-off is not below half the sample rate.
     """
     imu, rotor_speeds = recording.imu, require_streams(recording)
     estimate = _estimate(recording, vehicle, segments)
@@ -106,7 +107,7 @@ def fuse(
 
 
 def require_streams(recording: Recording) -> RotorSpeedStream:
-    """The rotor speeds of a recording that has the streams that :func:`fuse` needs.
+    """Check that a recording has the streams that :func:`fuse` needs, and return its rotor speeds.
 
     Raises:
         LogError: naming the topic that is missing or pauses for more than 0.1 s.
@@ -127,15 +128,16 @@ def require_streams(recording: Recording) -> RotorSpeedStream:
 def fuse_airborne(
     recording: Recording, vehicle: Vehicle, cutoff_hz: float, segments: Sequence[Segment] | None = None
 ) -> Flight:
-    """The part of a flight in the air: :func:`fuse`, then :func:`airborne`, and what they raise."""
+    """:func:`fuse`, then :func:`airborne`: the part of a flight in the air; raises what they raise."""
     return airborne(fuse(recording, vehicle, cutoff_hz, segments), vehicle.gravity_m_s2)
 
 
 def airborne(flight: Flight, gravity: float) -> Flight:
-    """The flight from lift-off to touch-down: on the ground the wrench is not aerodynamic.
+    """The flight from lift-off to touch-down; on the ground the wrench is not aerodynamic.
 
-    Thrust is taken as the multiple of Σω² that fits the specific force over the whole flight, so that neither
-    hover before a fast flight nor a long wait on the ground shifts the bound.
+    The rotors carry the vehicle while k Σω² exceeds half of its weight. The coefficient k is fitted to the
+    specific force of the whole flight, so neither a hover before a fast flight nor a long time on the ground
+    shifts the threshold.
 
     Raises:
         LogError: naming the file, if the rotors never carry the vehicle.
@@ -169,7 +171,7 @@ def _estimate(recording: Recording, vehicle: Vehicle, segments: Sequence[Segment
 
 
 def _wind(wind: WindStream | None, grid: Stamps) -> Array:
-    """Wind (M, 3) m/s on the grid; it changes slowly, so gaps are interpolated however long."""
+    """Wind (M, 3) m/s on the grid, interpolated across gaps of any length, as it changes slowly."""
     if wind is None:
         return np.zeros((len(grid), 3))
     return interpolate(wind.time_ns, wind.velocity, grid, np.iinfo(np.int64).max).values

@@ -54,6 +54,8 @@ class Payloads:
     @classmethod
     def concatenate(cls, parts: Sequence[Payloads]) -> Payloads:
         """The messages of all parts, in order."""
+        if len(parts) == 1:
+            return parts[0]
         sizes = [len(part.data) for part in parts]
         offsets = np.cumsum(sizes) - sizes
         return cls(

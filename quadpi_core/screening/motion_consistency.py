@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether IMU and state agree on the motion; if not, which mistake in frames, axes, units or clocks it is.
+"""Find mistakes in frames, axes, units or clocks from the disagreement of IMU and state about the motion.
 
-Two innovations are compared, as in a filter but without its tuning: the change of the attitude with the
-integral of the gyro, and the acceleration of the position with the specific force in the world. Each known
-mistake is a hypothesis: a change of the excerpt that reverses it. The hypothesis that lowers the innovations
-most is named, if it does so by a margin.
+Two innovations measure the disagreement, as in a filter but without its tuning: the change of attitude minus
+the integral of the gyro, and the acceleration of the position minus the specific force in the world. Each
+known mistake is a hypothesis with a transformation of the data that reverses it. The mistake reported is the
+hypothesis that reduces the innovations most, provided that it does so by a margin.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from quadpi_core.screening.excerpt import Excerpt
 
 # The gyro is integrated over TURN_S; the position is differentiated twice over 2 FALL_S.
 TURN_S, FALL_S = 0.1, 0.2
-# Innovations of flights without mistakes, the unit of the cost.
+# Innovations of flights without mistakes: the units of the cost.
 TURN_RAD_S, FALL_M_S2 = 0.1, 0.3
 _SHARE_OF_MOTION = 0.1
-# The largest innovations are left out: crashes, and state estimates that jump.
+# Share of the innovations that count, the smallest: crashes and jumps of the state estimate are left out.
 _KEPT_SHARE = 0.9
-# Factors of units and clocks that are tried: from 1/1000 to 1000, then around the best.
+# Scale factors of units and clocks that are tried: from 1/1000 to 1000, then finely around the best.
 _FACTORS = np.geomspace(1e-3, 1e3, 121)
 _FINE_FACTORS = np.geomspace(0.93, 1.07, 29)
-# The cost at the best factor over that of a state that does not move: a true factor of
-# the bundled flights leaves at most 0.1, positions with 0.3 m of noise leave 0.68 and more.
+# A scale factor counts if its cost is below this share of the cost of a state that does not move. With the
+# true factor the bundled flights have at most 0.1; positions with 0.3 m of noise have at least 0.68.
 _WORTH_SHARE = 0.5
-# A larger factor leaves no flight dynamics in windows of this length; such stamps are refused elsewhere.
+# With a larger factor, windows of this length hold no flight dynamics; such stamps are refused elsewhere.
 _LARGEST_CLOCK_FACTOR = 3.0
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([1.0, -1.0, -1.0])
@@ -53,14 +53,14 @@ _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 @dataclass(frozen=True)
 class Innovation:
-    """M innovations of both kinds, as measured and expected values.
+    """M pairs of measured and expected values whose differences are the innovations.
 
     Attributes:
-        turned: (M, 3) rad/s, turn rate of the gyro, body axes.
-        turned_attitude: (M, 3) rad/s, turn rate of the attitude.
-        force: (M, 3) m/s², specific force in the world, weighted over 2 FALL_S.
-        needed: (M, 3) m/s², the acceleration of the position over the same, less gravity.
-        attitude: (M, 4) in the middle of each.
+        turned: (M, 3) rad/s, mean turn rate by the gyro, body axes.
+        turned_attitude: (M, 3) rad/s, mean turn rate by the attitude, body axes.
+        force: (M, 3) m/s², weighted mean over 2 FALL_S of the specific force in the world.
+        needed: (M, 3) m/s², acceleration of the position over the same time, minus gravity.
+        attitude: (M, 4) in the middle of that time.
     """
 
     turned: Array
@@ -71,17 +71,17 @@ class Innovation:
 
     @property
     def turn_rad_s(self) -> float:
-        """Size of the innovation of the attitude."""
+        """Root mean square innovation of the attitude [rad/s]."""
         return _size(self.turned - self.turned_attitude)
 
     @property
     def fall_m_s2(self) -> float:
-        """Size of the innovation of the acceleration."""
+        """Root mean square innovation of the acceleration [m/s²]."""
         return _size(self.force - self.needed)
 
     @property
     def motion(self) -> tuple[float, float]:
-        """Sizes of the turn rate of the gyro and of the variation of the specific force."""
+        """Root mean square of the gyro's turn rate, and of the specific force about its mean."""
         return _size(self.turned), _size(self.force - np.mean(self.force, axis=0))
 
 
@@ -91,11 +91,11 @@ class Hypothesis:
 
     Attributes:
         name: short, for programs.
-        undo: gives the excerpt without the mistake.
-        looks: description of the data.
-        remedy: change that the user can make.
-        gyro: (3, 3) its effect on the rates of the IMU, if the mistake may be the IMU's.
-        angle_deg, scale: size of the mistake, where it is estimated.
+        undo: returns the excerpt with the mistake reversed.
+        looks: what the data look like, for a message.
+        remedy: what the user can change, for a message.
+        gyro: (3, 3) transformation of the rates that reverses it, if the mistake may lie in the IMU.
+        angle_deg, scale: size of the mistake, if it is estimated.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Hypothesis:
 
 
 def innovation(sample: Excerpt) -> Innovation:
-    """The innovations of an excerpt, about twenty per second."""
+    """Innovations of an excerpt, about twenty per second."""
     cells = sample.rates.shape[1]
     span, half = round(TURN_S / sample.step_s), round(FALL_S / sample.step_s)
     stride = max(1, span // 2)
@@ -143,14 +143,14 @@ def innovation(sample: Excerpt) -> Innovation:
 
 
 def cost(found: Innovation, motion: tuple[float, float]) -> float:
-    """Squared innovations in units of those without mistakes; `motion` is that of the data as read."""
+    """Sum of the squared innovations in units of those of correct data; `motion` is of the data as read."""
     turn = found.turn_rad_s / (TURN_RAD_S + _SHARE_OF_MOTION * motion[0])
     fall = found.fall_m_s2 / (FALL_M_S2 + _SHARE_OF_MOTION * motion[1])
     return turn**2 + fall**2
 
 
 def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
-    """All known mistakes, simple ones first; `found` are the innovations of the data as read."""
+    """All known mistakes, the simplest first; `found` holds the innovations of the data as read."""
     topic = sample.topic
     yield Hypothesis(
         "attitude conjugated",
@@ -300,9 +300,9 @@ def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
 
 
 def _best_scale(found: Innovation, scales: Callable[[float], tuple[float, float]]) -> float:
-    """The factor s of the smallest cost, if `scales(s)` multiply turns of the attitude and accelerations.
+    """The factor s of the smallest cost when `scales(s)` multiply turn rates and accelerations of the state.
 
-    1 where a state that does not move at all would do nearly as well.
+    1 if a state that does not move at all would fit nearly as well.
     """
     motion, gravity = found.motion, STANDARD_GRAVITY * _UP
     accelerations = found.needed + gravity
@@ -316,18 +316,18 @@ def _best_scale(found: Innovation, scales: Callable[[float], tuple[float, float]
 
     coarse = min(_FACTORS, key=cost_of)
     best = float(min(coarse * _FINE_FACTORS, key=cost_of))
-    # The smallest factor makes any noise vanish: a factor counts only if it is much better than no motion.
+    # A factor near 0 suppresses any noise, so the best one must fit much better than no motion.
     return best if cost_of(best) < _WORTH_SHARE * cost_of(0.0) else 1.0
 
 
 def _size(differences: Array) -> float:
-    """Root mean square of the norms of (M, 3), the largest left out."""
+    """Root mean square norm of vectors (M, 3), without the largest."""
     squares = np.sort(np.sum(differences**2, axis=1))
     return float(np.sqrt(np.mean(squares[: max(1, round(_KEPT_SHARE * len(squares)))])))
 
 
 def _body_rotation(found: Innovation) -> Array:
-    """Rotation (3, 3) that takes vectors in the state's body axes into the IMU's, by both innovations."""
+    """Rotation (3, 3) from the body axes of the state to those of the IMU that fits both innovations best."""
     to_body = inverses(found.attitude)
     force, needed = (rotate_body_to_world(to_body, values) for values in (found.force, found.needed))
     of = np.concatenate((found.turned / TURN_RAD_S, force / FALL_M_S2))
@@ -377,7 +377,7 @@ def _of_world(sample: Excerpt, attitude: Array, position: Array) -> Excerpt:
 
 
 def _signed_permutations() -> Iterator[Array]:
-    """All 47 relabellings and reversals of axes but the one that changes nothing, few changes first."""
+    """The 47 permutations and reversals of axes other than the identity, those with few changes first."""
     matrices = [
         np.diag(signs)[:, list(order)]
         for order in permutations(range(3))
@@ -387,7 +387,7 @@ def _signed_permutations() -> Iterator[Array]:
 
 
 def _axes(matrix: Array) -> str:
-    """What x, y, z become, such as `y, x, -z`."""
+    """The axes that x, y and z become, such as `y, x, -z`."""
     rows = []
     for row in matrix:
         column = int(np.argmax(np.abs(row)))
@@ -396,7 +396,7 @@ def _axes(matrix: Array) -> str:
 
 
 def _continuous_rows(attitude: Array) -> Array:
-    """Every window (W, K + 1, 4) of the sign that makes it continuous."""
+    """Quaternions (W, K + 1, 4) with signs that make each window continuous."""
     opposite = np.sum(attitude[:, 1:] * attitude[:, :-1], axis=2) < 0.0
     signs = np.cumprod(np.where(opposite, -1.0, 1.0), axis=1)
     return np.concatenate((attitude[:, :1], attitude[:, 1:] * signs[..., np.newaxis]), axis=1)
