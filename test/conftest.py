@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import os
 import re
 import subprocess
@@ -32,6 +32,8 @@ settings.register_profile("same", derandomize=True, database=None)
 settings.load_profile("same")
 
 ROOT = Path(__file__).parents[1]
+ROS_IS_HERE = all(importlib.util.find_spec(name) for name in ("rclpy", "domain_coordinator", "quadpi"))
+collect_ignore_glob = [] if ROS_IS_HERE else ["ros/*"]
 POOL = """
 Fx: {fixed: [u], candidates: ["P^2(u, |v|, w)"]}
 Fz: {fixed: [w], candidates: ["P^2(omega_avg)"]}
@@ -50,6 +52,10 @@ sys.meta_path.insert(0, NotInstalled())
 TORQUE_PER_THRUST_M = 0.015
 IMU_HZ, IMU_SAMPLES_PER_POSE = 400.0, 4
 GYRO_NOISE, ACCELEROMETER_NOISE, ROTOR_NOISE, POSITION_NOISE = 0.01, 0.1, 2.0, 0.002
+
+
+def pytest_report_header() -> str | None:
+    return None if ROS_IS_HERE else "test/ros is left out: ROS 2 is not installed, or quadpi's messages"
 
 
 @pytest.fixture(scope="session")

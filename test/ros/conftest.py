@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
     from .rig import Rig
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-domain_coordinator = pytest.importorskip("domain_coordinator", reason="ROS 2 is not installed")
-
 VEHICLE = "neurobem"
 START_NS = 1_700_000_000_000_000_000
 DURATION_S = 3.0
@@ -42,6 +39,8 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 @pytest.fixture(scope="session")
 def ros_domain() -> Iterator[int]:
     """Reserve a ROS domain for the whole run; nodes in other processes inherit it."""
+    import domain_coordinator
+
     with pytest.MonkeyPatch.context() as patch, domain_coordinator.domain_id() as domain:
         patch.setenv("ROS_DOMAIN_ID", str(domain))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -51,6 +50,8 @@ def ros_domain() -> Iterator[int]:
 @pytest.fixture
 def ros(ros_domain: int) -> Iterator[None]:
     """Initialise rclpy for one test and shut it down after it."""
+    import rclpy
+
     rclpy.init(domain_id=ros_domain)
     yield
     rclpy.try_shutdown()

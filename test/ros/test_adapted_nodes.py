@@ -20,8 +20,6 @@ import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
-
 from quadpi_core.flight import ImuStream, Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_outputs, write_bag

@@ -7,8 +7,6 @@ from __future__ import annotations
 import threading
 
 import pytest
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.executors import SingleThreadedExecutor

@@ -14,8 +14,6 @@ import pytest
 import scipy.io
 from rich.console import Console
 
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
-
 from quadpi_ros.demo import run_demo
 
 # When the bundled flight `extrapolation` passes the range of its training by a tenth, at 7 m/s.

@@ -7,9 +7,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
-
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from quadpi_core.flight import Recording

@@ -20,8 +20,6 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from diagnostic_msgs.msg import DiagnosticArray
 from quadpi.msg import WrenchPrediction
 

@@ -13,6 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from quadpi.msg import ExtrapolationAlarm
+from quadpi.srv import LoadModel
+from rclpy.serialization import deserialize_message
 
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages import sensor_messages
@@ -22,14 +26,6 @@ from quadpi_core.paths import bags_directory
 from quadpi_core.results import BAD_DATA
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
-
-from diagnostic_msgs.msg import DiagnosticStatus
-from quadpi.msg import ExtrapolationAlarm
-from quadpi.srv import LoadModel
-from rclpy.serialization import deserialize_message
-
 from quadpi_ros.live_session import run_session
 from quadpi_ros.processes import Child
 from test.faults.onboard import Onboard, sent_by, spoilt

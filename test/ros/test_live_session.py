@@ -24,9 +24,6 @@ from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import config_directory
 from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.vehicle import Vehicle
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
-
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.live_session import SessionResult, run_session
 from quadpi_ros.player import START_TIMEOUT_S, PlayerError

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 import yaml
 
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 import rclpy
 from nav_msgs.msg import Odometry

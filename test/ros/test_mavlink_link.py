@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_ros import mavlink_link

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState

@@ -14,8 +14,6 @@ from typing import Any
 
 import pytest
 import yaml
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from quadpi_core.errors import ModelError

@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
 import rclpy
+import yaml
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
-
 from quadpi_core.paths import bags_directory
 from quadpi_ros.player import PlayerError, live_inputs
 

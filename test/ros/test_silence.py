@@ -10,9 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("quadpi.msg", reason="the quadpi messages are not built")
-
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from quadpi_core.flight import Recording
