@@ -89,3 +89,25 @@ def test_every_candidate_has_its_reason(page_file, read_page, found):
     assert "accepted" in shown
     assert shown.count("rejected") <= 3
     assert judgements[0].label in shown
+
+
+def test_a_gap_hardly_above_the_floor_has_no_closed_share(found, rendered):
+    floor = np.ones(6)
+    before = np.sqrt([1.04, 1.06, 2.0, 2.0, 2.0, 2.0])
+    after = np.sqrt([1.0, 1.03, 1.0, 2.0, 0.9, 1.25])
+    gap = found.discovery.gap._replace(before=before, after=after, floor=floor)
+    shown = rendered(discrepancy_summary(replace(found, discovery=replace(found.discovery, gap=gap))))
+    rows = {
+        line.split()[0]: line.split()[5:]
+        for line in shown.splitlines()
+        if line.split()[1:2] in (["N"], ["Nm"])
+    }
+    closed = {axis: " ".join(cells) for axis, cells in rows.items()}
+    assert closed == {
+        "Fx": "–",
+        "Fy": "50.0 %",
+        "Fz": "100.0 %",
+        "Mx": "0.0 %",
+        "My": "100.0 %",
+        "Mz": "75.0 %",
+    }
