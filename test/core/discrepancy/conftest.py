@@ -44,3 +44,9 @@ def flown(plans):
         return flights
 
     return fly
+
+
+@pytest.fixture(scope="session")
+def flight(flown):
+    """A flight of the Bebop 2 without effects."""
+    return flown()[0]
