@@ -97,18 +97,16 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
     def _motion_capture(self, adapted: AdaptedSources) -> tuple[Source, Callable[[Any], None]]:
         """The motion capture of the parameter `mocap_topic`, and the method that takes its samples."""
-        topic = self.parameters.mocap_topic
-        if topic == "mocap/pose":
-            pose = IncomingMessage(sensor_messages.POSE_SAMPLES, self._body.world, self._body)
-            return Source(PoseStamped, topic, pose), self._take_pose
-        if topic == "mocap/odometry":
-            odometry = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, self._body.world, self._body)
-            return Source(Odometry, topic, odometry), self._take_odometry
-        if topic == "mocap/twist":
-            kind = sensor_messages.twist_samples(self.parameters.body_frame)
-            twist = IncomingMessage(kind, self._body.world, self._body)
-            return Source(TwistStamped, topic, twist), self._take_twist
-        return adapted.named(topic), self._take_pose
+        topic, body_frame = self.parameters.mocap_topic, self.parameters.body_frame
+        standard: dict[str, tuple[type, sensor_messages.SampleKind[Any], Callable[[Any], None]]] = {
+            "mocap/pose": (PoseStamped, sensor_messages.POSE_SAMPLES, self._take_pose),
+            "mocap/odometry": (Odometry, sensor_messages.ODOMETRY_SAMPLES, self._take_odometry),
+            "mocap/twist": (TwistStamped, sensor_messages.twist_samples(body_frame), self._take_twist),
+        }
+        if topic not in standard:
+            return adapted.named(topic), self._take_pose
+        message_type, kind, take = standard[topic]
+        return Source(message_type, topic, IncomingMessage(kind, self._body.world, self._body)), take
 
     def problem(self) -> str | None:
         """As the base class, and why samples arrive but give no state."""
