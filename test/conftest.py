@@ -58,6 +58,19 @@ def pytest_report_header() -> str | None:
     return None if ROS_IS_HERE else "test/ros is left out: ROS 2 is not installed, or quadpi's messages"
 
 
+@pytest.fixture
+def package_of_ones_own() -> Iterator[None]:
+    """Import `my_package`, as the guides name a user's package, from where the test has it."""
+
+    def forget() -> None:
+        for name in [name for name in sys.modules if name.partition(".")[0] == "my_package"]:
+            del sys.modules[name]
+
+    forget()
+    yield
+    forget()
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real flights; the test skips where it is absent."""

@@ -151,11 +151,15 @@ def _further(text: str) -> frozenset[str]:
 
 def _foreign(folder: Path, further: frozenset[str]) -> str | None:
     """Name of something in a folder that is not part of a model."""
+    return min(_names(folder) - {MODEL_FILE, ARRAYS_FILE} - further, default=None)
+
+
+def _names(folder: Path) -> set[str]:
+    """What lies in a folder; nothing where there is none, as for a moment while it is replaced."""
     try:
-        names = sorted({path.name for path in folder.iterdir()} - {MODEL_FILE, ARRAYS_FILE} - further)
+        return {path.name for path in folder.iterdir()}
     except OSError:
-        return None
-    return names[0] if names else None
+        return set()
 
 
 def _read_files(folder: Path) -> tuple[str, bytes, dict[str, bytes]]:
@@ -170,7 +174,7 @@ def _read_files(folder: Path) -> tuple[str, bytes, dict[str, bytes]]:
                 raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
             array_bytes = _read(folder / ARRAYS_FILE)
             # Only what lies in the folder: a declared name may lead out of it.
-            files = {path.name: _read(path) for path in sorted(folder.iterdir()) if path.name in further}
+            files = {name: _read(folder / name) for name in sorted(_names(folder) & further)}
         except ModelError:
             if _number(folder) == before and before is not None:
                 raise

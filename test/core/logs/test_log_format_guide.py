@@ -136,6 +136,7 @@ def announce(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(folder)
 
 
+@pytest.mark.usefixtures("package_of_ones_own")
 def test_a_package_of_ones_own_announces_a_format(fly, tmp_path, monkeypatch):
     announce(tmp_path, "text_log", monkeypatch)
     package = tmp_path / "my_package"
@@ -148,6 +149,7 @@ def test_a_package_of_ones_own_announces_a_format(fly, tmp_path, monkeypatch):
     assert len(read_recording(path, Vehicle.load("neurobem")).imu) == len(fly(0).imu)
 
 
+@pytest.mark.usefixtures("package_of_ones_own")
 def test_a_package_that_cannot_be_loaded_is_one_line(tmp_path, monkeypatch, quadpi):
     announce(tmp_path, "absent_log", monkeypatch)
     (tmp_path / "flight.txt").write_text("FMT, 128, 89\n")

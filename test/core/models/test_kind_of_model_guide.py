@@ -31,13 +31,13 @@ GROUP, ENTRY = re.search(
 ).groups()
 
 
+pytestmark = pytest.mark.usefixtures("package_of_ones_own")
+
+
 @pytest.fixture(autouse=True)
-def forget_modules() -> Iterator[None]:
-    before = set(sys.modules)
+def forget_kind() -> Iterator[None]:
     yield
-    for name in set(sys.modules) - before:
-        if name.endswith(".ridge") or name == "my_package":
-            del sys.modules[name]
+    sys.modules.pop(f"{kinds.__name__}.ridge", None)
 
 
 @pytest.fixture
