@@ -181,7 +181,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         if self.listener:
             self.listener.take_estimate(sample)
         fill_odometry(sample.rows, self._odometry.values)
-        self._publish(self._odometry.stamped(time_ns))
+        self._publish(self._odometry.stamped(int(sample.time_ns[0])))
 
     def _take_pose(self, pose: PoseStream) -> None:
         self._consistency.take_copy(pose)

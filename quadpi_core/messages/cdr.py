@@ -30,7 +30,8 @@ ORIGIN = len(_ENCAPSULATION)
 STAMP = struct.Struct("<iI")
 NANOSECONDS = 1_000_000_000
 _MICROSECOND = 1_000
-_LAST_US = np.iinfo(np.int64).max // _MICROSECOND
+# The seconds of a stamp in a message are int32.
+_LAST_US = ((np.iinfo(np.int32).max + 1) * NANOSECONDS - 1) // _MICROSECOND
 _DOUBLE = "<f8"
 _DOUBLE_BYTES = 8
 _PADDING_MAX = 3
@@ -425,7 +426,7 @@ def microsecond_stamps(microseconds: npt.NDArray[np.uint64]) -> Stamps:
     """Stamps (N,) of a clock that counts microseconds.
 
     Raises:
-        SampleError: naming the sample, for a stamp that nanoseconds cannot hold.
+        SampleError: naming the sample, for a stamp that no message can hold.
     """
     _check_stamps(microseconds <= _LAST_US, microseconds, "µs")
     return microseconds.astype(np.int64) * _MICROSECOND

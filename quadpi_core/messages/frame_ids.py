@@ -232,6 +232,7 @@ class Framed(Generic[Content]):
         self._unpack = unpack
         self._judge = judge
         self._texts = texts
+        self._mounting: Mounting | None = None
 
     def __call__(self, payloads: Payloads) -> Content:
         """The samples.
@@ -247,10 +248,11 @@ class Framed(Generic[Content]):
                 mounting = self._judge(names)
             except FrameRefusedError as refused:
                 raise SampleError(run.start, str(refused)) from refused
-            if mounting is not None:
+            self._mounting = mounting and mounting.or_same(self._mounting)
+            if self._mounting is not None:
                 assert isinstance(content, ImuStream)
                 rates, force = content.angular_velocity[run], content.specific_force[run]
-                mounting.move(content.time_ns[run], rates, force)
+                self._mounting.move(content.time_ns[run], rates, force)
         return content
 
     def _runs(self, payloads: Payloads) -> Iterator[slice]:

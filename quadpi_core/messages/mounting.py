@@ -48,6 +48,13 @@ class Mounting:
         """Change rates (N, 3) rad/s and specific force (N, 3) m/s² to those of the body, in place."""
         _move(self.rotation, self.arm, self._before_ns, self._before, time_ns, rates, force)
 
+    def or_same(self, before: Mounting | None) -> Mounting:
+        """The mounting before if it is the same, as it knows the sample before; else this one."""
+        if before is None:
+            return self
+        same = np.array_equal(before.rotation, self.rotation) and np.array_equal(before.arm, self.arm)
+        return before if same else self
+
 
 @njit(cache=True)
 def _move(rotation: Any, arm: Any, before_ns: Any, before: Any, time_ns: Any, rates: Any, force: Any) -> None:

@@ -51,6 +51,8 @@ class IncomingMessage(Generic[SomeStream]):
         self._size = self._end = 0
         self._known = b""
         self._mounting: Mounting | None = None
+        # Compiled now, not when the first message waits for it.
+        kind.fill(kind.no_values, kind.room(np.empty(0, dtype=np.int64), ("",) * kind.texts))
 
     def __call__(self, payload: bytes) -> SomeStream:
         """The sample in a message; the next message overwrites it.
@@ -82,15 +84,17 @@ class IncomingMessage(Generic[SomeStream]):
         """Prepare for messages of this length and these frames."""
         self._judged_at = -1
         layout = codec(self._kind.type_name).layout_of(payload, 0)
-        names, _ = names_of(payload, self._kind.texts)
+        names, self._end = names_of(payload, self._kind.texts)
         try:
-            self._mounting = self._judge(names)
+            mounting = self._judge(names)
         except FrameRefusedError as refused:
             raise SampleError(0, str(refused)) from refused
+        self._mounting = mounting and mounting.or_same(self._mounting)
         buffer, self._values = _buffer(len(payload), layout.doubles)
         self._memory = buffer.data
         self._stream = self._kind.room(np.zeros(1, dtype=np.int64), names)
-        self._size, self._end = len(payload), layout.doubles.start
+        self._size = len(payload)
+        # Without the padding behind the names, which writers leave as it happens to be.
         self._known = payload[_TEXTS : self._end]
         self._judged_at = self._transforms.changes
 

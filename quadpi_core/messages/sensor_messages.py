@@ -105,6 +105,11 @@ class SampleKind(Generic[SomeStream]):
     fill: Callable[[Array, SomeStream], None]
     texts: int = 1
 
+    @property
+    def no_values(self) -> Array:
+        """The float64 fields (0, K) of no message."""
+        return codec(self.type_name).decode_stamped(Payloads.join([]))[1]
+
     def unpack(self, payloads: Payloads | bytes) -> SomeStream:
         """The samples of N messages whose frames do not matter."""
         time_ns, values = codec(self.type_name).decode_stamped(payloads)
@@ -191,6 +196,8 @@ def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
         convert = body_values if twist.in_body.all() else world_values
         convert(values, twist.velocity)
 
+    # That of the body is compiled with the first stream, this one now.
+    world_values(np.empty((0, 6)), np.empty((0, 3)))
     return SampleKind(TWIST, room, fill)
 
 

@@ -24,6 +24,9 @@ STRETCHES = 3
 # Root mean square of the turn rate above which the vehicle moves. A gyro at rest has 0.01, the calmest real
 # flights have 0.2.
 MOVES_RAD_S = 0.1
+# Arrays of samples that a topic beside the IMU may send within a stretch: 1 kHz, more than motion capture or
+# speed controllers send. More come where the IMU has fallen silent; they are not kept.
+ARRAYS_MAX = 15_000
 
 _FIELDS = {kind: name for name, kind in STREAM_KINDS.items()}
 
@@ -57,12 +60,15 @@ class FirstSeconds:
 
         Returns:
             The stretch, once it is complete, if the vehicle moved in it. Samples that are not finite, or
-            whose stamps do not increase, are left out.
+            whose stamps do not increase, are left out, and those of other topics before the first of the IMU.
         """
         if self.complete:
             return None
-        self._kept.setdefault(kind, []).append(columns)
-        return self._advance(int(columns[0][-1])) if kind in (ImuStream, None) else None
+        is_imu = kind in (ImuStream, None)
+        kept = self._kept.setdefault(kind, [])
+        if is_imu or (self._start_ns is not None and len(kept) < ARRAYS_MAX):
+            kept.append(columns)
+        return self._advance(int(columns[0][-1])) if is_imu else None
 
     def _advance(self, time_ns: int) -> Recording | None:
         """Advance to the stamp of an IMU sample; the stretch that it completes, if the vehicle moved."""
@@ -74,7 +80,9 @@ class FirstSeconds:
         if self._start_ns is None or time_ns - self._start_ns < STRETCH_S * 1e9:
             return None
         kept, self._kept, self._start_ns = self._kept, {}, None
-        joined = {kind: list(map(np.concatenate, zip(*parts, strict=True))) for kind, parts in kept.items()}
+        joined = {
+            kind: list(map(np.concatenate, zip(*parts, strict=True))) for kind, parts in kept.items() if parts
+        }
         if None in joined:
             stamps, values = joined.pop(None)
             joined[ImuStream] = [stamps, values[:, RATES], values[:, SPECIFIC_FORCE]]

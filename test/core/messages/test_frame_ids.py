@@ -147,6 +147,23 @@ def test_strict_refuses_what_nothing_is_known_of() -> None:
     assert unpack(foreign).specific_force[0, 0] == pytest.approx(-imu(1).specific_force[0, 0], abs=1.0)
 
 
+@pytest.mark.parametrize("blocks", [1, 3, 50])
+def test_a_displaced_imu_gives_the_same_samples_in_any_blocks(blocks: int) -> None:
+    """The derivative of its rates continues from block to block, and when other transforms come."""
+    stream, frames = imu(), BodyFrames()
+    payloads = sensor_messages.pack_imu(stream, "imu_link")
+    frames.transforms.take(transforms(("base_link", "imu_link", BACKWARD, PLACE)))
+    whole = Framed(sensor_messages.unpack_imu, frames.imu)(payloads).specific_force
+    in_blocks = Framed(sensor_messages.unpack_imu, frames.imu)
+    live = IncomingMessage(sensor_messages.IMU_SAMPLES, frames.imu, frames)
+    for rows in np.array_split(np.arange(len(stream)), blocks):
+        part = in_blocks(Payloads.join([payloads[int(row)] for row in rows]))
+        np.testing.assert_array_equal(part.specific_force, whole[rows])
+        frames.transforms.take(transforms(("base_link", "camera", BACKWARD, PLACE)))
+        for row in rows:
+            np.testing.assert_array_equal(live(payloads[int(row)]).specific_force[0], whole[row])
+
+
 def test_live_waits_a_moment_for_a_transform_then_goes_on_without() -> None:
     told: list[str] = []
     frames = BodyFrames("base_link", patience_s=0.05, warn=told.append)

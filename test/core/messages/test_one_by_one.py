@@ -128,6 +128,17 @@ def test_a_length_or_a_frame_may_change_at_any_message() -> None:
         np.testing.assert_array_equal(imu.specific_force[0], IMU.specific_force[2])
 
 
+def test_padding_behind_the_names_changes_nothing() -> None:
+    """Writers leave its bytes as they happen to be."""
+    messages = list(sensor_messages.pack_imu(IMU, "imu_link"))
+    place = messages[0].index(b"imu_link") + len("imu_link") + 1
+    judged: list[tuple[str, ...]] = []
+    read = IncomingMessage(sensor_messages.IMU_SAMPLES, judged.append)
+    for byte, message in enumerate(messages):
+        read(message[:place] + bytes([byte]) + message[place + 1 :])
+    assert judged == [("imu_link",)]
+
+
 def test_a_message_is_written_as_in_a_block() -> None:
     columns = [np.random.default_rng(2).normal(size=(N, 6)) for _ in range(5)]
     predictions = Predictions(IMU.time_ns, *columns)

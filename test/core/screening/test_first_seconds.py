@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.flight import ImuStream, Recording, Stream
+from quadpi_core.flight import ImuStream, PoseStream, Recording, Stream
 from quadpi_core.logs import read_recording
 from quadpi_core.paths import bags_directory
 from quadpi_core.screening.first_seconds import (
+    ARRAYS_MAX,
     MOVES_RAD_S,
     STRETCH_S,
     STRETCHES,
@@ -69,7 +70,29 @@ def test_a_stretch_holds_the_samples_that_came(flown: Recording) -> None:
     assert STRETCH_S <= span_s < STRETCH_S + 0.1
     for name in ("imu", "pose", "rotor_speeds"):
         part, whole = getattr(stretch, name), getattr(flown, name)
-        np.testing.assert_array_equal(part.time_ns, whole.time_ns[: len(part)])
+        # All since the first block of the IMU, which comes last of its block.
+        start = np.searchsorted(whole.time_ns, part.time_ns[0])
+        assert part.time_ns[0] - stretch.imu.time_ns[0] <= 0.03e9
+        np.testing.assert_array_equal(part.time_ns, whole.time_ns[start : start + len(part)])
+
+
+def test_a_silent_imu_lets_nothing_pile_up() -> None:
+    """Neither before its first sample nor within a stretch."""
+    kept, moving, still_ = FirstSeconds("test"), np.ones((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
+
+    def stamp(time_s: float) -> np.ndarray:
+        return np.array([int(1e9 * time_s)])
+
+    for k in range(10):
+        assert kept.take(PoseStream, stamp(0.001 * k), moving, still_) is None
+    kept.take(ImuStream, stamp(1.0), moving, moving)
+    for k in range(ARRAYS_MAX + 10):
+        kept.take(PoseStream, stamp(1.0 + 0.0001 * k), moving, still_)
+    stretch = kept.take(ImuStream, stamp(1.0 + STRETCH_S), moving, moving)
+    assert stretch is not None
+    assert stretch.pose is not None
+    assert len(stretch.pose) == ARRAYS_MAX == 15_000
+    assert stretch.pose.time_ns[0] == stamp(1.0)
 
 
 @pytest.mark.parametrize("bag", ["train_1", "train_3", "extrapolation"])
