@@ -65,7 +65,7 @@ def ignore_progress(_: Progress) -> None:
 
 @dataclass(frozen=True)
 class Workers:
-    """Where independent tasks run, and who is told how many of them are finished.
+    """Where independent tasks run, and where their progress is reported.
 
     Attributes:
         count: processes on this machine; one means this process. Default: one per core, but for fewer than
@@ -87,7 +87,7 @@ class Workers:
         shared: Shared,
         done: Callable[[int, Result], None] = lambda _index, _result: None,
     ) -> list[Result]:
-        """Results of `function(shared, item)`, in the order of the items whatever does the work.
+        """Results of `function(shared, item)`, in the order of the items, wherever they run.
 
         Args:
             function: of a module, by whose name a worker finds it.

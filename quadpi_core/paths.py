@@ -48,7 +48,7 @@ def whole_output(path: Path) -> Iterator[Path]:
     """Give a temporary path in the target's folder that replaces `path` once the block succeeds.
 
     Works for a file or a folder, but no file replaces a folder, and nothing a device or pipe. On an exception
-    the temporary one is removed and whatever stood at `path` before stays as it was.
+    the temporary one is removed and what was at `path` before stays as it was.
 
     Raises:
         OutputError: if `path` cannot be written.
