@@ -65,9 +65,8 @@ class FirstSeconds:
         if self.complete:
             return None
         is_imu = kind in (ImuStream, None)
-        kept = self._kept.setdefault(kind, [])
-        if is_imu or (self._start_ns is not None and len(kept) < ARRAYS_MAX):
-            kept.append(columns)
+        if is_imu or (self._start_ns is not None and len(self._kept.get(kind, ())) < ARRAYS_MAX):
+            self._kept.setdefault(kind, []).append(columns)
         return self._advance(int(columns[0][-1])) if is_imu else None
 
     def _advance(self, time_ns: int) -> Recording | None:
@@ -80,9 +79,7 @@ class FirstSeconds:
         if self._start_ns is None or time_ns - self._start_ns < STRETCH_S * 1e9:
             return None
         kept, self._kept, self._start_ns = self._kept, {}, None
-        joined = {
-            kind: list(map(np.concatenate, zip(*parts, strict=True))) for kind, parts in kept.items() if parts
-        }
+        joined = {kind: list(map(np.concatenate, zip(*parts, strict=True))) for kind, parts in kept.items()}
         if None in joined:
             stamps, values = joined.pop(None)
             joined[ImuStream] = [stamps, values[:, RATES], values[:, SPECIFIC_FORCE]]

@@ -33,15 +33,12 @@ MOTORS = (4, 1, 2, 3)
 
 
 @pytest.fixture(autouse=True)
-def known_anew() -> Iterator[None]:
+def forget_format() -> Iterator[None]:
     """Find the formats again, before and after."""
-    before = set(sys.modules)
     log_formats.cache_clear()
     yield
     log_formats.cache_clear()
-    for name in set(sys.modules) - before:
-        if name.endswith("text_log"):
-            del sys.modules[name]
+    sys.modules.pop(f"{formats.__name__}.text_log", None)
 
 
 @pytest.fixture
