@@ -35,7 +35,7 @@ from quadpi_ros.runtime import ManagedNode
 
 Sample = TypeVar("Sample", bound=Stream)
 
-# Timers on this clock run whatever the sensors or `/clock` do.
+# Timers on this clock run even when sensors and `/clock` are silent.
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # How long static transforms may take to arrive after the first sample that needs one.
 _TRANSFORMS_COME_S = 1.0

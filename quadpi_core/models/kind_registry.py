@@ -73,7 +73,7 @@ def _loaded(entry: EntryPoint) -> Kind:
 
     try:
         kind: Any = entry.load()
-    except Exception as error:  # whatever that package raises when it is imported
+    except Exception as error:  # of any kind, as it is another package's code
         raise ModelError(f"method {entry.name}: {entry.value} cannot be imported: {error}") from error
     if not isinstance(kind, Kind) or kind.name != entry.name:
         raise ModelError(f"method {entry.name}: {entry.value} is no kind of model of that name")
