@@ -138,3 +138,25 @@ def simulate_flight(noisy_vehicle):
 def true_flight():
     """true_flight(time) → Truth."""
     return truth
+
+
+def events(recording):
+    """Every sample in the order of stamps, the IMU first where they tie."""
+    imu, pose = recording.imu, recording.pose
+    merged = [(t, 0, i) for i, t in enumerate(imu.time_ns)] + [(t, 1, i) for i, t in enumerate(pose.time_ns)]
+    for time_ns, is_pose, index in sorted(merged):
+        if is_pose:
+            yield "pose", index, (int(time_ns), pose.position[index], pose.attitude[index])
+        else:
+            yield "imu", index, (int(time_ns), imu.angular_velocity[index], imu.specific_force[index])
+
+
+def feed(ekf, recording):
+    """Feed the samples one by one as live; yields each estimate with its IMU index."""
+    for kind, index, sample in events(recording):
+        if kind == "pose":
+            ekf.update_pose(*sample)
+        else:
+            step = ekf.step(*sample)
+            if step.fused is not None:
+                yield index, step

@@ -7,10 +7,12 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -55,6 +57,16 @@ GLANCE_S = 5.0
 # A flight that is late by up to this much catches up.
 LATE_S = 0.02
 Change = Callable[[int, dict[str, Any]], dict[str, Any]]
+
+
+@contextmanager
+def started(domain: int, *arguments: str) -> Iterator[None]:
+    """A process that was started with these arguments."""
+    rclpy.init(args=["--ros-args", *arguments], domain_id=domain)
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
 
 
 def wait_until(

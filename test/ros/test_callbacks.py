@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -20,7 +19,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from quadpi_ros import runtime
 from quadpi_ros.callbacks import GuardedNode, SlowService
 from quadpi_ros.processes import Child
 
@@ -78,34 +76,6 @@ def test_every_kind_of_callback_may_fail(capfd: pytest.CaptureFixture[str]) -> N
     assert int(values_of(status)["topic /words"]) == 5
     executor.remove_node(node)
     node.destroy_node()
-
-
-@pytest.mark.usefixtures("ros")
-def test_an_exception_of_the_executor_itself_ends_no_node(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """As of a request whose bytes rclpy cannot take apart."""
-    node = GuardedNode("spinning")
-    executor = EventsExecutor()
-    spins: list[float] = []
-
-    class Failing:
-        def add_node(self, _: Any) -> None:
-            executor.add_node(node)
-
-        def spin_until_future_complete(self, future: Any, timeout_sec: float) -> None:
-            spins.append(timeout_sec)
-            if len(spins) < 4:
-                raise RuntimeError("cannot take the request")
-            executor.spin_until_future_complete(future, timeout_sec=0.0)
-            rclpy.try_shutdown()
-
-    monkeypatch.setattr(runtime, "EventsExecutor", Failing)
-    runtime.spin([node])
-    assert len(spins) == 4
-    assert node.exceptions.counts == {"executor": 3}
-    assert capfd.readouterr().err.count("RuntimeError: cannot take the request") == 2
-    executor.remove_node(node)
 
 
 @pytest.fixture(scope="module")

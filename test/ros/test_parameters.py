@@ -5,41 +5,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 import yaml
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.logs.mavlink_samples import SOURCES
-from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, QosOverrideError
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.node_parameters import MAVLINK_IMU_MESSAGES, BridgeParameters, parameter
+from quadpi_ros.node_parameters import BridgeParameters, MonitorParameters, parameter
 from quadpi_ros.parameters import ParameterError, read_parameters
 from quadpi_ros.player import player_node
 
+from .rig import started
+
 ROOT = Path(__file__).parents[2]
 ASLEEP = ("-p", "autostart:=false", "-p", "vehicle:=neurobem")
-
-
-@contextmanager
-def ros(domain: int, *arguments: str) -> Iterator[None]:
-    """A process that was started with these arguments."""
-    rclpy.init(args=["--ros-args", *arguments], domain_id=domain)
-    try:
-        yield
-    finally:
-        rclpy.try_shutdown()
 
 
 def made(kind: Callable[[], Any]) -> Any:
@@ -62,7 +52,7 @@ def test_one_file_serves_every_process(ros_domain: int, tmp_path: Path) -> None:
     """The example of the documentation, with `separate:=true`."""
     file = tmp_path / "field-nodes.yaml"
     file.write_text(example("adapters.md", "field-nodes.yaml"))
-    with ros(ros_domain, "--params-file", str(file), *ASLEEP, "-p", "model:=some-model"):
+    with started(ros_domain, "--params-file", str(file), *ASLEEP, "-p", "model:=some-model"):
         estimator, of_estimator = made(EstimatorNode)
         monitor, of_monitor = made(MonitorNode)
     assert estimator.mocap_topic == "mocap4r2"
@@ -80,14 +70,10 @@ def test_a_typing_error_in_a_file_for_every_process_is_refused(
     file = tmp_path / "field-nodes.yaml"
     file.write_text(example("adapters.md", "field-nodes.yaml").replace("rotor_topic", "rotor_topics"))
     with (
-        ros(ros_domain, "--params-file", str(file), *ASLEEP, "-p", "model:=some-model"),
+        started(ros_domain, "--params-file", str(file), *ASLEEP, "-p", "model:=some-model"),
         pytest.raises(ParameterError, match="unknown parameter `rotor_topics`"),
     ):
         kind()
-
-
-def test_the_bridge_takes_every_imu_message_that_it_can_read() -> None:
-    assert SOURCES["imu"] == MAVLINK_IMU_MESSAGES
 
 
 FILES = [
@@ -110,7 +96,7 @@ def test_a_parameter_file_reaches_a_node_in_any_namespace(
         ("-p", "connection:=udp:127.0.0.1:5999") if node == "mavlink_bridge" else ("-p", "model:=some-model")
     )
     start = ("--params-file", str(path), *ASLEEP, *given, "-r", f"__ns:=/{namespace}")
-    with ros(ros_domain, *start):
+    with started(ros_domain, *start):
         if node == "mavlink_bridge":
             bridge = GuardedNode(node)
             values = read_parameters(bridge, BridgeParameters)
@@ -125,7 +111,7 @@ def test_a_parameter_file_reaches_a_node_in_any_namespace(
 
 
 def test_a_body_frame_that_is_given_is_taken_as_it_is(ros_domain: int) -> None:
-    with ros(ros_domain, *ASLEEP, "-p", "body_frame:=imu_link", "-r", "__ns:=/uav1"):
+    with started(ros_domain, *ASLEEP, "-p", "body_frame:=imu_link", "-r", "__ns:=/uav1"):
         values, _ = made(EstimatorNode)
     assert values.body_frame == "imu_link"
 
@@ -135,7 +121,7 @@ def test_a_body_frame_that_is_given_is_taken_as_it_is(ros_domain: int) -> None:
 )
 def test_the_system_is_an_integer(ros_domain: int, given: str, system: int | None) -> None:
     arguments = ("-p", "connection:=c", "-p", f"system:={given}", "-p", "vehicle:=neurobem")
-    with ros(ros_domain, *arguments):
+    with started(ros_domain, *arguments):
         node = GuardedNode("mavlink_bridge")
         if system is None:
             with pytest.raises(ParameterError, match="parameter `system` must"):
@@ -166,7 +152,7 @@ def test_standard_parameters_do_what_rclpy_says(ros_domain: int, tmp_path: Path)
     file = tmp_path / "standard.yaml"
     file.write_text(OVERRIDES)
     start = ("--params-file", str(file), *ASLEEP, "-r", "__ns:=/uav1", "-r", "imu:=imu_raw")
-    with ros(ros_domain, *start):
+    with started(ros_domain, *start):
         node = EstimatorNode()
         assert node.get_clock().ros_time_is_active
         assert not any(one.srv_name.endswith("get_type_description") for one in node.services)
@@ -185,18 +171,11 @@ def test_standard_parameters_do_what_rclpy_says(ros_domain: int, tmp_path: Path)
         node.destroy_node()
 
 
-def test_diagnostics_name_the_vehicle_and_whose_it_is(ros_domain: int) -> None:
-    with ros(ros_domain, "-r", "__ns:=/uav1", "-p", "autostart:=false", "-p", "vehicle:=some/my-quad.yaml"):
-        node = EstimatorNode()
-        status = diagnostics.status(diagnostics.full_name(node, "state"), diagnostics.OK, "", {})
-        (told,) = diagnostics.array(node, [status]).status
-        node.destroy_node()
-    assert (told.name, told.hardware_id) == ("uav1/estimator: state", "uav1/my-quad")
-
-
 def test_the_player_takes_overrides_and_offers_no_service_that_it_cannot_answer(ros_domain: int) -> None:
     override = "qos_overrides./uav1/imu.publisher.reliability:=reliable"
-    with ros(ros_domain, "-r", "__ns:=/uav1", "-p", override, "-p", "start_type_description_service:=true"):
+    with started(
+        ros_domain, "-r", "__ns:=/uav1", "-p", override, "-p", "start_type_description_service:=true"
+    ):
         node = player_node()
         assert not list(node.services)
         publisher = node.create_publisher(Imu, "imu", SENSOR_QOS)
@@ -207,7 +186,7 @@ def test_the_player_takes_overrides_and_offers_no_service_that_it_cannot_answer(
 @pytest.mark.parametrize("name", ["use_sim_time", "start_type_description_service"])
 def test_standard_parameters_of_a_wrong_type_are_refused(ros_domain: int, name: str) -> None:
     with (
-        ros(ros_domain, *ASLEEP, "-p", f"{name}:=maybe"),
+        started(ros_domain, *ASLEEP, "-p", f"{name}:=maybe"),
         pytest.raises(ParameterError, match=f"parameter `{name}` must be a bool, found 'maybe'"),
     ):
         EstimatorNode()
@@ -225,7 +204,10 @@ def test_standard_parameters_of_a_wrong_type_are_refused(ros_domain: int, name: 
     ],
 )
 def test_wrong_overrides_are_refused(ros_domain: int, name: str, value: str, message: str) -> None:
-    with ros(ros_domain, *ASLEEP, "-p", f"{name}:={value}"), pytest.raises(QosOverrideError, match=message):
+    with (
+        started(ros_domain, *ASLEEP, "-p", f"{name}:={value}"),
+        pytest.raises(QosOverrideError, match=message),
+    ):
         EstimatorNode()
 
 
@@ -240,7 +222,34 @@ def test_what_an_empty_string_means_is_asked_of_the_node(ros_domain: int) -> Non
     class Named:
         name: str = parameter("", "of the node", empty_means=lambda node: node.get_name())
 
-    with ros(ros_domain):
+    with started(ros_domain):
         node = GuardedNode("itself")
         assert read_parameters(node, Named).name == "itself"
         assert node.get_parameter("name").value == "itself"
+
+
+IN_FLIGHT = {"persistence_s", "release_s", "alarm_rate_hz"}
+
+
+@pytest.mark.usefixtures("ros")
+def test_an_integer_is_taken_for_a_double_and_all_is_described() -> None:
+    node = Node(
+        "monitor",
+        automatically_declare_parameters_from_overrides=True,
+        parameter_overrides=[
+            Parameter("vehicle", value="v"),
+            Parameter("model", value="m"),
+            Parameter("imu_rate_hz", value=400),
+        ],
+    )
+    parameters = read_parameters(node, MonitorParameters)
+    assert isinstance(parameters.imu_rate_hz, float)
+    assert parameters.imu_rate_hz == 400.0
+    assert parameters.model == ("m",)
+    for item in fields(MonitorParameters):
+        descriptor = node.describe_parameter(item.name)
+        assert descriptor.description
+        assert descriptor.read_only == (item.name not in IN_FLIGHT)
+    (limits,) = node.describe_parameter("imu_rate_hz").floating_point_range
+    assert (limits.from_value, limits.to_value) == (0.0, 5000.0)
+    node.destroy_node()

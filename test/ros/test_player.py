@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import pytest
 
 from quadpi_core.paths import bags_directory
@@ -30,3 +33,11 @@ def test_the_live_nodes_hear_what_the_bag_holds() -> None:
 def test_topics_that_are_asked_for_must_be_there(named: tuple[str, ...], message: str) -> None:
     with pytest.raises(PlayerError, match=message):
         live_inputs(BAG, named)
+
+
+def test_player_names_a_bag_that_is_not_there(
+    run_main: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    status, errors = run_main("player", str(tmp_path / "none.mcap"))
+    assert status == 2
+    assert errors == f"quadpi: {tmp_path / 'none.mcap'}: no such bag\n"

@@ -1,28 +1,49 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes in what the nodes are given, found by them in the first seconds of a flight over real DDS."""
+"""What every node does with its topics: mistakes, other frames and silence are said, over real DDS."""
 
 from __future__ import annotations
 
+import importlib.util
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu
+from std_msgs.msg import String
 
+from quadpi_core.flight import ImuStream, PoseStream, Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
+from quadpi_core.messages import sensor_messages
 from quadpi_core.vehicle import Vehicle
+from quadpi_ros import sensor_node
+from quadpi_ros.dds_profile import TRANSFORMS_QOS
+from quadpi_ros.node_parameters import parameter
 from quadpi_ros.processes import Child
+from quadpi_ros.runtime import start
+from quadpi_ros.sensor_node import SensorNode
 from test.core.mistakes import MISTAKES
 
-from .rig import assert_alive
+from ..core.messages.test_frame_ids import BACKWARD, PLACE, transforms
+from .rig import Rig, arguments, assert_alive, values_of, wait_until
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = "bebop2"
 RATE = 4.0
 DEADLINE_S = 360.0
+LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]])
 
 
 @pytest.mark.usefixtures("ros")
@@ -43,11 +64,11 @@ def test_mistakes_are_said(mistake: str, status: str, said: str, tmp_path: Path)
         DiagnosticArray, "/diagnostics", lambda array: latest.update({s.name: s for s in array.status}), 100
     )
     given = {"vehicle": VEHICLE, "model": str(ROOT / "test/golden/model")}
-    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
+    parameters = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
     topics = ("imu", "rotor_speeds", "mocap/pose")
     played = (str(tmp_path / "flight.mcap"), "--rate", str(RATE), "--topics", *topics, "--wait", "300")
     with (
-        Child("quadpi_ros.live_process", ("--ros-args", *arguments), tmp_path) as live,
+        Child("quadpi_ros.live_process", ("--ros-args", *parameters), tmp_path) as live,
         Child("quadpi_ros.player", (*played, "--nodes", "estimator", "monitor"), tmp_path) as player,
     ):
         began_s = time.monotonic()
@@ -60,4 +81,136 @@ def test_mistakes_are_said(mistake: str, status: str, said: str, tmp_path: Path)
     assert f"consistency: {latest[status].message}" in "".join(
         path.read_text(errors="replace") for path in tmp_path.iterdir() if path.suffix != ".mcap"
     )
+    node.destroy_node()
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """As the nodes have them."""
+
+    autostart: bool = parameter(True, "at the start")
+
+
+@dataclass(frozen=True)
+class NoParameters:
+    autostart: bool = parameter(False, "as the nodes have it")
+
+
+class Hearing(SensorNode[Parameters]):
+    """Hears static transforms."""
+
+    def configure(self) -> None:
+        """As the estimator does."""
+        self.body = self.frames_of("base_link", "warn")
+
+    def activate(self) -> None:
+        """As the estimator does."""
+        self.hear_transforms(self.body)
+
+
+def test_other_frames_are_refused_with_their_reason(folder: Path, hover: Recording, tmp_path: Path) -> None:
+    strict = (*arguments(str(folder / "model")), "-p", "frames:=strict")
+    with Child("quadpi_ros.live_process", strict, tmp_path) as nodes, Rig(hover, nodes) as rig:
+        for k in range(10):
+            stamp = np.array([rig.now_ns + 2_000_000 * k])
+            imu = ImuStream(stamp, np.zeros((1, 3)), np.array([[0.0, 0.0, -9.81]]))
+            rig.send("imu", sensor_messages.pack_imu(imu, "imu_link"))
+            pose = PoseStream(stamp, np.zeros((1, 3)), LEVEL)
+            rig.send("mocap/pose", sensor_messages.pack_pose(pose, "world_ned"))
+        for topic, reason in (
+            ("imu", "the frame `imu_link` is not the body's, `base_link`, and no static transform"),
+            ("mocap/pose", "the frame `world_ned` says north-east-down: east-north-up is expected"),
+        ):
+            status = rig.await_status(f"estimator: {topic}", DiagnosticStatus.WARN, "samples refused")
+            assert any(reason in key for key in values_of(status))
+        assert_alive(nodes)
+
+
+@pytest.mark.usefixtures("ros")
+def test_static_transforms_that_were_sent_before_are_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their package is pretended by another type: what travels is the bytes."""
+    monkeypatch.setattr(sensor_node, "message_class", lambda _: String)
+    sender = Node("sender")
+    sent = transforms(("base_link", "imu_link", BACKWARD, PLACE))
+    sender.create_publisher(String, "/tf_static", TRANSFORMS_QOS).publish(sent)
+    node = Hearing("hearing", Parameters)
+    start([node])
+    wait_until(lambda: node.body.transforms.changes, lambda: rclpy.spin_once(node, timeout_sec=0.1))
+    moved = node.body.imu(("imu_link",))
+    assert moved is not None
+    np.testing.assert_allclose(moved.arm, np.array(PLACE) * [1.0, -1.0, -1.0])
+    for one in (node, sender):
+        one.destroy_node()
+
+
+def test_without_the_package_of_static_transforms_the_reason_is_said(
+    ros: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del ros
+    if importlib.util.find_spec("tf2_msgs"):
+        pytest.skip("tf2_msgs is installed")
+    node = Hearing("hearing", Parameters)
+    start([node])
+    told: list[str] = []
+    monkeypatch.setattr(node, "warn", lambda _, text: told.append(text))
+    assert node.body.imu(("imu_link",)) is None
+    assert "/tf_static is not heard: tf2_msgs/msg/TFMessage: the package tf2_msgs" in told[0]
+    node.destroy_node()
+
+
+@pytest.mark.usefixtures("ros")
+def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Watched(SensorNode[NoParameters]):
+        def activate(self) -> None:
+            self.listen(Imu, "imu", sensor_messages.unpack_imu, lambda _: None)
+            self.listen(PoseStamped, "mocap/pose", sensor_messages.unpack_pose, lambda _: None)
+            self.listen(PoseStamped, "wind", sensor_messages.unpack_pose, lambda _: None, required=False)
+
+    node, receivers = Watched("watched", NoParameters), {}
+    create = node.create_subscription
+
+    def create_and_keep(kind: type, topic: str, receive: Any, *rest: Any, **options: Any) -> Any:
+        receivers[topic] = receive
+        return create(kind, topic, receive, *rest, **options)
+
+    monkeypatch.setattr(node, "create_subscription", create_and_keep)
+    start([node])
+    (diagnose,) = node.timers
+    assert node.state == "unconfigured"
+    node.must(node.trigger_configure)
+    node.must(node.trigger_activate)
+    logged: list[str] = []
+    monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(warning=logged.append))
+
+    pose = PoseStamped()
+    pose.pose.orientation.w = 1.0
+    sent = {"imu": serialize_message(Imu()), "mocap/pose": serialize_message(pose)}
+
+    def watch(*topics: str) -> list[str]:
+        logged.clear()
+        for topic in topics:
+            receivers[topic](sent[topic])
+        diagnose.callback()
+        return list(logged)
+
+    assert watch() == []
+    assert watch() == ["nothing arrives on imu, mocap/pose"]
+    assert watch() == []
+    assert watch("imu") == []
+    assert watch("imu") == ["nothing arrives on mocap/pose"]
+    assert watch("imu", "mocap/pose") == []
+    assert watch("imu", "mocap/pose") == []
+    node.warn("topic imu", "one")
+    node.warn("topic imu", "two")
+    node.warn("topic mocap/pose", "three")
+    assert logged == ["topic imu: one", "topic mocap/pose: three"]
+    sent["imu"] = sent["imu"][:20]
+    assert watch("imu", "mocap/pose") == []
+    assert watch("imu", "mocap/pose") == ["every message is refused on imu"]
+    assert (node.lack("imu"), node.lack("mocap/pose")) == ("every message is refused on imu", None)
+    assert watch("imu") == []
+    assert watch("imu") == ["nothing arrives on mocap/pose; every message is refused on imu"]
+    node.must(node.trigger_deactivate)
+    assert watch() == []
+    assert watch() == []
     node.destroy_node()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,13 +11,12 @@ from scipy.stats import chi2
 
 from quadpi_core.errors import SignalError
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.filter_run import EkfTrace, imu_records
-from quadpi_core.estimator.filter_state import ESTIMATE, NOISE, TRANSITION, EstimatorStatus, Outcome
-from quadpi_core.estimator.propagate import propagate_between
-from quadpi_core.flight import ImuStream
+from quadpi_core.estimator.filter_run import EkfTrace
+from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
 from quadpi_core.logs.formats.cfusdlog import read_cfusdlog
 from quadpi_core.logs.formats.neurobem import read_neurobem
 from quadpi_core.vehicle import Vehicle
+from test.core.known_flights import feed
 
 RATE = 500.0
 
@@ -27,28 +25,6 @@ def attitude_error(estimated, true):
     """Rotation vectors (N, 3) rad from the estimated to the true attitudes (N, 4), body axes."""
     first, second = (Rotation.from_quat(np.roll(np.atleast_2d(q), -1, axis=1)) for q in (estimated, true))
     return (first.inv() * second).as_rotvec()
-
-
-def events(recording):
-    """Every sample in the order of stamps, the IMU first where they tie."""
-    imu, pose = recording.imu, recording.pose
-    merged = [(t, 0, i) for i, t in enumerate(imu.time_ns)] + [(t, 1, i) for i, t in enumerate(pose.time_ns)]
-    for time_ns, is_pose, index in sorted(merged):
-        if is_pose:
-            yield "pose", index, (int(time_ns), pose.position[index], pose.attitude[index])
-        else:
-            yield "imu", index, (int(time_ns), imu.angular_velocity[index], imu.specific_force[index])
-
-
-def feed(ekf, recording):
-    """Feed the samples one by one as live; yields each estimate with its IMU index."""
-    for kind, index, sample in events(recording):
-        if kind == "pose":
-            ekf.update_pose(*sample)
-        else:
-            step = ekf.step(*sample)
-            if step.fused is not None:
-                yield index, step
 
 
 def squared_error(state, simulated, index):
@@ -98,75 +74,6 @@ def test_recovers_state_and_biases(noisy_vehicle, simulated):
     np.testing.assert_allclose(trace.gyro_bias[-1], simulated.gyro_bias[-1], atol=0.01)
     np.testing.assert_allclose(trace.accelerometer_bias[-1], simulated.accelerometer_bias[-1], atol=0.15)
     assert np.max(np.abs(simulated.accelerometer_bias[-1])) > 0.2
-
-
-def test_dead_reckoning_on_ideal_sensors_is_of_second_order(noisy_vehicle, true_flight):
-    errors = []
-    for rate in (100.0, 200.0):
-        time = np.arange(0.0, 2.0 + 1e-9, 1.0 / rate)
-        time_ns = np.rint(time * 1e9).astype(np.int64)
-        true = true_flight(time)
-        estimate, noise, transition = np.zeros(1, ESTIMATE), np.zeros(1, NOISE), np.zeros(1, TRANSITION)
-        estimate["position"], estimate["velocity"] = true.position[0], true.velocity[0]
-        estimate["attitude"], noise["gravity"] = true.attitude[0], noisy_vehicle.gravity_m_s2
-        samples = imu_records(ImuStream(time_ns, true.rates, true.specific_force))
-        for first, second in pairwise(samples):
-            propagate_between(estimate[0], noise[0], first, second, second["time_ns"], transition[0])
-        errors.append(np.linalg.norm(estimate["velocity"][0] - true.velocity[-1]))
-    assert errors[0] < 2e-3
-    assert errors[1] < 0.3 * errors[0]
-
-
-def test_one_by_one_equals_the_run_bit_for_bit(noisy_vehicle, simulate_flight):
-    recording = simulate_flight(3, duration=4.0).recording
-    imu = recording.imu
-    keep = np.ones(len(imu), dtype=bool)
-    keep[1100:1200] = False  # a pause that resets the filter
-    streams = {column.name: getattr(imu, column.name)[keep] for column in fields(imu)}
-    streams["angular_velocity"][700, 1] = np.nan
-    recording = replace(recording, imu=replace(imu, **streams))
-    whole = Ekf(noisy_vehicle, RATE)
-    trace = whole.run(recording)
-
-    ekf = Ekf(noisy_vehicle, RATE)
-    rows, fused = [], []
-    for _, step in feed(ekf, recording):
-        state = ekf.state
-        fused.append(step.fused.rows.copy())
-        rows.append(
-            np.concatenate(
-                (
-                    [state.time_ns],
-                    state.position,
-                    state.velocity,
-                    state.attitude,
-                    state.gyro_bias,
-                    state.accelerometer_bias,
-                    [ekf.delay_s],
-                    np.diag(state.covariance),
-                    [step.status],
-                )
-            )
-        )
-    expected = np.column_stack(
-        (
-            trace.time_ns,
-            trace.position,
-            trace.velocity,
-            trace.attitude,
-            trace.gyro_bias,
-            trace.accelerometer_bias,
-            trace.delay_s,
-            trace.variance,
-            trace.status,
-        )
-    )
-    assert np.array_equal(np.array(rows), expected)
-    assert np.array_equal(np.concatenate(fused), trace.fused.rows)
-    assert ekf.imu_counts == whole.imu_counts
-    assert whole.imu_counts[Outcome.RESET] == 1
-    assert whole.imu_counts[Outcome.UNUSABLE] == 1
-    assert np.max(np.diff(trace.time_ns)) > 1_000_000_000
 
 
 @pytest.fixture
@@ -313,15 +220,6 @@ def test_coasts_through_a_mocap_dropout_and_recovers(noisy_vehicle, simulated):
     assert std[during] > 3.0 * std[during - 300]
     assert np.all(error < 5.0 * std)
     assert error[-1] < 0.01
-
-
-def test_says_what_it_needs_to_start(noisy_vehicle, simulated):
-    recording = simulated.recording
-    with pytest.raises(SignalError, match=r"simulated\.bag: topics mocap/pose, .* are missing"):
-        Ekf(noisy_vehicle, RATE).run(replace(recording, pose=None))
-    later = replace(recording.pose, time_ns=recording.pose.time_ns + 3_600_000_000_000)
-    with pytest.raises(SignalError, match=r"never started.*imu spans 0\.000.*mocap/pose 3600\.000"):
-        Ekf(noisy_vehicle, RATE).run(replace(recording, pose=later))
 
 
 def rms(difference):

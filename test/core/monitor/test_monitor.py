@@ -14,14 +14,12 @@ from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor, Monitors
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.monitor.preparation import SETTLE_NS, Preparation
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Predictions
 from quadpi_core.rotations import rotate_world_to_body
 
 RATE_HZ = 500.0
 FX, MY = 0, 4
 ADAPTIVE = MonitorSettings(adaptive=True)
-SETTLE_S = 1e-9 * SETTLE_NS
 
 
 def cut(samples: PairedSamples, keep) -> PairedSamples:
@@ -63,23 +61,6 @@ def assert_finite(predictions: Predictions, alarms: Alarms):
 @pytest.fixture
 def monitor(model, vehicle) -> Monitor:
     return Monitor(model, vehicle, RATE_HZ)
-
-
-@pytest.mark.parametrize(("missing_s", "anew"), [(0.08, False), (0.2, True)])
-def test_a_state_settles_after_its_start_and_after_an_interruption(vehicle, samples, missing_s, anew):
-    seconds = 1e-9 * (samples.time_ns - samples.time_ns[0])
-    velocity, attitude = samples.velocity.copy(), samples.attitude.copy()
-    missing = (seconds >= 4.0) & (seconds < 4.0 + missing_s)
-    velocity[missing], attitude[missing] = np.nan, np.nan
-    prepared = Preparation(vehicle, RATE_HZ, 20.0).step(
-        *changed(samples, velocity=velocity, attitude=attitude)
-    )
-    used = seconds[prepared.usable]
-    expected = used >= SETTLE_S
-    if anew:
-        expected &= (used < 4.0) | (used >= 4.0 + missing_s + SETTLE_S)
-    np.testing.assert_array_equal(prepared.usable, ~missing)
-    np.testing.assert_array_equal(prepared.settled, expected)
 
 
 def test_flight_inside_the_envelope_is_predicted_without_alarm(monitor, samples, vehicle):

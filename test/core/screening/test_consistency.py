@@ -12,18 +12,16 @@ import yaml
 
 from quadpi_core.config import read_config
 from quadpi_core.errors import LogError, VehicleError
-from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.logs.inspect import inspect_recording
 from quadpi_core.paths import bags_directory
 from quadpi_core.screening.consistency import checked, findings
-from quadpi_core.screening.excerpt import WINDOWS, excerpt
 from quadpi_core.vehicle import Vehicle
 from test.core.mistakes import MISTAKES
+from test.core.screening.conftest import RECORDINGS
 
 BAGS = bags_directory()
-RECORDINGS = ("train_2", "train_4")
 # Files of each real data set, and the vehicle and mapping that they take.
 REAL = {
     "neurobem": ("*.mat", "neurobem", None),
@@ -36,16 +34,6 @@ REAL = {
     "arpl": ("log10", "crazyflie_rpm", None),
     "logs": ("*.[Bu]*", None, None),
 }
-
-
-@pytest.fixture(scope="module")
-def vehicle() -> Vehicle:
-    return Vehicle.load("bebop2")
-
-
-@pytest.fixture(scope="module")
-def flown(vehicle: Vehicle) -> dict[str, Recording]:
-    return {name: read_recording(BAGS / f"{name}.mcap", vehicle) for name in RECORDINGS}
 
 
 @pytest.mark.parametrize("name", MISTAKES)
@@ -108,27 +96,6 @@ def test_info_shows_what_import_says(flown, vehicle, tmp_path):
     write_bag(tmp_path / "swapped.mcap", recording)
     shown = inspect_recording(read_recording(tmp_path / "swapped.mcap", vehicle), vehicle).findings
     assert any("rotors 1 and 2 look swapped" in text for text in shown)
-
-
-def test_the_cost_does_not_grow_with_the_flight(flown):
-    """A flight of any length gives windows of the same number and size."""
-    recording = flown["train_2"]
-    imu, pose = recording.imu, recording.pose
-    period = int(imu.time_ns[-1] - imu.time_ns[0] + np.diff(imu.time_ns).min())
-
-    def repeated(stream, times):
-        columns = {name: np.concatenate([getattr(stream, name)] * times) for name in vars(stream)}
-        shifts = np.repeat(period * np.arange(times), len(stream))
-        return replace(stream, **{**columns, "time_ns": columns["time_ns"] + shifts})
-
-    sizes = []
-    for times in (4, 8):
-        long = replace(recording, imu=repeated(imu, times), pose=repeated(pose, times))
-        sample = excerpt(long, long.pose)
-        assert sample is not None
-        sizes.append(sample.rates.shape)
-    assert sizes[0] == sizes[1]
-    assert 0.9 * WINDOWS < sizes[0][0] <= WINDOWS
 
 
 @pytest.mark.parametrize(

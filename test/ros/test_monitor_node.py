@@ -77,3 +77,20 @@ def test_silence_is_said(folder: Path, hover: Recording, tmp_path: Path) -> None
         apart = "imu and mocap/pose are stamped 100 s apart: by different clocks?"
         rig.await_status("estimator: state", DiagnosticStatus.ERROR, apart)
         assert_alive(nodes)
+
+
+def test_a_rate_that_is_given_wrong_predicts_nothing(folder: Path, hover: Recording, tmp_path: Path) -> None:
+    given = (*arguments(str(folder / "model")), "-p", "imu_rate_hz:=400.0")
+    with Child("quadpi_ros.live_process", given, tmp_path) as nodes, Rig(hover, nodes) as rig:
+        rig.fly(STARTED_S + 1.2)
+        told = "stamps say 500 Hz, imu_rate_hz is 400"
+        rig.await_status("estimator: imu", DiagnosticStatus.ERROR, told)
+        rig.await_status("monitor: pairing", DiagnosticStatus.ERROR, told)
+        alarms = unpack_alarms(Payloads.join(rig.heard["extrapolation_alarm"]))
+        assert alarms.level[-1] == LEVEL_ALARM
+        assert alarms.causes[-1] == BAD_DATA
+        assert alarms.reasons[-1] == ("imu rate is not imu_rate_hz",)
+        assert rig.heard["odometry"]
+        assert not rig.heard["prediction"]
+        assert_alive(nodes)
+    assert told in "".join(path.read_text() for path in tmp_path.iterdir())

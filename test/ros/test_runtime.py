@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes and managed nodes that cannot start, or fail while they run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import rclpy
+from rclpy.experimental import EventsExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+
+from quadpi_core.errors import ModelError
+from quadpi_ros import runtime
+from quadpi_ros.callbacks import GuardedNode
+from quadpi_ros.node_parameters import parameter
+from quadpi_ros.sensor_node import SensorNode
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+
+def test_wrong_ros_argument_is_one_line() -> None:
+    process = subprocess.run(
+        [sys.executable, "-m", "quadpi_ros.live_process", "--ros-args", "--nonsense"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert process.returncode == 2
+    assert process.stderr.splitlines()[-1] == "quadpi: unknown ROS arguments ['--nonsense']"
+
+
+@dataclass(frozen=True)
+class NoParameters:
+    autostart: bool = parameter(False, "as the nodes have it")
+
+
+@pytest.mark.usefixtures("ros")
+def test_a_failed_configuration_is_one_line_and_can_be_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors: list[Exception] = [ModelError("m: no such model"), ValueError("a bug")]
+    undone: list[str] = []
+
+    class Failing(SensorNode[NoParameters]):
+        def configure(self) -> None:
+            if errors:
+                raise errors.pop(0)
+
+        def cleanup(self) -> None:
+            undone.append("cleanup")
+            super().cleanup()
+
+    node = Failing("failing", NoParameters)
+    logged: list[str] = []
+    monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(error=logged.append))
+    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert logged == ["m: no such model"]
+    assert undone == ["cleanup"]
+    assert node.trigger_configure() == TransitionCallbackReturn.ERROR
+    assert "ValueError: a bug" in logged[-1]
+    assert node.state == "unconfigured"
+    errors.append(ValueError("another bug"))
+    with pytest.raises(ValueError, match="another bug"):
+        node.must(node.trigger_configure)
+    node.must(node.trigger_configure)
+    assert node.state == "inactive"
+    assert node.trigger_shutdown() == TransitionCallbackReturn.SUCCESS
+    assert node.state == "finalized"
+    node.destroy_node()
+
+
+@pytest.mark.usefixtures("ros")
+def test_an_exception_of_the_executor_itself_ends_no_node(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As of a request whose bytes rclpy cannot take apart."""
+    node = GuardedNode("spinning")
+    executor = EventsExecutor()
+    spins: list[float] = []
+
+    class Failing:
+        def add_node(self, _: Any) -> None:
+            executor.add_node(node)
+
+        def spin_until_future_complete(self, future: Any, timeout_sec: float) -> None:
+            spins.append(timeout_sec)
+            if len(spins) < 4:
+                raise RuntimeError("cannot take the request")
+            executor.spin_until_future_complete(future, timeout_sec=0.0)
+            rclpy.try_shutdown()
+
+    monkeypatch.setattr(runtime, "EventsExecutor", Failing)
+    runtime.spin([node])
+    assert len(spins) == 4
+    assert node.exceptions.counts == {"executor": 3}
+    assert capfd.readouterr().err.count("RuntimeError: cannot take the request") == 2
+    executor.remove_node(node)
