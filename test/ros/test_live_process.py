@@ -30,6 +30,43 @@ from .rig import STARTED_S, STEP_NS, TOPICS, Rig, arguments, assert_alive, asser
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["vehicle:=neurobem", "model:=m", "rotor_topic:=rpm"],
+            "must be one of rotor_speeds, erpm, mavros_status, mavros_telemetry, px4_status, found `rpm`",
+        ),
+        (["vehicle:=neurobem", "model:=m", "rotor_topic:=erpm"], "electrical rotor speeds need `pole_pairs`"),
+        (
+            ["vehicle:=neurobem", "model:=m", "world_frame:=map", "monitor:mode:=x"],
+            "unknown parameter `mode`",
+        ),
+        (
+            ["vehicle:=neurobem", "model:=m", "rotor_topic:=px4_status"],
+            "node monitor: parameter `adapters` is required for `px4_status`",
+        ),
+        (
+            ["vehicle:=neurobem", "model:=m", "mocap_topic:=mocap4r2", "adapters:=px4"],
+            "px4_msgs/msg/SensorCombined: the package px4_msgs that defines it is not installed here",
+        ),
+        (
+            ["vehicle:=neurobem", "model:=m", "rotor_topic:=mavros_status", "adapters:=mavros"],
+            "mavros_msgs/msg/ESCStatus: the package mavros_msgs that defines it is not installed here",
+        ),
+        (["vehicle:=neurobem", "model:=m", "adapters:=no_such"], "no such adapter file"),
+    ],
+)
+def test_live_process_refuses_wrong_parameters(
+    run_main: Callable[..., tuple[int, str]], overrides: list[str], message: str
+) -> None:
+    arguments = [part for override in overrides for part in ("-p", override)]
+    status, errors = run_main("live_process", "--ros-args", *arguments)
+    assert status == 2
+    (line,) = errors.splitlines()
+    assert message in line
+
+
 @pytest.fixture(scope="module")
 def live(ros_domain: int, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Child]:
     del ros_domain
@@ -313,40 +350,3 @@ def test_the_process_can_be_restarted_in_flight(
         running.fly_until_heard("prediction")
         span = running.fly(0.5)
         assert_whole(running, "prediction", *span)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (
-            ["vehicle:=neurobem", "model:=m", "rotor_topic:=rpm"],
-            "must be one of rotor_speeds, erpm, mavros_status, mavros_telemetry, px4_status, found `rpm`",
-        ),
-        (["vehicle:=neurobem", "model:=m", "rotor_topic:=erpm"], "electrical rotor speeds need `pole_pairs`"),
-        (
-            ["vehicle:=neurobem", "model:=m", "world_frame:=map", "monitor:mode:=x"],
-            "unknown parameter `mode`",
-        ),
-        (
-            ["vehicle:=neurobem", "model:=m", "rotor_topic:=px4_status"],
-            "node monitor: parameter `adapters` is required for `px4_status`",
-        ),
-        (
-            ["vehicle:=neurobem", "model:=m", "mocap_topic:=mocap4r2", "adapters:=px4"],
-            "px4_msgs/msg/SensorCombined: the package px4_msgs that defines it is not installed here",
-        ),
-        (
-            ["vehicle:=neurobem", "model:=m", "rotor_topic:=mavros_status", "adapters:=mavros"],
-            "mavros_msgs/msg/ESCStatus: the package mavros_msgs that defines it is not installed here",
-        ),
-        (["vehicle:=neurobem", "model:=m", "adapters:=no_such"], "no such adapter file"),
-    ],
-)
-def test_live_process_refuses_wrong_parameters(
-    run_main: Callable[..., tuple[int, str]], overrides: list[str], message: str
-) -> None:
-    arguments = [part for override in overrides for part in ("-p", override)]
-    status, errors = run_main("live_process", "--ros-args", *arguments)
-    assert status == 2
-    (line,) = errors.splitlines()
-    assert message in line

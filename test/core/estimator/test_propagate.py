@@ -1,17 +1,117 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The algebra of one estimate against dense matrices and finite differences."""
+"""The algebra of one estimate against finite differences and the textbook's matrices."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
+from quadpi_core import rotations
 from quadpi_core.estimator.filter_run import imu_records
-from quadpi_core.estimator.filter_state import ESTIMATE, NOISE, TRANSITION
-from quadpi_core.estimator.propagate import propagate_between
+from quadpi_core.estimator.filter_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    DELAY,
+    ERROR_STATES,
+    ESTIMATE,
+    GYRO_BIAS,
+    NOISE,
+    POSITION,
+    SCALAR,
+    TRANSITION,
+    VELOCITY,
+)
+from quadpi_core.estimator.propagate import (
+    DELAY_MAX_S,
+    apply_transposed,
+    correct_scalar,
+    inject,
+    propagate_between,
+)
 from quadpi_core.flight import ImuStream
+from quadpi_core.frames import Array
+from quadpi_core.records import Records
+
+# Short, so that what is of second order in it is small.
+STEP_NS = 500_000
+FIELDS = {
+    "position": POSITION,
+    "velocity": VELOCITY,
+    "gyro_bias": GYRO_BIAS,
+    "accelerometer_bias": ACCELEROMETER_BIAS,
+}
+
+
+@pytest.fixture
+def estimate() -> Records:
+    """A vehicle that turns and falls, whose errors are correlated."""
+    rng = np.random.default_rng(7)
+    estimate = np.zeros(1, ESTIMATE)
+    for name in FIELDS:
+        estimate[name] = rng.normal(size=(1, 3))
+    estimate["attitude"] = rotations.from_rotation_vector(np.array([0.4, -0.3, 1.1]))
+    root = 0.1 * rng.standard_normal((ERROR_STATES, ERROR_STATES))
+    estimate["covariance"] = root @ root.T
+    return estimate
+
+
+@pytest.fixture
+def noise() -> Records:
+    """Another number for each of them."""
+    noise = np.zeros(1, NOISE)
+    for k, name in enumerate(("gyro", "accelerometer", "gyro_bias", "accelerometer_bias", "delay")):
+        noise[name] = 1.0 + k
+    noise["gravity"] = 9.81
+    return noise
+
+
+@pytest.fixture
+def imu() -> Records:
+    """Two samples of a sensor whose signal is linear between them."""
+    rates = np.array([[1.0, -2.0, 3.0], [1.2, -1.9, 2.8]])
+    return imu_records(ImuStream(np.array([0, STEP_NS]), rates, np.array([[2.0, 1.0, -12], [2.2, 0.8, -11]])))
+
+
+def erring(estimate: Records, error: Array) -> Records:
+    """The estimate of a filter that errs by so much."""
+    other = estimate.copy()
+    for name, states in FIELDS.items():
+        other[name] += error[states]
+    turn = rotations.from_rotation_vector(error[ATTITUDE])
+    other["attitude"] = rotations.product(estimate["attitude"][0], turn)
+    other["delay"] += error[DELAY]
+    return other
+
+
+def difference(one: Records, other: Records) -> Array:
+    """The error state (16,) between two estimates."""
+    error = np.zeros(ERROR_STATES)
+    for name, states in FIELDS.items():
+        error[states] = (other[name] - one[name])[0]
+    turn = rotations.product(rotations.inverse(one["attitude"][0]), other["attitude"][0])
+    error[ATTITUDE] = rotations.to_rotation_vector(turn)
+    error[DELAY] = other["delay"][0] - one["delay"][0]
+    return error
+
+
+def stepped(estimate: Records, noise: Records, imu: Records) -> tuple[Records, Records]:
+    """The estimate after a step of the IMU, and the transition of its errors."""
+    after, transition = estimate.copy(), np.zeros(1, TRANSITION)
+    propagate_between(after[0], noise[0], imu[0], imu[1], STEP_NS, transition[0])
+    return after, transition
+
+
+def measured_transition(estimate: Records, noise: Records, imu: Records) -> Array:
+    """F (16, 16): how small errors before the step show after it."""
+    after, small = stepped(estimate, noise, imu)[0], 1e-5
+    columns = [
+        difference(after, stepped(erring(estimate, small * error), noise, imu)[0]) / small
+        for error in np.eye(ERROR_STATES)
+    ]
+    return np.stack(columns, axis=1)
 
 
 def test_dead_reckoning_on_ideal_sensors_is_of_second_order(noisy_vehicle, true_flight):
@@ -29,3 +129,60 @@ def test_dead_reckoning_on_ideal_sensors_is_of_second_order(noisy_vehicle, true_
         errors.append(np.linalg.norm(estimate["velocity"][0] - true.velocity[-1]))
     assert errors[0] < 2e-3
     assert errors[1] < 0.3 * errors[0]
+
+
+def test_the_covariance_is_that_of_the_errors_after_the_step(estimate, noise, imu):
+    """F P Fᵀ + Q dt: F as finite differences show it, up to second order in the step."""
+    after, _ = stepped(estimate, noise, imu)
+    transition = measured_transition(estimate, noise, imu)
+    assert np.abs(transition - np.eye(ERROR_STATES)).max() > 0.004
+    growth = np.zeros(ERROR_STATES)
+    for states, name in (
+        (VELOCITY, "accelerometer"),
+        (ATTITUDE, "gyro"),
+        (GYRO_BIAS, "gyro_bias"),
+        (ACCELEROMETER_BIAS, "accelerometer_bias"),
+        (DELAY, "delay"),
+    ):
+        growth[states] = noise[name][0]
+    dt = 1e-9 * STEP_NS
+    expected = transition @ estimate["covariance"][0] @ transition.T + dt * np.diag(growth)
+    np.testing.assert_allclose(after["covariance"][0], expected, atol=3e-6)
+    np.testing.assert_array_equal(after["covariance"][0], after["covariance"][0].T)
+
+
+def test_the_transposed_transition_is_that_of_the_errors(estimate, noise, imu):
+    _, transition = stepped(estimate, noise, imu)
+    rows = np.eye(ERROR_STATES)
+    for row in rows:
+        apply_transposed(transition[0], row)
+    np.testing.assert_allclose(rows, measured_transition(estimate, noise, imu), atol=1e-5)
+
+
+def test_a_scalar_corrects_as_the_textbook_says(estimate):
+    rng = np.random.default_rng(8)
+    by, residual, variance = rng.normal(size=ERROR_STATES), 0.7, 0.3
+    scalar, error = np.zeros(1, SCALAR), 0.1 * rng.normal(size=ERROR_STATES)
+    scalar["jacobian"], scalar["residual"], scalar["variance"] = by, residual, variance
+    before, prior = error.copy(), estimate["covariance"][0].copy()
+    correct_scalar(estimate[0]["covariance"], error, scalar[0])
+    expected = by @ prior @ by + variance
+    gain = prior @ by / expected
+    np.testing.assert_allclose(error, before + gain * (residual - by @ before), rtol=1e-12)
+    np.testing.assert_allclose(scalar["gain"][0], gain, rtol=1e-12)
+    np.testing.assert_allclose(scalar["innovation_variance"], expected, rtol=1e-12)
+    after = estimate["covariance"][0]
+    np.testing.assert_allclose(after, prior - np.outer(gain, by @ prior), atol=1e-13)
+    np.testing.assert_array_equal(after, after.T)
+
+
+def test_an_estimated_error_is_added_and_the_delay_stays_within_the_buffer(estimate):
+    error = 0.1 * np.random.default_rng(9).normal(size=ERROR_STATES)
+    corrected = estimate.copy()
+    inject(corrected[0], error)
+    np.testing.assert_allclose(difference(estimate, corrected), error, rtol=1e-9)
+    assert np.linalg.norm(corrected["attitude"]) == pytest.approx(1.0, rel=1e-15)
+    for sign in (1.0, -1.0):
+        error[DELAY] = sign
+        inject(corrected[0], error)
+        assert corrected["delay"] == sign * DELAY_MAX_S == sign * 0.35
