@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +23,9 @@ from quadpi_core.models.kinds.bootstrap import FittedBootstrap
 from quadpi_core.models.kinds.quality_driven import FittedQualityDriven
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.models.model_kind import Evaluation
-from quadpi_core.models.regressors import Regressor
-from quadpi_core.training.networks import Networks
 
-REGRESSORS = (Regressor.parse("u"), Regressor.parse("|v|*w"))
+from .small_ensembles import REGRESSORS
+
 KINDS = {"bootstrap": FittedBootstrap, "quality-driven": FittedQualityDriven}
 
 
@@ -49,48 +47,6 @@ def rewrite(folder: Path, change: Callable[[dict[str, Any], dict[str, Array]], N
     save_file(arrays, folder / ARRAYS_FILE)
     content["arrays_sha256"] = hashlib.sha256((folder / ARRAYS_FILE).read_bytes()).hexdigest()
     (folder / MODEL_FILE).write_text(json.dumps(content))
-
-
-def test_bootstrap_is_mean_and_variance_of_members_and_noise(X: Array) -> None:
-    ensemble = random_ensemble("bootstrap", X, REGRESSORS, members=4, units=5)
-    members, scaling = ensemble.members, ensemble.scaling
-    for sample in X[:5]:
-        u, v, w = sample[:3]
-        features = (np.array([u, abs(v) * w]) - scaling.input_mean) / scaling.input_scale
-
-        def output(networks: Networks, k: int, features: Array = features) -> float:
-            units = np.maximum(networks.hidden_weights[k] @ features + networks.hidden_biases[k], 0.0)
-            return float(networks.output_weights[k, 0] @ units + networks.output_biases[k, 0])
-
-        predictions = [output(members, k) for k in range(4)]
-        noise = np.log1p(np.exp(output(ensemble.noise, 0))) + ensemble.floor
-        variance = ensemble.model_share * np.var(predictions, ddof=1) + noise**2
-        centre, spread = ensemble.centre_and_spread(sample[None])
-        assert centre[0] == pytest.approx(1.0 + 0.3 * np.mean(predictions))
-        assert spread[0] == pytest.approx(0.3 * np.sqrt(variance))
-
-
-def test_quality_driven_bounds_move_outward(X: Array) -> None:
-    ensemble = random_ensemble("quality-driven", X, REGRESSORS, members=4, units=5)
-    bounds = ensemble.members.outputs(ensemble.features(X))
-    outward = 1.96 * bounds.std(axis=0, ddof=1).mean(axis=1)
-    lower, upper = bounds.mean(axis=0).T + outward * [[-1.0], [1.0]]
-    assert np.all(lower < upper)
-    centre, spread = ensemble.centre_and_spread(X)
-    np.testing.assert_allclose(centre - spread, 1.0 + 0.3 * lower)
-    np.testing.assert_allclose(centre + spread, 1.0 + 0.3 * upper)
-
-
-@pytest.mark.parametrize("distance", [-3.0, 0.0])
-def test_bounds_that_cross_or_meet_still_hold_an_interval(X: Array, distance: float) -> None:
-    ensemble = random_ensemble("quality-driven", X, REGRESSORS, members=4, units=5)
-    members = replace(
-        ensemble.members,
-        output_weights=np.repeat(ensemble.members.output_weights[:, :1], 2, axis=1),
-        output_biases=np.tile([0.0, distance], (4, 1)),
-    )
-    _, spread = replace(ensemble, members=members, outward=0.0).centre_and_spread(X)
-    np.testing.assert_allclose(spread, 0.3 * max(0.5 * abs(distance), ensemble.floor))
 
 
 def test_says_what_it_is_made_of(ensemble: FittedEnsemble) -> None:
@@ -173,38 +129,6 @@ def test_saved_model_evaluates_to_the_same_bits(model: AerodynamicModel, folder:
         assert (folder.parent / "again" / "model" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_nothing_stored_can_be_executed(folder: Path) -> None:
-    assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
-    json.loads((folder / MODEL_FILE).read_text())
-    assert all(values.dtype == np.float64 for values in load_file(folder / ARRAYS_FILE).values())
-
-
-@pytest.mark.parametrize("position", [0, 1000, -1])
-def test_altered_arrays_are_refused(folder: Path, position: int) -> None:
-    content = bytearray((folder / ARRAYS_FILE).read_bytes())
-    content[position] ^= 1
-    (folder / ARRAYS_FILE).write_bytes(content)
-    with pytest.raises(ModelError, match=r"arrays\.safetensors: its hash is not the one in model\.json"):
-        AerodynamicModel.load(folder)
-
-
-@pytest.mark.parametrize("missing", [MODEL_FILE, ARRAYS_FILE])
-def test_missing_file_is_named(folder: Path, missing: str) -> None:
-    (folder / missing).unlink()
-    with pytest.raises(ModelError, match=f"{missing}: cannot be read"):
-        AerodynamicModel.load(folder)
-
-
-def test_pickle_in_place_of_arrays_is_refused(folder: Path) -> None:
-    planted = pickle.dumps(print)
-    (folder / ARRAYS_FILE).write_bytes(planted)
-    content = json.loads((folder / MODEL_FILE).read_text())
-    content["arrays_sha256"] = hashlib.sha256(planted).hexdigest()
-    (folder / MODEL_FILE).write_text(json.dumps(content))
-    with pytest.raises(ModelError, match="not a quadpi model"):
-        AerodynamicModel.load(folder)
-
-
 def without_biases(_: dict[str, Any], arrays: dict[str, Array]) -> None:
     del arrays["Fx.members.hidden_biases"]
 
@@ -250,77 +174,6 @@ def test_arrays_of_the_other_method_are_refused(model: AerodynamicModel, folder:
         AerodynamicModel.load(folder)
 
 
-@pytest.fixture
-def networks() -> Networks:
-    """Two networks of two inputs, three units and one output."""
-    rng = np.random.default_rng(1)
-    return Networks(
-        rng.normal(size=(2, 3, 2)),
-        rng.normal(size=(2, 3)),
-        rng.normal(size=(2, 1, 3)),
-        rng.normal(size=(2, 1)),
-    )
-
-
-def test_a_network_worked_out_by_hand() -> None:
-    networks = Networks(
-        hidden_weights=np.array([[[1.0, 0.0], [0.0, -2.0], [1.0, 1.0]]]),
-        hidden_biases=np.array([[0.0, 1.0, -10.0]]),
-        output_weights=np.array([[[3.0, 5.0, 7.0]]]),
-        output_biases=np.array([[0.5]]),
-    )
-    inputs = np.array([[2.0, 0.0], [-1.0, 1.0], [6.0, 6.0]])
-    # Units: (2, 1, 0), (0, 0, 0), (6, 0, 2).
-    np.testing.assert_array_equal(networks.outputs(inputs)[0, :, 0], [11.5, 0.5, 32.5])
-
-
-def test_outputs_of_one_network_do_not_depend_on_the_others(networks: Networks) -> None:
-    inputs = np.random.default_rng(2).normal(size=(5, 2))
-    np.testing.assert_allclose(networks[1:].outputs(inputs)[0], networks.outputs(inputs)[1], rtol=1e-14)
-    assert len(networks[1:]) == 1
-
-
-def test_arrays_round_trip(networks: Networks) -> None:
-    again = Networks.stored(networks.arrays("members"), "members")
-    for name in ("hidden_weights", "hidden_biases", "output_weights", "output_biases"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(networks, name))
-
-
-@pytest.mark.parametrize(
-    ("name", "shape"),
-    [
-        ("hidden_weights", (2, 4, 2)),
-        ("hidden_weights", (3, 3, 2)),
-        ("hidden_weights", (6, 2)),
-        ("hidden_biases", (2, 2)),
-        ("hidden_biases", (6,)),
-        ("output_weights", (2, 2, 3)),
-        ("output_weights", (2, 3)),
-        ("output_biases", (1, 1)),
-        ("output_biases", ()),
-    ],
-)
-def test_arrays_that_do_not_fit_together_are_refused(
-    networks: Networks, name: str, shape: tuple[int, ...]
-) -> None:
-    arrays = networks.arrays("members") | {f"members.{name}": np.zeros(shape)}
-    with pytest.raises(ModelError):
-        Networks.stored(arrays, "members")
-
-
-@pytest.mark.parametrize("shape", [(0, 3, 2), (2, 0, 2), (2, 3, 0)])
-def test_networks_of_nothing_are_refused(shape: tuple[int, int, int]) -> None:
-    members, units, inputs = shape
-    empty = Networks(
-        np.zeros((members, units, inputs)),
-        np.zeros((members, units)),
-        np.zeros((members, 1, units)),
-        np.zeros((members, 1)),
-    )
-    with pytest.raises(ModelError, match="networks of shapes"):
-        Networks.stored(empty.arrays("members"), "members")
-
-
 def test_standardised_samples_have_mean_zero_and_unit_scale() -> None:
     rng = np.random.default_rng(3)
     inputs = rng.normal([3.0, -7.0, 2.0], [0.5, 4.0, 0.0], size=(1000, 3))
@@ -361,13 +214,3 @@ def test_scaling_that_no_samples_give_is_refused(changes: dict[str, object]) -> 
     data = Scaling(np.zeros(2), np.ones(2), 0.0, 1.0).to_json()
     with pytest.raises(ModelError):
         parse_config(Scaling, data | changes, "scaling", ModelError)
-
-
-def test_turned_arrays_are_stored_in_order(networks: Networks) -> None:
-    turned = replace(networks, output_weights=networks.output_weights[:, :, ::-1])
-    assert turned.arrays("members")["members.output_weights"].flags.c_contiguous
-
-
-def test_single_precision_is_read_as_double(networks: Networks) -> None:
-    arrays = {name: values.astype(np.float32) for name, values in networks.arrays("members").items()}
-    assert Networks.stored(arrays, "members").hidden_weights.dtype == np.float64

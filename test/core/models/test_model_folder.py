@@ -1,19 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A kind may keep further files in a model folder; they count as those of every model."""
+"""Model folders: whole or not at all, plain data, and refused where anything was altered."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import pickle
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from quadpi_core.errors import ModelError, OutputError
+from quadpi_core.errors import ModelError, OutputError, QuadpiError
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.kinds import polynomial
+from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.models.model_kind import FittedAxis, StoredAxes
 
 GOLDEN_MODEL = Path(__file__).parents[2] / "golden" / "model"
@@ -31,45 +35,140 @@ class WithTable(polynomial.Polynomial):
         return super().read(stored)
 
 
+@pytest.fixture(scope="module")
+def model() -> AerodynamicModel:
+    return AerodynamicModel.load(GOLDEN_MODEL)
+
+
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    model = AerodynamicModel.load(GOLDEN_MODEL)
+def folder(model: AerodynamicModel, tmp_path: Path) -> Path:
+    model.save(tmp_path / "model")
+    return tmp_path / "model"
+
+
+@pytest.fixture
+def with_table(model: AerodynamicModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(polynomial, "KIND", WithTable())
     model.save(tmp_path / "model")
     return tmp_path / "model"
 
 
-def test_is_read_and_replaced_with_the_model(folder: Path) -> None:
-    model = AerodynamicModel.load(folder)
-    assert (folder / TABLE).is_file()
-    model.save(folder)
-    assert AerodynamicModel.load(folder).identity == model.identity
+def test_is_read_and_replaced_with_the_model(with_table: Path) -> None:
+    model = AerodynamicModel.load(with_table)
+    assert (with_table / TABLE).is_file()
+    model.save(with_table)
+    assert AerodynamicModel.load(with_table).identity == model.identity
 
 
-def test_altered_or_missing_is_refused(folder: Path) -> None:
-    (folder / TABLE).write_text("axis,terms\nFx,4\n")
+def test_altered_or_missing_is_refused(with_table: Path) -> None:
+    (with_table / TABLE).write_text("axis,terms\nFx,4\n")
     with pytest.raises(ModelError, match=rf"{TABLE}: its hash is not the one in model.json"):
-        AerodynamicModel.load(folder)
-    (folder / TABLE).unlink()
+        AerodynamicModel.load(with_table)
+    (with_table / TABLE).unlink()
     with pytest.raises(ModelError, match=rf"{TABLE}: missing"):
-        AerodynamicModel.load(folder)
+        AerodynamicModel.load(with_table)
 
 
-def test_what_the_model_does_not_declare_is_still_foreign(folder: Path) -> None:
-    model = AerodynamicModel.load(folder)
-    (folder / "notes.txt").write_text("mine")
+def test_what_the_model_does_not_declare_is_still_foreign(with_table: Path) -> None:
+    model = AerodynamicModel.load(with_table)
+    (with_table / "notes.txt").write_text("mine")
     with pytest.raises(ModelError, match=r"holds notes\.txt"):
-        AerodynamicModel.load(folder)
-    (folder / "notes.txt").rename(folder / "parameters.old")
+        AerodynamicModel.load(with_table)
+    (with_table / "notes.txt").rename(with_table / "parameters.old")
     with pytest.raises(OutputError, match=r"holds parameters\.old"):
-        model.save(folder)
+        model.save(with_table)
 
 
-def test_a_name_that_leads_out_of_the_folder_is_not_read(folder: Path) -> None:
-    described = json.loads((folder / "model.json").read_text())
+def test_a_name_that_leads_out_of_the_folder_is_not_read(with_table: Path) -> None:
+    described = json.loads((with_table / "model.json").read_text())
     described["files_sha256"] = {"../secret": "00"}
-    (folder / "model.json").write_text(json.dumps(described))
-    (folder / TABLE).unlink()
-    (folder.parent / "secret").write_text("kept")
+    (with_table / "model.json").write_text(json.dumps(described))
+    (with_table / TABLE).unlink()
+    (with_table.parent / "secret").write_text("kept")
     with pytest.raises(ModelError, match=r"\.\./secret: missing"):
+        AerodynamicModel.load(with_table)
+
+
+def test_saving_twice_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    again = AerodynamicModel.load(folder).save(tmp_path / "other" / "model")
+    assert again.identity == AerodynamicModel.load(folder).identity
+    for name in (MODEL_FILE, ARRAYS_FILE):
+        assert (tmp_path / "other" / "model" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_saving_replaces_an_older_model_whole(model: AerodynamicModel, folder: Path) -> None:
+    replace(model, fitted={"Mz": model.fitted["Mz"]}).save(folder)
+    assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
+    assert AerodynamicModel.load(folder).axes == ("Mz",)
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+
+
+def test_folder_that_holds_more_than_a_model_is_not_replaced(model: AerodynamicModel, folder: Path) -> None:
+    (folder / "notes.txt").write_text("of the user")
+    with pytest.raises(QuadpiError, match=r"notes\.txt"):
+        model.save(folder)
+    assert (folder / "notes.txt").read_text() == "of the user"
+
+
+def test_failed_save_leaves_what_was_there(
+    model: AerodynamicModel, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full_disk(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full_disk)
+    for target in (folder, folder.parent / "new"):
+        with pytest.raises(QuadpiError, match="No space"):
+            model.save(target)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+
+
+@pytest.mark.parametrize("position", [0, 100, -1])
+def test_altered_arrays_are_refused(folder: Path, position: int) -> None:
+    path = folder / ARRAYS_FILE
+    content = bytearray(path.read_bytes())
+    content[position] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=r"arrays\.safetensors: its hash is not the one in model\.json"):
+        AerodynamicModel.load(folder)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "42", '{"weights": 1}', "\x80\x04pickle"])
+def test_foreign_description_is_refused(folder: Path, text: str) -> None:
+    (folder / MODEL_FILE).write_text(text)
+    with pytest.raises(ModelError, match=r"model\.json") as caught:
+        AerodynamicModel.load(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("missing", [MODEL_FILE, ARRAYS_FILE])
+def test_missing_file_is_named(folder: Path, missing: str) -> None:
+    (folder / missing).unlink()
+    with pytest.raises(ModelError, match=f"{missing}: cannot be read"):
+        AerodynamicModel.load(folder)
+
+
+def test_missing_folder_is_named(folder: Path) -> None:
+    shutil.rmtree(folder)
+    with pytest.raises(ModelError, match="model"):
+        AerodynamicModel.load(folder)
+
+
+def test_stored_files_are_data_only(folder: Path) -> None:
+    assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
+    for path in folder.iterdir():
+        assert not path.read_bytes().startswith(b"\x80")
+    json.loads((folder / MODEL_FILE).read_text())
+
+
+def test_pickle_in_place_of_arrays_is_refused(folder: Path) -> None:
+    planted = pickle.dumps(print)
+    (folder / ARRAYS_FILE).write_bytes(planted)
+    content = json.loads((folder / MODEL_FILE).read_text())
+    content["arrays_sha256"] = hashlib.sha256(planted).hexdigest()
+    (folder / MODEL_FILE).write_text(json.dumps(content))
+    with pytest.raises(ModelError, match="not a quadpi model"):
         AerodynamicModel.load(folder)

@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
+"""Training of many networks at once: as each alone, repeatable, and kept at their best."""
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -12,72 +14,20 @@ torch = pytest.importorskip("torch", reason="training needs PyTorch")
 
 from quadpi_core.errors import ModelError  # noqa: E402
 from quadpi_core.training import train as training_module  # noqa: E402
-from quadpi_core.training.batches import Batch, Samples  # noqa: E402
-from quadpi_core.training.losses import (  # noqa: E402
-    GaussianNoise,
-    Loss,
-    QualityDriven,
-    SquaredError,
+from quadpi_core.training.losses import Loss, SquaredError  # noqa: E402
+from quadpi_core.training.train import Training, TrainingState, train  # noqa: E402
+
+from .small_trainings import (  # noqa: E402
+    COUNT,
+    NETWORKS,
+    SCHEDULE,
+    TABLES,
+    WIDTH,
+    gaussian,
+    quality_driven,
+    samples_for,
+    steps,
 )
-from quadpi_core.training.train import Schedule, Training, TrainingState, train  # noqa: E402
-
-TABLES, NETWORKS, WIDTH, COUNT = 2, 3, 4, 300
-SCHEDULE = Schedule(
-    hidden=6,
-    epochs=2,
-    batch=60,
-    fewest_steps=1,
-    learning_rate=1e-2,
-    keep="last",
-    seed=3,
-    device="cpu",
-)
-FORMS = ["sqrt-n", "paper", "pearce"]
-
-
-def quality_driven(form: str = "sqrt-n", crossing: float = 2.0) -> QualityDriven:
-    return QualityDriven(0.9, 60, form, 0.7, 8.0, crossing)
-
-
-def gaussian() -> GaussianNoise:
-    return GaussianNoise(torch.full((TABLES, 1), 0.05))
-
-
-LOSSES = [SquaredError(), gaussian(), *(quality_driven(form) for form in FORMS)]
-
-
-def samples_for(loss: Loss, seed: int = 0) -> Samples:
-    """Two tables, three networks that leave out a unit each; targets for each network or for all."""
-    rng = np.random.default_rng(seed)
-    inputs = rng.normal(size=(COUNT, TABLES, WIDTH)).astype(np.float32)
-    if isinstance(loss, GaussianNoise):
-        targets = rng.gamma(1.0, size=(COUNT, TABLES, NETWORKS, 2))
-    else:
-        targets = np.sin(inputs[:, :, 0]) + 0.3 * rng.normal(size=(COUNT, TABLES))
-        targets = targets[:, :, None, None]
-    omitted = np.eye(NETWORKS, 5, dtype=bool)
-    unit = rng.integers(0, 5, size=COUNT).astype(np.int32)
-    return Samples(inputs, targets.astype(np.float32), unit, ~omitted, omitted)
-
-
-def steps(training: Training) -> list[Batch]:
-    """Batches of an epoch, each with memory of its own."""
-    return [Batch(*(part.clone() for part in batch)) for batch in training.batches.epoch(training.random, 1)]
-
-
-@pytest.mark.parametrize("loss", LOSSES, ids=str)
-def test_gradient_by_output_is_that_of_autograd(loss: Loss) -> None:
-    random = torch.Generator().manual_seed(5)
-    outputs = torch.randn((TABLES, NETWORKS, loss.outputs, 40), generator=random, dtype=torch.double)
-    targets = torch.rand((TABLES, 1, 2, 40), generator=random, dtype=torch.double)
-    weights = torch.rand((NETWORKS, 40), generator=random, dtype=torch.double)
-    weights /= weights.sum(-1, keepdim=True)
-    if not isinstance(loss, GaussianNoise):
-        targets = targets[:, :, :1]
-    variable = outputs.clone().requires_grad_()
-    (expected,) = torch.autograd.grad(loss.value(variable, targets, weights).sum(), variable)
-    assert expected.abs().max() > 1e-3
-    torch.testing.assert_close(loss.gradient(outputs, targets, weights), expected)
 
 
 @pytest.mark.parametrize("loss", [SquaredError(), gaussian(), quality_driven()], ids=str)
@@ -121,32 +71,6 @@ def test_one_batch_trains_each_network_as_a_loop_over_networks_would() -> None:
             torch.testing.assert_close(trained[0][table, -1, member], first.bias, rtol=1e-4, atol=1e-5)
             torch.testing.assert_close(trained[1][table, member], last.weight, rtol=1e-4, atol=1e-5)
             torch.testing.assert_close(trained[2][table, member], last.bias, rtol=1e-4, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("form", "weight"), [("sqrt-n", 0.7 * 60**0.5), ("paper", 0.7 * 60), ("pearce", 0.7 * 60 / (0.9 * 0.1))]
-)
-def test_quality_driven_loss_is_its_published_formula(form: str, weight: float) -> None:
-    rng = np.random.default_rng(2)
-    lower, upper, y = rng.normal(-0.8, 0.5, 60), rng.normal(0.8, 0.5, 60), rng.normal(size=60)
-    held = (lower <= y) & (y <= upper)
-    width = np.sum((upper - lower)[held]) / held.sum()
-    soft = np.mean(1.0 / (1.0 + np.exp(-8.0 * (y - lower))) / (1.0 + np.exp(-8.0 * (upper - y))))
-    expected = width + weight * max(0.0, 0.9 - soft) ** 2
-    found = quality_driven(form, crossing=0.0).value(
-        torch.from_numpy(np.stack((lower, upper)))[None, None],
-        torch.from_numpy(y)[None, None, None],
-        torch.full((1, 60), 1.0 / 60, dtype=torch.double),
-    )
-    assert soft < 0.9
-    assert float(found) == pytest.approx(expected, rel=1e-9)
-
-
-def test_crossing_bounds_cost() -> None:
-    bounds = torch.tensor([[[[0.5], [-0.5]]]])
-    target, weight = torch.zeros((1, 1, 1, 1)), torch.ones((1, 1))
-    values = [float(quality_driven(crossing=c).value(bounds, target, weight)) for c in (0.0, 2.0)]
-    assert values[1] - values[0] == pytest.approx(2.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("loss", [SquaredError(), gaussian(), quality_driven()], ids=str)

@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every kind of model does unless it says otherwise: refuse options, store axes and read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.models.interval_rules import NormalRule, Rule, TrainedRule
+from quadpi_core.models.model_kind import IdentifyOptions, Kind, TrainingSamples, interval_factors
+from quadpi_core.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Constant:
+    """An axis that is one number."""
+
+    method: ClassVar[str] = "constant"
+    value: float
+    rule: Rule
+    terms: ClassVar[list[str]] = ["1"]
+
+    def arrays(self) -> dict[str, Array]:
+        return {"value": np.array([self.value])}
+
+    def to_json(self) -> dict[str, Any]:
+        return {"rule": self.rule.to_json()}
+
+    @classmethod
+    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> Constant:
+        if set(data) != {"rule"} or set(arrays) != {"value"}:
+            raise ModelError(f"keys {sorted(data)} and arrays {sorted(arrays)}")
+        return cls(float(arrays["value"][0]), NormalRule())
+
+
+class Constants(Kind):
+    """A kind of model without stop rules and without settings of the paper."""
+
+    name = Constant.method
+    label = "constants"
+    axis_type = Constant
+
+    def fit(self, *_: Any) -> Any:
+        raise NotImplementedError
+
+    def compile(self, fitted: Mapping[str, Any]) -> Any:
+        raise NotImplementedError
+
+
+class ByThePaper(Constants):
+    """The same with both."""
+
+    has_stop_rules = True
+    has_paper_settings = True
+
+
+KIND = Constants()
+MODEL = {"Fx": Constant(1.5, NormalRule()), "Fxy": Constant(-2.0, NormalRule())}
+
+
+def test_factors_are_those_of_the_rules_and_zero_for_axes_not_held() -> None:
+    fitted = {"Fx": Constant(0.0, NormalRule()), "My": Constant(0.0, TrainedRule(0.95))}
+    factors = interval_factors(fitted, 0.95)
+    assert factors.shape == (6,)
+    assert factors[AXES.index("Fx")] == pytest.approx(1.959964)
+    assert factors[AXES.index("My")] == 1.0
+    assert np.count_nonzero(factors) == 2
+    with pytest.raises(ModelError, match=r"trained for a confidence of 0\.95, not 0\.9"):
+        interval_factors(fitted, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"stop": "bic"}, "a stop rule is for polynomials: the constant method has none"),
+        ({"settings": "paper"}, "the paper knows no constant method"),
+    ],
+)
+def test_options_that_a_kind_does_not_have_are_refused(options: dict[str, Any], message: str) -> None:
+    chosen = IdentifyOptions(method="constant", **options)
+    with pytest.raises(ModelError, match=message):
+        KIND.check(chosen, {})
+    ByThePaper().check(chosen, {})
+    KIND.check(IdentifyOptions(method="constant"), {})
+
+
+def test_each_axis_is_stored_by_itself_and_read_again() -> None:
+    """An axis takes the arrays that begin with its own name, not with one that is longer."""
+    stored = KIND.store(MODEL)
+    assert sorted(stored.arrays) == ["Fx.value", "Fxy.value"]
+    assert stored.files == {}
+    assert KIND.read(stored) == MODEL
+
+
+def test_an_axis_that_cannot_be_read_is_named() -> None:
+    stored = KIND.store(MODEL)
+    stored.arrays["Fx.further"] = np.zeros(1)  # type: ignore[index]
+    with pytest.raises(ModelError, match=r"^Fx: keys \['rule'\] and arrays \['further', 'value'\]$"):
+        KIND.read(stored)
+
+
+def test_the_target_of_an_axis_is_its_column() -> None:
+    wrench = np.arange(12.0).reshape(2, 6)
+    samples = TrainingSamples(
+        Vehicle.load("bebop2"), np.zeros(2), np.zeros((2, 19)), wrench, np.zeros(2, dtype=np.int64)
+    )
+    for column, axis in enumerate(AXES):
+        assert samples.target(axis).tolist() == wrench[:, column].tolist()

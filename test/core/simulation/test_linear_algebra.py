@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small linear algebra, beside numpy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.simulation.linear_algebra import cross, inverse, matrix_times, product3
+
+RANDOM = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("size", [1, 3, 6])
+def test_inverse_is_that_of_numpy(size):
+    for _ in range(20):
+        matrix = RANDOM.normal(size=(size, size))
+        np.testing.assert_allclose(inverse(matrix), np.linalg.inv(matrix), rtol=1e-8, atol=1e-10)
+
+
+def test_inverse_takes_the_largest_pivot_of_a_column():
+    """Without rows exchanged a zero divides; with a tiny one in its place, digits are lost."""
+    np.testing.assert_array_equal(inverse(np.array([[0.0, 2.0], [4.0, 0.0]])), [[0.0, 0.25], [0.5, 0.0]])
+    matrix = np.array([[1e-20, 1.0], [1.0, 1.0]])
+    np.testing.assert_allclose(inverse(matrix), [[-1.0, 1.0], [1.0, 0.0]], atol=1e-15)
+
+
+def test_a_singular_matrix_has_no_finite_inverse():
+    assert not np.isfinite(inverse(np.array([[1.0, 2.0], [2.0, 4.0]]))).all()
+
+
+def test_a_matrix_times_a_vector():
+    matrix, vector = RANDOM.normal(size=(4, 6)), RANDOM.normal(size=6)
+    np.testing.assert_allclose(matrix_times(matrix, vector), matrix @ vector, rtol=1e-12)
+
+
+# As Python: compiled, they are parts of other kernels alone.
+def test_products_of_three():
+    matrix, left, right = RANDOM.normal(size=(3, 3)), RANDOM.normal(size=3), RANDOM.normal(size=3)
+    np.testing.assert_allclose(product3.py_func(matrix, left), matrix @ left, rtol=1e-12)
+    np.testing.assert_allclose(cross.py_func(left, right), np.cross(left, right), rtol=1e-12)

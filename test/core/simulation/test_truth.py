@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reference and truth: what follows from their columns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadpi_core.signals.wrench import newton_euler
+from quadpi_core.simulation.truth import Reference
+
+from .references import COUPLED
+
+
+def test_a_hover_stands_still():
+    hover = Reference.hover(np.array([1.0, 2.0, -3.0]), 5)
+    assert len(hover) == 5
+    np.testing.assert_array_equal(hover.position, np.tile([1.0, 2.0, -3.0], (5, 1)))
+    rest = (hover.velocity, hover.acceleration, hover.yaw, hover.yaw_rate, hover.tilt, hover.thrust)
+    assert not any(column.any() for column in rest)
+
+
+def test_every_second_instant_is_that_of_all_columns():
+    every = COUPLED.every(2)
+    assert len(every) == (len(COUPLED) + 1) // 2
+    np.testing.assert_array_equal(every.position[7], COUPLED.position[14])
+    np.testing.assert_array_equal(every.yaw_rate[7], COUPLED.yaw_rate[14])
+
+
+@pytest.fixture(scope="module")
+def truth(swing):
+    return swing()
+
+
+def test_airspeed_is_relative_to_the_wind(truth):
+    turn = Rotation.from_quat(np.roll(truth.attitude, -1, axis=1))
+    through_air = truth.velocity - turn.inv().apply(truth.wind)
+    np.testing.assert_allclose(truth.speed, np.linalg.norm(through_air, axis=1))
+    assert truth.speed.max() > 5.0 + np.linalg.norm(truth.velocity, axis=1).min()
+
+
+def test_position_error_is_the_distance_from_the_reference(truth):
+    aside = truth.position - truth.reference.position
+    assert truth.position_error == pytest.approx(np.sqrt(np.square(aside).sum(axis=1)), abs=1e-12)
+
+
+def test_truth_as_a_flight_measures_its_own_wrench(truth):
+    """Seconds since the first stamp, the air's true wind, and derivatives that belong together."""
+    flight, vehicle = truth.flight(), truth.vehicle
+    measured = newton_euler(
+        flight.specific_force, flight.rates, flight.angular_acceleration, vehicle.mass_kg, vehicle.inertia
+    )
+    np.testing.assert_allclose(measured, truth.wrench, atol=1e-12)
+    assert (flight.start_ns, flight.time[0]) == (truth.time_ns[0], 0.0)
+    np.testing.assert_allclose(np.diff(flight.time), 0.002, atol=1e-9)
+    np.testing.assert_array_equal(flight.wind, truth.wind)
