@@ -5,7 +5,7 @@
 Numba renews a cached kernel when the kernel's own file changes, but not when another file changes whose
 kernels or constants it uses. So each file with kernels has a cache folder of its own, named after the content
 of the file and of the files that it imports, directly or through others: those of this package, of the file's
-own package or folder, and of any package with kernels, and what :func:`modules_in` imports.
+own package or folder, and of any package with kernels, and what :func:`depends_on` names.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any, TypeVar
 
 import numba
 from numba import config
 
-__all__ = ["modules_in", "njit", "once"]
+__all__ = ["depends_on", "njit", "once"]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -41,7 +41,7 @@ _PACKAGE = Path(__file__).resolve().parent
 _IMPORT = re.compile(r"^(?:from ([\w.]+) import (\([^)]*\)|.*)|import (.+))", re.M)
 # Folders of installed packages.
 _INSTALLED = frozenset({"site-packages", "dist-packages"})
-_FOLDER = re.compile(r"modules_in\(__file__, \"(\w+)\"\)")
+_depends_on: dict[Path, frozenset[Path]] = {}
 
 
 def njit(*signatures: Any, **options: Any) -> Callable[[Kernel], Kernel]:
@@ -63,17 +63,14 @@ def njit(*signatures: Any, **options: Any) -> Callable[[Kernel], Kernel]:
     return compiled
 
 
-def modules_in(file: str, folder: str) -> list[ModuleType]:
-    """Import all modules of a folder beside a file of this package; kernels of the file then depend on them.
+def depends_on(file: str, others: Iterable[str]) -> None:
+    """Renew the kernels of a file, and of what imports it, when files change that it does not import by name.
 
     Args:
-        file: the caller's `__file__`, written literally so that the cache can find the dependency.
-        folder: name of the folder, as a literal too.
+        file: the caller's `__file__`; called before its first kernel.
+        others: files of whose kernels it makes its own.
     """
-    path = Path(file).resolve().parent / folder
-    package = ".".join((_PACKAGE.name, *path.relative_to(_PACKAGE).parts))
-    names = sorted(module.stem for module in path.glob("*.py") if module.stem != "__init__")
-    return [importlib.import_module(f"{package}.{name}") for name in names]
+    _depends_on[Path(file).resolve()] = frozenset(Path(other).resolve() for other in others)
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -131,7 +128,8 @@ def _forget_old(parent: Path) -> None:
 def _digest(source: Path) -> str:
     used, found = {source}, [source]
     while found:
-        new = _read(found.pop())[1] - used
+        path = found.pop()
+        new = (_read(path)[1] | _depends_on.get(path, frozenset())) - used
         used |= new
         found.extend(new)
     digest = hashlib.sha256()
@@ -153,8 +151,6 @@ def _read(path: Path) -> tuple[bytes, frozenset[Path]]:
             dotted = [module.split()[0] for module in modules.split(",") if module.strip()]
         for name in dotted:
             imported |= set(_files(path, name))
-    for folder in _FOLDER.findall(content.decode()):
-        imported |= set((path.parent / folder).glob("*.py"))
     return hashlib.sha256(content).digest(), frozenset(imported)
 
 

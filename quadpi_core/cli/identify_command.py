@@ -21,13 +21,16 @@ from quadpi_core.cli.options import (
     open_console,
     print_quality,
 )
-from quadpi_core.models.kind_registry import kind_names, own_kind_names
+from quadpi_core.models import kinds
+from quadpi_core.plugins import names_in
 
 
 def _known_kind(name: str) -> str:
-    if name in own_kind_names() or name in (known := kind_names()):
-        return name
-    raise typer.BadParameter(f"{name!r} is not one of {', '.join(known)}.")
+    from quadpi_core.models.kind_registry import KINDS
+
+    if name not in KINDS.names():
+        raise typer.BadParameter(f"{name!r} is not one of {', '.join(KINDS.names())}.")
+    return name
 
 
 def identify(
@@ -38,7 +41,7 @@ def identify(
         str,
         typer.Option(
             callback=_known_kind,
-            help=f"Kind of model: {', '.join(own_kind_names())}, or one of an installed package.",
+            help=f"Kind of model: {', '.join(names_in(kinds))}, or one of an installed package.",
         ),
     ] = "polynomial",
     candidates: Annotated[

@@ -1,30 +1,24 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a log of any known format: finding the formats, and which of them a file is.
-
-A format is a file in the folder `formats` with a :class:`LogFormat` named `FORMAT`, or one that an installed
-package announces as an entry point of the group `quadpi.log_formats`.
-"""
+"""Reading a log of any known format, and which of the formats a file is."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
-from pkgutil import iter_modules
 from typing import Any
 
 from quadpi_core.errors import LogError, QuadpiError, one_line
 from quadpi_core.flight import Recording
 from quadpi_core.logs import formats
 from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
+from quadpi_core.plugins import Plugins
 from quadpi_core.screening.wild_samples import screened
 from quadpi_core.vehicle import Vehicle
 
-ENTRY_POINTS = "quadpi.log_formats"
+FORMATS = Plugins("log format", formats, "quadpi.log_formats", LogFormat, LogError)
 
 
 @cache
@@ -32,22 +26,9 @@ def log_formats() -> tuple[LogFormat[Any], ...]:
     """The known formats: those that come with quadpi by file name, then those of installed packages.
 
     Raises:
-        LogError: naming the entry point of a package that cannot be loaded.
+        LogError: naming the package whose format cannot be loaded.
     """
-    modules = sorted(module.name for module in iter_modules(formats.__path__))
-    own = [import_module(f"{formats.__name__}.{name}").FORMAT for name in modules]
-    return *own, *_installed()
-
-
-def _installed() -> Iterator[LogFormat[Any]]:
-    for entry in sorted(entry_points(group=ENTRY_POINTS)):
-        try:
-            loaded = entry.load()
-        except Exception as error:  # of any kind, as it is another package's code
-            raise LogError(f"log format `{entry.name}` ({entry.value}): {one_line(error)}") from error
-        if not isinstance(loaded, LogFormat):
-            raise LogError(f"log format `{entry.name}` ({entry.value}): is no LogFormat")
-        yield loaded
+    return tuple(FORMATS.all())
 
 
 def identify_format(path: Path) -> LogFormat[Any]:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from itertools import cycle
 from typing import Any
 
-from quadpi_core.models.kind_registry import kind_named, kind_names
+from quadpi_core.models.kind_registry import KINDS
 
 MEASURED = "#7a7f87"
 GROUPS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -50,8 +50,7 @@ def group_colours(groups: Iterable[str]) -> dict[str, str]:
 def method_colours(names: Iterable[str]) -> dict[str, str]:
     """A colour per model, that of its kind where it is named after one; the others share what is left."""
     distinct = dict.fromkeys(names)
-    known = kind_names()
-    own = {name: kind_named(name).colour for name in distinct if name in known}
+    own = {name: kind.colour for name in distinct if (kind := KINDS.named(name))}
     taken = {PREDICTED, *own.values()}
     left = cycle(colour for colour in GROUPS if colour not in taken)
     return {name: own.get(name) or next(left) for name in distinct}

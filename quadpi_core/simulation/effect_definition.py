@@ -31,6 +31,8 @@ from quadpi_core.vehicle import Vehicle
 
 # Effects that are switched on: name -> all parameters with their values, in the order of the registry.
 Effects: TypeAlias = Mapping[str, Mapping[str, float]]
+# In the order in which they act; see the module.
+EFFECT_KINDS = ("wrench", "vehicle", "wind", "sensor")
 FORM_OF_AIR = Threshold(
     "error of an aerodynamic law",
     0.15,
@@ -97,7 +99,7 @@ class Effect:
     """One physical effect that can be switched on.
 
     Attributes:
-        kind: "wrench", "vehicle", "wind" or "sensor".
+        kind: of EFFECT_KINDS.
         summary: one line.
         axes: those of `flight.AXES` in which it shows: for a wrench effect, all that can be non-zero.
         function: see the module.
@@ -160,6 +162,8 @@ def effect(
         symbols: symbols of the parameters, with spaces between them.
         declared: other attributes of :class:`Effect` that differ from their defaults.
     """
+    if kind not in EFFECT_KINDS:
+        raise ValueError(f"an effect is of kind {', '.join(EFFECT_KINDS)}, not {kind!r}")
 
     def declare(function: Any) -> Effect:
         return Effect(

@@ -1,46 +1,45 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Registry of the effects in the folder `effects`, in the order in which they act, and their settings.
+"""Registry of the effects in the order in which they act, and their settings.
 
-The order is by kind, then by file name, then by position in the file. An effect that must act after all
-others of its kind declares `last`.
+The order is by kind, then by file of the folder `effects` and other packages after them, then by position in
+the file. An effect that must act after all others of its kind declares `last`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Mapping
+from inspect import getfile
 from typing import Any
 
 from numba import literal_unroll
 
-from quadpi_core.compiled import modules_in, njit
+from quadpi_core.compiled import depends_on, njit
 from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effect_definition import NO_WRENCH, Effect, Effects, Parameter, Wrench
+from quadpi_core.plugins import Plugins
+from quadpi_core.simulation import effects
+from quadpi_core.simulation.effect_definition import (
+    EFFECT_KINDS,
+    NO_WRENCH,
+    Effect,
+    Effects,
+    Parameter,
+    Wrench,
+)
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 
-_KINDS = ("wrench", "vehicle", "wind", "sensor")
-
-
-def _declared() -> Iterator[Effect]:
-    for module in modules_in(__file__, "effects"):
-        for value in vars(module).values():
-            if isinstance(value, Effect) and value.function.__module__ == module.__name__:
-                yield value
-
-
-def _in_order() -> dict[str, Effect]:
-    effects: dict[str, Effect] = {}
-    for effect in sorted(_declared(), key=lambda effect: (_KINDS.index(effect.kind), effect.last)):
-        if effect.name in effects:
-            raise TypeError(f"two effects are named `{effect.name}`")
-        effects[effect.name] = effect
-    return effects
-
-
-EFFECTS = _in_order()
+_PLUGINS = Plugins("effect", effects, "quadpi.effects", Effect, SimulationError)
+EFFECTS = {
+    effect.name: effect
+    for effect in sorted(
+        _PLUGINS.by_name().values(), key=lambda effect: (EFFECT_KINDS.index(effect.kind), effect.last)
+    )
+}
+depends_on(__file__, {getfile(sys.modules[effect.function.__module__]) for effect in EFFECTS.values()})
 
 _WRENCH_EFFECTS = tuple(effect for effect in EFFECTS.values() if effect.kind == "wrench")
 WRENCH_INDEX = {effect.name: index for index, effect in enumerate(_WRENCH_EFFECTS)}

@@ -112,6 +112,20 @@ def test_so_does_a_kernel_of_another_package(copy, tmp_path, imported):
     assert cache_folder(copy, tmp_path / "home", "kernels_of_mine.kernel") != first
 
 
+def test_so_does_one_that_depends_on_files_by_name(copy, tmp_path):
+    """As the registry of effects does on files that it finds."""
+    package = copy / "quadpi_core"
+    own = "from quadpi_core.compiled import depends_on\ndepends_on(__file__, [__file__ + '/../found.py'])\n"
+    (package / "registry.py").write_text(own)
+    (package / "kernel.py").write_text("import quadpi_core.registry\n" + _KERNEL)
+    (package / "found.py").write_text("from quadpi_core import rule\n")
+    (package / "rule.py").write_text("x = 1\n")
+    first = cache_folder(copy, tmp_path / "home")
+    assert cache_folder(copy, tmp_path / "home") == first
+    (package / "rule.py").write_text("x = 2\n")
+    assert cache_folder(copy, tmp_path / "home") != first
+
+
 def test_old_caches_are_forgotten(copy, tmp_path):
     old, recent = tmp_path / "home" / "quadpi" / "old", tmp_path / "home" / "quadpi" / "recent"
     old.mkdir(parents=True)

@@ -19,12 +19,13 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
+from quadpi_core.models import kinds
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.kind_registry import own_kind_names
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
+from quadpi_core.plugins import names_in
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
 from test.faults.onboard import Onboard, sent_by, spoilt
@@ -63,7 +64,7 @@ def model(bags, pool, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="session", params=own_kind_names())
+@pytest.fixture(scope="session", params=names_in(kinds))
 def each_model(request, model, bags, tmp_path_factory):
     """The folder of a good model of each method; ensembles have random weights."""
     if request.param == "polynomial":

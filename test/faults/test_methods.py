@@ -15,16 +15,17 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
+from quadpi_core.models import kinds
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.kind_registry import own_kind_names
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.plugins import names_in
 from quadpi_core.vehicle import Vehicle
 from test.conftest import run_without_torch
 
-ENSEMBLES = [method for method in own_kind_names() if method != "polynomial"]
+ENSEMBLES = [method for method in names_in(kinds) if method != "polynomial"]
 
 
-@pytest.fixture(params=own_kind_names())
+@pytest.fixture(params=names_in(kinds))
 def method(request):
     """Each method that can be identified here."""
     if request.param in ENSEMBLES:

@@ -133,14 +133,35 @@ np.testing.assert_allclose(wrench, [[0.0, 0.0, -0.1, 0.0, 0.0, 0.0]])
 """
 
 
+GUIDE = (ROOT / "docs" / "effects.md").read_text()
+EXAMPLE = GUIDE.split("```py\n")[1].split("```")[0]
+
+
 @pytest.mark.slow
 def test_a_new_effect_is_one_file(tmp_path):
     """The documented example beside the others, in a copy of the package."""
-    example = (ROOT / "docs" / "effects.md").read_text().split("```py\n")[1].split("```")[0]
     for name in ("quadpi_core", "config"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "package.xml", tmp_path)
-    (tmp_path / "quadpi_core" / "simulation" / "effects" / "canopy.py").write_text(example)
+    (tmp_path / "quadpi_core" / "simulation" / "effects" / "canopy.py").write_text(EXAMPLE)
+    use(tmp_path)
+
+
+@pytest.mark.slow
+def test_so_is_one_in_a_package_of_ones_own(tmp_path):
+    information = tmp_path / "my_package-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    entry_points = GUIDE.split("# pyproject.toml\n")[1].split("```")[0].replace('"', "")
+    (information / "entry_points.txt").write_text(entry_points.replace("project.entry-points.", ""))
+    package = tmp_path / "my_package"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "canopy.py").write_text(EXAMPLE)
+    use(tmp_path)
+
+
+def use(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     done = subprocess.run(
         [sys.executable, "-c", _USE],

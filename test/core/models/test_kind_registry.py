@@ -14,22 +14,24 @@ import pytest
 import quadpi_core
 from quadpi_core.cli.identify_command import identify
 from quadpi_core.errors import ModelError
-from quadpi_core.models.kind_registry import kind_named, own_kind_names
+from quadpi_core.models import kinds
+from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.plugins import names_in
 
 PACKAGES = [Path(quadpi_core.__file__).parents[1] / name for name in ("quadpi_core", "quadpi_ros")]
 
 
 def test_a_kind_has_the_name_of_its_file() -> None:
-    assert own_kind_names() == ("bootstrap", "polynomial", "quality-driven")
-    for name in own_kind_names():
+    assert names_in(kinds) == ("bootstrap", "polynomial", "quality-driven")
+    for name in names_in(kinds):
         kind = kind_named(name)
         assert kind.name == kind.axis_type.method == name
         assert kind.label
 
 
 def test_no_two_kinds_share_a_colour() -> None:
-    colours = [kind_named(name).colour for name in own_kind_names()]
+    colours = [kind_named(name).colour for name in names_in(kinds)]
     assert len(set(colours)) == len(colours)
 
 
@@ -53,7 +55,7 @@ def test_no_condition_names_a_kind_outside_its_file() -> None:
         for path in package.rglob("*.py")
         if path.parent.name != "kinds"
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, (ast.Compare, ast.MatchValue)) and set(texts(node)) & set(own_kind_names())
+        if isinstance(node, (ast.Compare, ast.MatchValue)) and set(texts(node)) & set(names_in(kinds))
     ]
     assert named == []
 

@@ -16,9 +16,11 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.messages.definitions import typestore
+from quadpi_core.models import kinds
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.kind_registry import kind_named, own_kind_names
+from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.plugins import names_in
 from quadpi_core.report.comparison_page import comparison_rows, comparison_table
 from quadpi_core.report.style import GROUPS, method_colours
 from quadpi_core.vehicle import Vehicle
@@ -152,7 +154,7 @@ def test_a_folder_may_be_that_of_a_bag(quadpi, folders, bags, tmp_path):
 
 def test_every_model_has_a_colour_and_none_that_of_a_method():
     names = [f"mine {k}" for k in range(3 * len(GROUPS))]
-    own = {method: kind_named(method).colour for method in own_kind_names()}
+    own = {method: kind_named(method).colour for method in names_in(kinds)}
     colours = method_colours([*own, *names])
     assert {method: colours[method] for method in own} == own
     assert not {colours[name] for name in names} & set(own.values())
