@@ -20,6 +20,7 @@ from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.vehicle import Vehicle
 
+from .dragged_flights import dragged_flights, dragged_model, dragged_paths  # noqa: F401
 from .known_flights import noisy_vehicle, simulate_flight, simulated, true_flight  # noqa: F401
 
 # A search looks for these in tests: each candidate takes time.

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import loadmat
 
 from quadpi_core.errors import LogError, SignalError
-from quadpi_core.estimator.fusion import fuse
+from quadpi_core.estimator.fusion import airborne, fuse
 from quadpi_core.flight import Flight, OdometryStream, WindStream
 from quadpi_core.frames import body_flu_to_frd
 from quadpi_core.logs.formats.cfusdlog import read_cfusdlog
@@ -148,3 +148,49 @@ def test_crazyflie_flight_hovers_at_its_weight(shared_data):
     assert_sound(fused)
     flying = np.median(measured_wrench(fused, vehicle)[:, 2])
     assert flying == pytest.approx(-vehicle.mass_kg * vehicle.gravity_m_s2, rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return Vehicle.load("neurobem")
+
+
+@pytest.fixture(scope="module")
+def flown(fly, vehicle):
+    """A flight of 8 s that begins in the air."""
+    return fuse(fly(0), vehicle, 20.0)
+
+
+def wait_on_ground(flight, seconds, idle_rad_s, vehicle):
+    """The flight, but parked before `seconds`, the rotors idling."""
+    parked = (flight.time < seconds)[:, None]
+    at_rest = [0.0, 0.0, -vehicle.gravity_m_s2]
+    return replace(
+        flight,
+        specific_force=np.where(parked, at_rest, flight.specific_force),
+        rotor_speeds=np.where(parked, idle_rad_s, flight.rotor_speeds),
+    )
+
+
+@pytest.mark.parametrize("seconds", [2.0, 6.0])
+@pytest.mark.parametrize("idle_rad_s", [0.0, 300.0])
+def test_time_on_the_ground_is_cut(flown, vehicle, seconds, idle_rad_s):
+    kept = airborne(wait_on_ground(flown, seconds, idle_rad_s, vehicle), vehicle.gravity_m_s2)
+    assert kept.time[0] == pytest.approx(seconds, abs=0.01)
+    assert kept.time[-1] == flown.time[-1]
+
+
+def test_gentle_start_of_a_wild_flight_is_kept(flown, vehicle):
+    wild = np.where((flown.time > 1.0)[:, None], 3.0, 1.0)
+    faster = replace(
+        flown,
+        specific_force=flown.specific_force * wild,
+        rotor_speeds=flown.rotor_speeds * np.sqrt(wild),
+    )
+    assert len(airborne(faster, vehicle.gravity_m_s2)) == len(flown)
+
+
+def test_rotors_that_never_turn_are_refused(flown, vehicle):
+    still = replace(flown, rotor_speeds=np.zeros_like(flown.rotor_speeds))
+    with pytest.raises(LogError, match=r"flight0: topic rotor_speeds: the rotors never carry the vehicle"):
+        airborne(still, vehicle.gravity_m_s2)

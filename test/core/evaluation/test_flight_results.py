@@ -1,64 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-import json
+"""Metrics of flights and groups, by axis and regime, and results that cannot be judged."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter
 from scipy import stats
 
 from quadpi_core.errors import ModelError
-from quadpi_core.evaluation.evaluation_result import Evaluation
-from quadpi_core.evaluation.flight_results import EvaluationError, FlightResult, evaluate_flights
-from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.evaluation.flight_results import EvaluationError
 
-METRICS = {
-    *("picp", "picp_ci", "mpiw", "nmpiw", "rmse", "r2", "winkler", "cwc", "crps", "calibration", "regimes"),
-    *("n", "n_eff"),
-}
-EVALUATION = {
-    *("quadpi_version", "model", "vehicle", "method", "adaptive", "confidence", "training_range"),
-    *("nmpiw_denominator", "cwc", "calibration_levels", "regime_edges", "groups", "flights"),
-    "data_quality",
-}
-RANGES = {"Fx": 4.0, "Fz": 8.0}
-
-
-def flight_result(name, samples=400, seed=0, half_width=2.0, axes=("Fx", "Fz")):
-    rng = np.random.default_rng(seed)
-    predicted = rng.standard_normal((samples, 6))
-    return FlightResult(
-        name=name,
-        axes=axes,
-        time=np.arange(samples) / 400,
-        measured=predicted + rng.standard_normal((samples, 6)),
-        predicted=predicted,
-        lower=predicted - half_width,
-        upper=predicted + half_width,
-        inputs=rng.standard_normal((samples, len(INPUT_NAMES))),
-        height=rng.uniform(0.0, 3.0, samples),
-    )
-
-
-def evaluate(results, groups, ranges=RANGES, **options):
-    return evaluate_flights(results, groups, ranges, 0.95, model="m", vehicle="v", **options)
-
-
-def test_json_has_the_documented_keys_and_no_nan():
-    flights = [flight_result("a"), flight_result("b", seed=1)]
-    evaluation = evaluate(flights, {"all": ["a", "b"], "one": ["b"]})
-    loaded = json.loads(json.dumps(evaluation.to_json(), allow_nan=False))
-    assert TypeAdapter(Evaluation).validate_python(loaded) == evaluation
-    assert set(loaded) == EVALUATION
-    assert isinstance(loaded[loaded["nmpiw_denominator"]], dict)
-    assert loaded["groups"]["all"]["flights"] == ["a", "b"]
-    for part in (*loaded["groups"].values(), *loaded["flights"].values()):
-        assert list(part["axes"]) == ["Fx", "Fz"]
-        for values in part["axes"].values():
-            assert set(values) == METRICS
-            low, high = values["picp_ci"]
-            assert 0 <= low <= values["picp"] <= high <= 1
+from .normal_flights import RANGES, evaluate, flight_result
 
 
 def test_a_group_pools_the_samples_of_its_flights():

@@ -1,21 +1,28 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""One pass of the causal filter gives the live samples and what the smoother needs."""
+"""Flights prepared for a fit: one causal pass for live samples and smoother, and files that are refused."""
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from quadpi_core import recording_blocks
+from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.fusion import fuse
 from quadpi_core.estimator.smoother import smooth
 from quadpi_core.flight import ImuStream
-from quadpi_core.identification.prepared_flights import CausalPass
+from quadpi_core.identification.prepared_flights import CausalPass, prepare_flights
+from quadpi_core.logs import read_recording
+from quadpi_core.parallel import Workers
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
+
+from ..dragged_flights import CUTOFF_HZ
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +61,42 @@ def test_without_motion_capture_there_is_nothing_to_smooth(fly, vehicle):
     passed = CausalPass.over(replace(recording, pose=None, odometry=states), vehicle)
     assert passed.segments is None
     assert sum(len(part.samples.time_ns) for part in passed.parts) > 0
+
+
+def test_height_is_above_the_origin(dragged_paths, dragged_flights, vehicle):
+    down = read_recording(dragged_paths[0], vehicle).pose.position[:, 2]
+    assert dragged_flights[0].height.max() == pytest.approx(-down.min(), abs=0.05)
+    assert dragged_flights[0].height.min() == pytest.approx(-down.max(), abs=0.05)
+
+
+def test_a_copy_of_a_flight_is_refused(dragged_paths, vehicle, tmp_path):
+    copy = shutil.copy(dragged_paths[0], tmp_path / "copy.mcap")
+    with pytest.raises(LogError, match=rf"{copy}: the same flight as {dragged_paths[0]}"):
+        prepare_flights([*dragged_paths[:2], copy], vehicle, CUTOFF_HZ)
+
+
+@pytest.mark.slow
+def test_a_cluster_prepares_the_same_flights(dragged_paths, vehicle, dragged_flights, cluster):
+    for own, theirs in zip(
+        dragged_flights,
+        prepare_flights(dragged_paths, vehicle, CUTOFF_HZ, workers=Workers(scheduler=cluster)),
+        strict=True,
+    ):
+        assert (own.name, own.sha256) == (theirs.name, theirs.sha256)
+        for name in ("time", "inputs", "wrench", "height"):
+            np.testing.assert_array_equal(getattr(own, name), getattr(theirs, name))
+
+
+def test_flight_of_another_vehicle_is_refused(dragged_paths):
+    with pytest.raises(
+        LogError, match=rf"{dragged_paths[0]}: is a flight of vehicle neurobem, not of bebop2"
+    ):
+        prepare_flights(dragged_paths[:1], Vehicle.load("bebop2"), CUTOFF_HZ)
+
+
+@pytest.mark.slow
+def test_whole_fast_neurobem_flight_is_in_the_air(shared_data, vehicle):
+    """It hovers before it races: by the median of its rotor speeds, the hover would pass for the ground."""
+    path = shared_data / "neurobem" / "bemnn20210218172600seg1.mat"
+    prepared = prepare_flights([path], vehicle, 30.0)[0]
+    assert len(prepared.time) == len(fuse(read_recording(path, vehicle), vehicle, 30.0))
