@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from quadpi_core.vehicle import Vehicle
 
 from .dragged_flights import dragged_flights, dragged_model, dragged_paths  # noqa: F401
 from .known_flights import noisy_vehicle, simulate_flight, simulated, true_flight  # noqa: F401
+from .messages.adapters.vendor_messages import DEFINITIONS, PX4_1_18, Messages
 
 # A search looks for these in tests: each candidate takes time.
 SOUGHT = ("body_drag", "rate_damping", "payload", "wind", "moment_bias")
@@ -92,3 +94,9 @@ def random_states():
         )
 
     return draw
+
+
+@pytest.fixture(scope="session")
+def vendor():
+    """Messages by version of px4_msgs: `vendor.px4_1_14` (to 1.17) and `vendor.px4_1_18`; others in both."""
+    return SimpleNamespace(px4_1_14=Messages(DEFINITIONS), px4_1_18=Messages(PX4_1_18))

@@ -15,9 +15,16 @@ from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
 from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
 from quadpi_core.messages.payloads import Payloads
 
-from ..core.messages.adapters.conftest import DEFINITIONS, PX4_1_18, Messages
-from ..core.messages.adapters.test_poses import frame, px4_odometry
-from ..core.messages.adapters.test_rotor_messages import mavros_status, mavros_telemetry, px4_status
+from ..core.messages.adapters.vendor_messages import (
+    DEFINITIONS,
+    PX4_1_18,
+    Messages,
+    frame,
+    mavros_status,
+    mavros_telemetry,
+    px4_odometry,
+    px4_status,
+)
 from .damage import bounded, damaged, refusing
 
 EXAMPLES = 60

@@ -34,9 +34,15 @@ from quadpi_ros.live_session import play
 from quadpi_ros.player import playable
 from quadpi_ros.processes import Child, isolated_domain
 
-from ..core.messages.adapters.conftest import DEFINITIONS, Messages
-from ..core.messages.adapters.test_poses import frame, px4_odometry
-from ..core.messages.adapters.test_rotor_messages import mavros_status, mavros_telemetry, px4_status
+from ..core.messages.adapters.vendor_messages import (
+    DEFINITIONS,
+    Messages,
+    frame,
+    mavros_status,
+    mavros_telemetry,
+    px4_odometry,
+    px4_status,
+)
 
 VEHICLE = "neurobem"
 RAD_S_TO_RPM = 60.0 / (2.0 * np.pi)

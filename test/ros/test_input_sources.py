@@ -25,7 +25,7 @@ from quadpi_core.messages.adapters.adapter_settings import RotorSettings
 from quadpi_core.messages.definitions import typestore
 from quadpi_ros.input_sources import AdaptedSubscription, AdapterError, definition_of, message_class
 
-from ..core.messages.adapters.conftest import DEFINITIONS, Messages
+from ..core.messages.adapters.vendor_messages import DEFINITIONS, Messages
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = Path(sys.prefix)

@@ -12,6 +12,8 @@ from quadpi_core.messages.adapters.adapter_settings import RotorSettings
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.vehicle import Vehicle
 
+from .vendor_messages import mavros_status, mavros_telemetry, px4_status
+
 START_NS = 1_700_000_000_123_000_000
 STEP_NS = 10_000_000
 RPM = 2.0 * np.pi / 60.0
@@ -25,44 +27,6 @@ def opened(vendor, name, rotors=ROTORS, unit="rpm", vehicle=None):
     adapter = ADAPTERS[name]
     settings = AdapterSettings(rotor_speeds=RotorSettings(rotors, unit))
     return adapter.open(vendor.definition(adapter.type_name), settings, vehicle)
-
-
-def mavros_status(vendor, time_ns, rpm, item_times_ns=None):
-    items = [
-        vendor.make("mavros_msgs/msg/ESCStatusItem", header=vendor.header(item_ns, "esc"), rpm=int(value))
-        for value, item_ns in zip(rpm, item_times_ns or [time_ns] * len(rpm), strict=True)
-    ]
-    header = vendor.header(time_ns, "")
-    return vendor.bytes(vendor.make("mavros_msgs/msg/ESCStatus", header=header, esc_status=items))
-
-
-def mavros_telemetry(vendor, time_ns, rpm, counts):
-    items = [
-        vendor.make(
-            "mavros_msgs/msg/ESCTelemetryItem",
-            header=vendor.header(time_ns),
-            rpm=int(value),
-            count=int(count),
-        )
-        for value, count in zip(rpm, counts, strict=True)
-    ]
-    header = vendor.header(time_ns)
-    return vendor.bytes(vendor.make("mavros_msgs/msg/ESCTelemetry", header=header, esc_telemetry=items))
-
-
-def px4_status(
-    vendor, time_ns, rpm, functions=(101, 102, 103, 104), times_ns=None, online=0xFF, places=(0, 1, 2, 3)
-):
-    size = dict(vendor.store.fielddefs["px4_msgs/msg/EscStatus"][1])["esc"][1][1]
-    reports = [vendor.make("px4_msgs/msg/EscReport")] * size
-    for place, value, function, at_ns in zip(places, rpm, functions, times_ns or [time_ns] * 4, strict=True):
-        reports[place] = vendor.make(
-            "px4_msgs/msg/EscReport", timestamp=at_ns // 1000, esc_rpm=int(value), actuator_function=function
-        )
-    message = vendor.make(
-        "px4_msgs/msg/EscStatus", timestamp=time_ns // 1000, esc_count=4, esc_online_flags=online, esc=reports
-    )
-    return vendor.bytes(message)
 
 
 def make(vendor, name, sample, rpm):
@@ -113,12 +77,6 @@ def test_px4_motors_are_found_by_function_in_any_place_of_either_version(vendor,
     messages = getattr(vendor, version)
     payload = px4_status(messages, START_NS, [30, 10, 40, 20], (103, 101, 104, 102), places=(7, 0, 2, 5))
     np.testing.assert_allclose(opened(messages, PX4).unpack(payload).speeds[0] / RPM, [30, 10, 40, 20])
-
-
-def test_definition_of_another_version_does_not_decode_silently(vendor):
-    payload = px4_status(vendor.px4_1_18, START_NS, RPMS[0])
-    with pytest.raises(LogError, match=r"sample 0: .* px4_msgs/msg/EscStatus"):
-        opened(vendor.px4_1_14, PX4).unpack(payload)
 
 
 @pytest.mark.parametrize(
@@ -193,12 +151,6 @@ def test_one_esc_that_falls_silent_leaves_no_samples_after_a_tenth_of_a_second(v
     stream = unpacker.unpack(Payloads.join(payloads))
     assert stream.time_ns[-1] - START_NS == 15 * STEP_NS
     assert unpacker.dropped == {"an ESC has fallen silent": 14}
-
-
-def test_settings_of_the_kind_are_needed(vendor):
-    adapter = ADAPTERS[STATUS]
-    with pytest.raises(LogError, match="needs settings for `rotor_speeds`"):
-        adapter.open(vendor.px4_1_14.definition(adapter.type_name), AdapterSettings(), None)
 
 
 def test_a_stamp_that_is_none_names_the_message(vendor):

@@ -6,9 +6,7 @@ mavros_msgs 2.12.0; px4_msgs v1.14.0 to v1.17.0 and, for the larger EscStatus, r
 0.0.5; motion_capture_tracking_interfaces 1.0.5.
 """
 
-from types import SimpleNamespace
-
-import pytest
+import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 HEADER = "std_msgs/Header header\n"
@@ -132,7 +130,87 @@ class Messages:
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
 
-@pytest.fixture(scope="session")
-def vendor():
-    """Messages by version of px4_msgs: `vendor.px4_1_14` (to 1.17) and `vendor.px4_1_18`; others in both."""
-    return SimpleNamespace(px4_1_14=Messages(DEFINITIONS), px4_1_18=Messages(PX4_1_18))
+START_NS = 1_700_000_000_123_456_000
+
+
+def frame(vendor, name, time_ns, bodies):
+    """One message with the bodies given as (name, position, orientation x y z w)."""
+    header = vendor.header(time_ns)
+    if name == "named_poses":
+        kind = "motion_capture_tracking_interfaces/msg/NamedPose"
+        poses = [vendor.make(kind, name=body, pose=vendor.pose(*pose)) for body, *pose in bodies]
+        return vendor.bytes(vendor.make(f"{kind}Array", header=header, poses=poses))
+    point = vendor.store.types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0)
+    rigid = []
+    for index, (body, *pose) in enumerate(bodies):
+        marker = vendor.make("mocap4r2_msgs/msg/Marker", marker_name="m" * index, translation=point)
+        rigid.append(
+            vendor.make(
+                "mocap4r2_msgs/msg/RigidBody",
+                rigid_body_name=body,
+                markers=[marker] * index,
+                pose=vendor.pose(*pose),
+            )
+        )
+    message = vendor.make("mocap4r2_msgs/msg/RigidBodies", header=header, frame_number=7, rigidbodies=rigid)
+    return vendor.bytes(message)
+
+
+def px4_odometry(vendor, **changes):
+    fields = {
+        "timestamp": START_NS // 1000 + 500,
+        "timestamp_sample": START_NS // 1000,
+        "pose_frame": 1,
+        "position": [1, 2, -3],
+        "q": np.sqrt([0.5, 0, 0, 0.5]),
+        "velocity_frame": 1,
+        "velocity": [4, 5, 6],
+        "angular_velocity": [0.1, 0.2, 0.3],
+        "position_variance": [0, 0, 0],
+        "orientation_variance": [0, 0, 0],
+        "velocity_variance": [0, 0, 0],
+        **changes,
+    }
+    arrays = {
+        name: np.array(value, np.float32) if isinstance(value, list | np.ndarray) else value
+        for name, value in fields.items()
+    }
+    return vendor.bytes(vendor.make("px4_msgs/msg/VehicleOdometry", **arrays))
+
+
+def mavros_status(vendor, time_ns, rpm, item_times_ns=None):
+    items = [
+        vendor.make("mavros_msgs/msg/ESCStatusItem", header=vendor.header(item_ns, "esc"), rpm=int(value))
+        for value, item_ns in zip(rpm, item_times_ns or [time_ns] * len(rpm), strict=True)
+    ]
+    header = vendor.header(time_ns, "")
+    return vendor.bytes(vendor.make("mavros_msgs/msg/ESCStatus", header=header, esc_status=items))
+
+
+def mavros_telemetry(vendor, time_ns, rpm, counts):
+    items = [
+        vendor.make(
+            "mavros_msgs/msg/ESCTelemetryItem",
+            header=vendor.header(time_ns),
+            rpm=int(value),
+            count=int(count),
+        )
+        for value, count in zip(rpm, counts, strict=True)
+    ]
+    header = vendor.header(time_ns)
+    return vendor.bytes(vendor.make("mavros_msgs/msg/ESCTelemetry", header=header, esc_telemetry=items))
+
+
+def px4_status(
+    vendor, time_ns, rpm, functions=(101, 102, 103, 104), times_ns=None, online=0xFF, places=(0, 1, 2, 3)
+):
+    size = dict(vendor.store.fielddefs["px4_msgs/msg/EscStatus"][1])["esc"][1][1]
+    reports = [vendor.make("px4_msgs/msg/EscReport")] * size
+    for place, value, function, at_ns in zip(places, rpm, functions, times_ns or [time_ns] * 4, strict=True):
+        reports[place] = vendor.make(
+            "px4_msgs/msg/EscReport", timestamp=at_ns // 1000, esc_rpm=int(value), actuator_function=function
+        )
+    message = vendor.make(
+        "px4_msgs/msg/EscStatus", timestamp=time_ns // 1000, esc_count=4, esc_online_flags=online, esc=reports
+    )
+    return vendor.bytes(message)

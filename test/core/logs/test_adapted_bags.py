@@ -19,11 +19,10 @@ from quadpi_core.paths import config_directory
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 
-from .test_poses import frame
-from .test_rotor_messages import mavros_status, px4_status
+from ..messages.adapters.vendor_messages import frame, mavros_status, px4_status
 
 VEHICLE = "neurobem"
-PAGE = Path(__file__).parents[4] / "docs" / "adapters.md"
+PAGE = Path(__file__).parents[3] / "docs" / "adapters.md"
 RAD_S_TO_RPM = 60.0 / (2.0 * np.pi)
 
 
