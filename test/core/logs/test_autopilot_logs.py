@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +28,6 @@ RAD_S = 2 * np.pi / 60
 DESCRIPTIONS = {".BIN": "ArduPilot", ".ulg": "PX4", ".tlog": "MAVLink", ".bbl": "Betaflight"}
 # Counts of a gyro in deg/s, of an accelerometer with 2048 to one g, of hundreds of eRPM with 7 pole pairs.
 TOLERANCES = {".bbl": (0.5 * np.pi / 180, 9.8 / 2048, 7.2 * RAD_S)}
-
-
-@pytest.fixture(scope="module")
-def vehicle() -> Vehicle:
-    return replace(Vehicle.load("neurobem"), pole_pairs=7)
-
-
-@pytest.fixture
-def written(autopilot_logs: dict[str, bytes], tmp_path: Path) -> dict[str, Path]:
-    paths = {suffix: tmp_path / f"flight{suffix}" for suffix in autopilot_logs}
-    for suffix, path in paths.items():
-        path.write_bytes(autopilot_logs[suffix])
-    return paths
 
 
 @pytest.mark.parametrize("suffix", DESCRIPTIONS)
@@ -91,14 +76,6 @@ def test_motion_capture(suffix: str, flown: Any, written: dict[str, Path], vehic
     assert recording.pose.time_ns == pytest.approx(recording.imu.time_ns, abs=1000)
 
 
-def test_telemetry_is_stamped_by_the_computer_that_wrote_it(
-    flown: Any, written: dict[str, Path], vehicle: Vehicle
-) -> None:
-    recording = read_recording(written[".tlog"], vehicle)
-    sent_ns = (1_690_000_000_000_000 + flown.time_us) * 1000
-    assert recording.imu.time_ns == pytest.approx(sent_ns + 20_000_000, abs=300_000)
-
-
 def test_what_is_missing_is_said(written: dict[str, Path], vehicle: Vehicle, tmp_path: Path) -> None:
     imported = import_logs([written[".bbl"]], vehicle, tmp_path / "out")
     assert imported[0].missing == (
@@ -122,19 +99,6 @@ def test_a_mapping_file_gives_another_order(
     assert other
     assert np.sort(other.speeds[5]) == pytest.approx(np.sort(usual.speeds[5]))
     assert not np.allclose(other.speeds, usual.speeds)
-
-
-def test_electrical_speeds_need_pole_pairs(written: dict[str, Path]) -> None:
-    unknown = replace(Vehicle.load("neurobem"), pole_pairs=None)
-    with pytest.raises(QuadpiError, match="pole_pairs"):
-        read_recording(written[".bbl"], unknown)
-
-
-def test_other_pole_pairs_than_the_log_says_are_noted(
-    written: dict[str, Path], vehicle: Vehicle, caplog: pytest.LogCaptureFixture
-) -> None:
-    read_recording(written[".bbl"], replace(vehicle, pole_pairs=6))
-    assert "motor_poles is 14, the vehicle file says 12" in caplog.text
 
 
 @pytest.mark.parametrize("suffix", DESCRIPTIONS)
@@ -174,18 +138,6 @@ def test_what_is_no_log_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-def test_a_parameter_that_is_no_number_is_as_none(
-    written: dict[str, Path], vehicle: Vehicle, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Damage in the type of a parameter leaves bytes."""
-    data = written[".ulg"].read_bytes()
-    assert data.count(b"float CA_ROTOR0_PX") == 1
-    written[".ulg"].write_bytes(data.replace(b"float CA_ROTOR0_PX", b"fl\xffat CA_ROTOR0_PX"))
-    recording = read_recording(written[".ulg"], vehicle)
-    assert recording.rotor_speeds is not None
-    assert "its motors are taken as quad X" in caplog.text
-
-
 @settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_no_damage_gives_a_traceback(
@@ -222,29 +174,3 @@ def test_real_logs(name: str, shared_data: Path, vehicle: Vehicle, tmp_path: Pat
     recording: Recording = read_bag(imported.bag, vehicle)
     # All of them stand or fly level: gravity is up in forward-right-down axes.
     assert np.median(recording.imu.specific_force[:, 2]) == pytest.approx(-9.8, abs=0.6)
-
-
-def test_dataflash_agrees_with_pymavlink(shared_data: Path) -> None:
-    from pymavlink import DFReader
-
-    from quadpi_core.logs.dataflash import decode_dataflash
-
-    path = shared_data / "logs" / "ardupilot_copter_2014.BIN"
-    messages = decode_dataflash(str(path), path.read_bytes()).messages
-    reader = DFReader.DFReader_binary(str(path))
-    theirs: dict[str, list[Any]] = {}
-    while (message := reader.recv_msg()) is not None:
-        theirs.setdefault(message.get_type(), []).append(message)
-    assert {name: len(found) for name, found in messages.items()} == {k: len(v) for k, v in theirs.items()}
-    for name in ("IMU", "ATT", "EKF1", "RCOU", "BARO"):
-        for column in messages[name].factors:
-            mine = messages[name].column(column)
-            assert mine == pytest.approx([getattr(one, column) for one in theirs[name]]), (name, column)
-
-
-def test_the_library_that_a_format_needs_is_named(
-    written: dict[str, Path], vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyulog", None)
-    with pytest.raises(LogError, match=r"needs pyulog.*pip install quadpi-monitor\[logs\]"):
-        read_recording(written[".ulg"], vehicle)

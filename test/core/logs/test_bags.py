@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
 import hashlib
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,51 +9,25 @@ import pytest
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     AXES,
-    ImuStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    WindStream,
 )
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bag_topics import bag_topics, has_topic
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.payloads import Topic
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
+from .bag_examples import assert_same_streams, imu_topic
+
 N = 40
-START_NS = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
 def rng():
     return np.random.default_rng(11)
-
-
-@pytest.fixture
-def recording(rng, tmp_path):
-    source = tmp_path / "flight.csv"
-    source.write_text("a log\n")
-    time_ns = START_NS + np.arange(N) * 2_000_000
-    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (N, 1))
-    return Recording(
-        name="flight",
-        vehicle="bebop2",
-        source=str(source),
-        imu=ImuStream(time_ns, rng.normal(size=(N, 3)), rng.normal(size=(N, 3))),
-        rotor_speeds=RotorSpeedStream(time_ns + 300, rng.uniform(0, 900, size=(N, 4))),
-        pose=PoseStream(time_ns[::4], rng.normal(size=(N // 4, 3)), attitude[::4]),
-        odometry=OdometryStream(time_ns, *(rng.normal(size=(N, 3)), attitude, *rng.normal(size=(2, N, 3)))),
-        wind=WindStream(time_ns[:2], rng.normal(size=(2, 3))),
-    )
 
 
 @pytest.fixture
@@ -68,19 +42,6 @@ def vehicle():
         pole_pairs=6,
         rotor_speed_max_rad_s=1000.0,
     )
-
-
-def assert_same_streams(actual, expected):
-    assert [type(stream) for stream in actual.streams()] == [type(stream) for stream in expected.streams()]
-    for one, other in zip(actual.streams(), expected.streams(), strict=True):
-        for column in fields(other):
-            np.testing.assert_allclose(
-                getattr(one, column.name), getattr(other, column.name), rtol=1e-15, atol=1e-15
-            )
-
-
-def imu_topic(recording, name="/imu"):
-    return Topic(name, sensor_messages.IMU, recording.imu.time_ns, sensor_messages.pack_imu(recording.imu))
 
 
 def test_round_trip_with_provenance(tmp_path, recording):
@@ -101,38 +62,7 @@ def test_stamps_come_from_headers_not_from_log_times(tmp_path, recording):
     np.testing.assert_array_equal(read_bag(path).imu.time_ns, recording.imu.time_ns)
 
 
-def test_topics_in_a_namespace_are_found(tmp_path, recording):
-    path = tmp_path / "fleet.mcap"
-    write_mcap(path, [imu_topic(recording, "/drone1/imu")], {})
-    assert_same_streams(read_bag(path), replace(recording, **dict.fromkeys(OPTIONAL)))
-
-
-@pytest.mark.parametrize("namespace", ["/truth", "/drone1/truth", "/truth/drone1"])
-def test_truth_of_a_simulation_is_no_sensor(tmp_path, recording, namespace):
-    path = tmp_path / "simulated.mcap"
-    odometry = recording.odometry
-    state = sensor_messages.pack_odometry(odometry)
-    true_imu = imu_topic(recording, f"{namespace}/imu")
-    true_state = Topic(f"{namespace}/odometry", sensor_messages.ODOMETRY, odometry.time_ns, state)
-    write_mcap(path, [imu_topic(recording), true_imu, true_state], {})
-    assert_same_streams(read_bag(path), replace(recording, **dict.fromkeys(OPTIONAL)))
-    assert not has_topic(path, "odometry")
-
-
-def test_truth_must_be_a_whole_topic_level(tmp_path, recording):
-    path = tmp_path / "named.mcap"
-    write_mcap(path, [imu_topic(recording, "/truthful/imu")], {})
-    assert_same_streams(read_bag(path), replace(recording, **dict.fromkeys(OPTIONAL)))
-
-
 OPTIONAL = ("rotor_speeds", "pose", "odometry", "wind")
-
-
-def test_name_must_match_a_whole_topic_level(tmp_path, recording):
-    path = tmp_path / "other.mcap"
-    write_mcap(path, [imu_topic(recording, "/raw_imu")], {})
-    with pytest.raises(LogError, match=r"other\.mcap: topic imu: missing; topics of the bag: /raw_imu"):
-        read_bag(path)
 
 
 def test_erpm_is_converted_with_the_pole_pairs(tmp_path, recording, vehicle, rng):
@@ -190,20 +120,6 @@ def test_bag_without_outputs(tmp_path, recording):
     path = tmp_path / "plain.mcap"
     write_bag(path, recording)
     assert read_outputs(path) == (None, None)
-
-
-def test_summary_lists_any_topic(tmp_path, recording):
-    path = tmp_path / "any.mcap"
-    text = codec("std_msgs/msg/String").encode(3, {"data": "hello"})
-    log_time_ns = START_NS + np.arange(3)
-    write_bag(path, recording, [Topic("/chatter", "std_msgs/msg/String", log_time_ns, text)])
-    summary = {topic.name: topic for topic in bag_topics(path)}
-    assert sorted(summary) == ["/chatter", "/imu", "/mocap/pose", "/odometry", "/rotor_speeds", "/wind"]
-    assert not summary["/chatter"].has_header
-    np.testing.assert_array_equal(summary["/chatter"].stamps_ns, log_time_ns)
-    assert summary["/rotor_speeds"].has_header
-    assert summary["/rotor_speeds"].type_name == "quadpi/msg/RotorSpeeds"
-    np.testing.assert_array_equal(summary["/rotor_speeds"].stamps_ns, recording.rotor_speeds.time_ns)
 
 
 def test_real_flight_survives_the_bag(tmp_path, shared_data):

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
-from quadpi_core.logs import decode_recording, identify_format, read_recording
+from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
+from quadpi_core.frames import body_frd_to_flu
+from quadpi_core.logs import decode_recording, read_recording
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.logs.inspect import inspect_recording
 from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
@@ -30,31 +30,6 @@ MILLISECOND = 1_000_000
 @pytest.fixture(scope="module")
 def vehicle() -> Vehicle:
     return Vehicle.load("crazyflie_rpm")
-
-
-@pytest.fixture
-def hover() -> Recording:
-    """Four seconds near hover, rolling gently to and fro."""
-    rng = np.random.default_rng(3)
-    time = np.arange(SAMPLES) / RATE_HZ
-    time_ns = np.arange(SAMPLES, dtype=np.int64) * (1_000_000_000 // RATE_HZ)
-    roll, zero = 0.2 * np.sin(2.0 * np.pi * time), np.zeros(SAMPLES)
-    attitude = np.stack([np.cos(roll / 2), np.sin(roll / 2), zero, zero], axis=1)
-    rates = np.stack([np.gradient(roll, time), zero, zero], axis=1) + rng.normal(0.0, 0.01, (SAMPLES, 3))
-    force = np.array([0.0, 0.0, -9.81]) + rng.normal(0.0, 0.1, (SAMPLES, 3))
-    position = np.stack([zero, np.sin(time), -1.0 - 0.1 * time], axis=1)
-    speeds = HOVER_RAD_S + rng.normal(0.0, 10.0, (SAMPLES, 4))
-    velocity = np.gradient(position, time, axis=0)
-    return Recording(
-        name="hover",
-        vehicle="crazyflie_rpm",
-        source="hover.mcap",
-        imu=ImuStream(time_ns, rates, force),
-        rotor_speeds=RotorSpeedStream(time_ns, speeds),
-        pose=PoseStream(time_ns[::5], position[::5], attitude[::5]),
-        odometry=OdometryStream(time_ns, position, attitude, velocity, rates),
-        battery_v=(time_ns, np.linspace(4.0, 3.9, SAMPLES)),
-    )
 
 
 def with_speeds(recording: Recording, change: Callable[[np.ndarray], object]) -> Recording:
@@ -226,36 +201,6 @@ def test_implausible_numbers_are_refused_and_found(hover: Recording, vehicle: Ve
     assert str(caught.value).removeprefix("hover.mcap: ") in inspect_recording(spoilt, vehicle).findings
 
 
-def hashed(*recordings: Recording) -> list[tuple[str, str]]:
-    return [(recording.source, recording_hash(recording)) for recording in recordings]
-
-
-def test_copies_are_recognised_across_conversions(hover: Recording):
-    there_and_back = body_flu_to_frd(body_frd_to_flu(hover.imu.specific_force)) * (1.0 + 1e-13)
-    copy = replace(
-        hover,
-        source="copy.mcap",
-        name="copy",
-        imu=replace(hover.imu, time_ns=hover.imu.time_ns + 5_000_000_000, specific_force=there_and_back),
-        rotor_speeds=replace(hover.rotor_speeds, time_ns=hover.rotor_speeds.time_ns + 5_000_000_000),
-    )
-    assert recording_hash(copy) == recording_hash(hover)
-    with pytest.raises(LogError, match=r"copy\.mcap: the same flight as hover\.mcap"):
-        refuse_duplicates(hashed(hover, copy))
-
-
-def test_the_same_file_twice_is_a_duplicate(hover: Recording):
-    with pytest.raises(LogError, match=r"hover\.mcap: the same flight as hover\.mcap"):
-        refuse_duplicates(hashed(hover, replace(hover)))
-
-
-def test_different_flights_are_not_duplicates(hover: Recording):
-    other = with_imu(hover, specific_force=1.0 + 1e-5)
-    refuse_duplicates(
-        hashed(hover, other, with_speeds(hover, lambda speeds: np.add(speeds, 1.0, out=speeds)))
-    )
-
-
 @pytest.mark.parametrize(
     ("folder", "vehicle_name", "mapping", "coefficient"),
     [
@@ -273,7 +218,7 @@ def test_real_flights_are_plausible(shared_data: Path, folder, vehicle_name, map
         assert thrust_coefficient(recording, vehicle) == pytest.approx(coefficient, rel=0.03)
         assert "half" not in findings(recording, vehicle)
         recordings.append(recording)
-    refuse_duplicates(hashed(*recordings))
+    refuse_duplicates((recording.source, recording_hash(recording)) for recording in recordings)
 
 
 @pytest.mark.parametrize(("run", "spikes", "first"), [(1, 2, 2502), (4, 3, 2005)])
@@ -283,38 +228,6 @@ def test_real_spikes_are_found(shared_data: Path, run: int, spikes: int, first: 
     found = findings(decode_recording(path, vehicle, "nanodrone"), vehicle)
     assert f"topic rotor_speeds: left out {spikes} of " in found
     assert f"above the vehicle's 3000 rad/s; the first is sample {first}" in found
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("absent.mat", None, "no such file or folder"),
-        ("empty.mat", b"", "the file is empty"),
-        (
-            "flight.xyz",
-            b"some bytes",
-            "not a known log format; known: ArduPilot .*, Crazyflie .*, bag ",
-        ),
-    ],
-)
-def test_unusable_paths_are_named(tmp_path: Path, name: str, content: bytes | None, message: str):
-    path = tmp_path / name
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(LogError, match=f"{name}: {message}"):
-        read_recording(path, None)
-
-
-def test_formats_are_told_apart(tmp_path: Path):
-    for name, content, description in (
-        ("a.mcap", b"\x89MCAP", "bag"),
-        ("b.mat", b"MATLAB", "NeuroBEM"),
-        ("c.CSV", b"t,x", "table"),
-        ("log17", b"\xbc\x02\x00", "Crazyflie"),
-    ):
-        (tmp_path / name).write_bytes(content)
-        assert identify_format(tmp_path / name).description.startswith(description)
-    assert identify_format(tmp_path).description.startswith("bag")
 
 
 def test_numbers_without_bound_are_shown_without_a_warning(hover: Recording, vehicle: Vehicle):

@@ -7,8 +7,6 @@ from __future__ import annotations
 import random
 import re
 from collections import Counter
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -17,10 +15,8 @@ from hypothesis import strategies as st
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from quadpi_core.logs import mavlink_frames
-from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, Verifier, frame_length, signing_key
 
-ROOT = Path(__file__).parents[3]
 LONGEST = 10 + 255 + 2 + 13
 
 
@@ -194,22 +190,6 @@ def test_lost_packets_are_counted_and_a_restart_is_none(mavlink_sender: Any) -> 
     assert framer.counts.lost == 4
 
 
-def test_every_known_message_can_be_decoded() -> None:
-    framer, decoder, dialect = Framer(), MessageDecoder(), load_dialect()
-    for number, kind in dialect.mavlink_map.items():
-        if number < 256:
-            frame = framer.feed(empty_packet(kind, number))[0]
-            fields = decoder.decode(frame)._fields
-            assert len(fields) == len(kind.fieldnames)
-
-
-def empty_packet(kind: type, number: int) -> bytes:
-    dialect = load_dialect()
-    head = bytes((0xFE, 0, 0, 1, 1, number))
-    checksum = dialect.x25crc(head[1:] + bytes((kind.crc_extra,))).crc  # type: ignore[attr-defined]
-    return head + checksum.to_bytes(2, "little")
-
-
 def test_signed_packets_are_read_without_a_key(mavlink_sender: Any) -> None:
     sender, framer = mavlink_sender(key=signing_key("secret")), Framer()
     assert numbers(framer, attitude(sender, 1) + attitude(sender, 2)) == [1, 2]
@@ -239,44 +219,3 @@ def test_a_signature_of_long_ago_is_refused(mavlink_sender: Any) -> None:
     sender = mavlink_sender(key=key)
     sender.mav.signing.timestamp = 1000
     assert numbers(Framer(Verifier(key)), attitude(sender, 1)) == []
-
-
-def generated(tmp_path: Path) -> ModuleType:
-    """The module that pymavlink generates of the XML in the documentation."""
-    import importlib.util
-
-    from pymavlink.generator import mavgen, mavparse
-
-    text = (ROOT / "docs" / "mavlink.md").read_text()
-    (xml,) = re.findall(r"^```xml\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
-    (tmp_path / "esc.xml").write_text(xml)
-    options = mavgen.Opts(str(tmp_path / "esc"), wire_protocol=mavparse.PROTOCOL_2_0, language="Python3")
-    mavgen.mavgen(options, [str(tmp_path / "esc.xml")])
-    spec = importlib.util.spec_from_file_location("esc", tmp_path / "esc.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("ESC_INFO", (4, 10**15, 7, 8, 3, 9, [1, 2, 3, 4], [10, 20, 30, 40], [-1, 2, -3, 4])),
-        ("ESC_STATUS", (0, 123_456, [1, -2, 3, 2**31 - 1], [1.5, 2.5, 3.5, 4.5], [0.0, 0.5, 1.0, 1.5])),
-    ],
-)
-def test_own_messages_are_those_of_the_documented_xml(
-    mavlink_sender: Any, name: str, values: tuple[object, ...], tmp_path: Path
-) -> None:
-    module = generated(tmp_path)
-    theirs = module.MAVLink(None, 1, 1)
-    packet = bytes(getattr(module, f"MAVLink_{name.lower()}_message")(*values).pack(theirs))
-    assert mavlink_sender().packet(name, *values) == packet
-    (frame,) = Framer().feed(packet)
-    decoded = MessageDecoder().decode(frame)._asdict()
-    names = load_dialect().mavlink_map[frame.message_id].fieldnames
-    assert [decoded[field] for field in names] == [tuple(v) if isinstance(v, list) else v for v in values]
-    extra = {"ESC_INFO": 251, "ESC_STATUS": 10}
-    assert getattr(module, f"MAVLink_{name.lower()}_message").crc_extra == extra[name]

@@ -11,8 +11,16 @@ from typing import Any
 import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+
+import pytest
+
 from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records, read_tlog
 from quadpi_core.logs.mavlink_frames import frame_length
+
+pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+pytest.importorskip("pyulog", reason="pyulog is not installed")
+from quadpi_core.logs import read_recording
+from quadpi_core.vehicle import Vehicle
 
 START_US = 1_700_000_000_000_000
 
@@ -56,3 +64,11 @@ def test_a_damaged_log_costs_in_proportion_to_its_length(monkeypatch: pytest.Mon
     assert counts.damaged_bytes == len(log)
     assert counts.checksum_errors <= 1000
     assert len(looked) <= len(log) + 1000
+
+
+def test_telemetry_is_stamped_by_the_computer_that_wrote_it(
+    flown: Any, written: dict[str, Path], vehicle: Vehicle
+) -> None:
+    recording = read_recording(written[".tlog"], vehicle)
+    sent_ns = (1_690_000_000_000_000 + flown.time_us) * 1000
+    assert recording.imu.time_ns == pytest.approx(sent_ns + 20_000_000, abs=300_000)

@@ -19,8 +19,6 @@ from scipy.spatial.transform import Rotation
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.mapping import UNITS, Mapping
-from quadpi_core.paths import config_directory
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 
@@ -227,64 +225,6 @@ def test_spikes_are_left_out(tmp_path: Path, vehicle: Vehicle):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"speed": 1}, "unknown key `speed`; known: time, body"),
-        ({"body": "fru"}, "`body` must be one of flu, frd, found 'fru'"),
-        (
-            {"time": {"columns": ["t"], "unit": "minutes"}},
-            "time: `unit` must be one of s, ms, us, ns, found 'minutes'",
-        ),
-        ({"time": {"columns": ["t"]}}, "time: missing key `unit`"),
-        (
-            {"time": {"columns": ["t"], "unit": "s", "zero": 0}},
-            "time: unknown key `zero`; known: columns,",
-        ),
-        ({"time": "t"}, "time: expected keys and values, found 't'"),
-        ({"wind": {"columns": ["a", "b"], "unit": "m/s"}}, "wind: `columns` must list 3 different columns"),
-        (
-            {"time": {"columns": ["t"], "unit": "s", "missing": 2}},
-            "time: `missing` must be a number from 0 to 1, found 2",
-        ),
-        (
-            {"wind": {"columns": list("abc"), "unit": "m/s", "zero": 0}},
-            "wind: unknown key `zero`; known: columns,",
-        ),
-        (
-            {"wind": {"columns": list("abc"), "unit": "m/s", "axes": "body"}},
-            "wind: unknown key `axes`; known",
-        ),
-        (
-            {"attitude": {"columns": ["a", "b", "c", "d"], "form": "zyx"}},
-            "attitude: `form` must be one of wxyz, xyzw, roll-pitch-yaw, found 'zyx'",
-        ),
-    ],
-)
-def test_mistakes_in_a_mapping_are_named(tmp_path: Path, change: dict[str, Any], message: str):
-    path = tmp_path / "mapping.yaml"
-    path.write_text(yaml.safe_dump(minimal_mapping() | change))
-    with pytest.raises(LogError) as caught:
-        Mapping.load(path)
-    assert str(path) in str(caught.value)
-    assert message in str(caught.value)
-
-
-@pytest.mark.parametrize("key", ["time", "body", "world", "angular_velocity", "acceleration"])
-def test_required_keys(tmp_path: Path, key: str):
-    mapping = minimal_mapping()
-    del mapping[key]
-    path = tmp_path / "mapping.yaml"
-    path.write_text(yaml.safe_dump(mapping))
-    with pytest.raises(LogError, match=f"missing key `{key}`"):
-        Mapping.load(path)
-
-
-def test_unknown_mapping_lists_the_known():
-    with pytest.raises(LogError, match=r"no such mapping file; known mappings: .*nanodrone"):
-        Mapping.load("nonesuch")
-
-
-@pytest.mark.parametrize(
     ("columns", "message"),
     [
         ({"az": None}, "no column az; it has"),
@@ -328,11 +268,6 @@ def test_table_needs_a_mapping_and_others_take_none(tmp_path: Path):
     (tmp_path / "flight.mat").write_bytes(b"anything")
     with pytest.raises(LogError, match="takes no mapping file"):
         read_recording(tmp_path / "flight.mat", None, mapping_path)
-
-
-@pytest.mark.parametrize("name", sorted(p.stem for p in (config_directory() / "mappings").glob("*.yaml")))
-def test_every_mapping_of_the_project_loads(name: str):
-    assert set(Mapping.load(name).signals) <= set(UNITS)
 
 
 @pytest.fixture(scope="module", params=[*SPIKES, "random1_20251017_run2"])

@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of a bag by name: in a namespace, of a simulation, of any type."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.logs.bag_topics import bag_topics, has_topic
+from quadpi_core.logs.bag_writer import write_mcap
+from quadpi_core.logs.bags import read_bag, write_bag
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.payloads import Topic
+
+from .bag_examples import assert_same_streams, imu_topic, write_ros1
+
+
+def imu_alone(recording):
+    return replace(recording, **dict.fromkeys(("rotor_speeds", "pose", "odometry", "wind")))
+
+
+def test_topics_in_a_namespace_are_found(tmp_path, recording):
+    path = tmp_path / "fleet.mcap"
+    write_mcap(path, [imu_topic(recording, "/drone1/imu")], {})
+    assert_same_streams(read_bag(path), imu_alone(recording))
+
+
+@pytest.mark.parametrize("namespace", ["/truth", "/drone1/truth", "/truth/drone1"])
+def test_truth_of_a_simulation_is_no_sensor(tmp_path, recording, namespace):
+    path = tmp_path / "simulated.mcap"
+    odometry = recording.odometry
+    state = sensor_messages.pack_odometry(odometry)
+    true_imu = imu_topic(recording, f"{namespace}/imu")
+    true_state = Topic(f"{namespace}/odometry", sensor_messages.ODOMETRY, odometry.time_ns, state)
+    write_mcap(path, [imu_topic(recording), true_imu, true_state], {})
+    assert_same_streams(read_bag(path), imu_alone(recording))
+    assert not has_topic(path, "odometry")
+
+
+def test_truth_must_be_a_whole_topic_level(tmp_path, recording):
+    path = tmp_path / "named.mcap"
+    write_mcap(path, [imu_topic(recording, "/truthful/imu")], {})
+    assert_same_streams(read_bag(path), imu_alone(recording))
+
+
+def test_name_must_match_a_whole_topic_level(tmp_path, recording):
+    path = tmp_path / "other.mcap"
+    write_mcap(path, [imu_topic(recording, "/raw_imu")], {})
+    with pytest.raises(LogError, match=r"other\.mcap: topic imu: missing; topics of the bag: /raw_imu"):
+        read_bag(path)
+
+
+def test_summary_lists_any_topic(tmp_path, recording):
+    path = tmp_path / "any.mcap"
+    text = codec("std_msgs/msg/String").encode(3, {"data": "hello"})
+    log_time_ns = recording.imu.time_ns[0] + np.arange(3)
+    write_bag(path, recording, [Topic("/chatter", "std_msgs/msg/String", log_time_ns, text)])
+    summary = {topic.name: topic for topic in bag_topics(path)}
+    assert sorted(summary) == ["/chatter", "/imu", "/mocap/pose", "/odometry", "/rotor_speeds", "/wind"]
+    assert not summary["/chatter"].has_header
+    np.testing.assert_array_equal(summary["/chatter"].stamps_ns, log_time_ns)
+    assert summary["/rotor_speeds"].has_header
+    assert summary["/rotor_speeds"].type_name == "quadpi/msg/RotorSpeeds"
+    np.testing.assert_array_equal(summary["/rotor_speeds"].stamps_ns, recording.rotor_speeds.time_ns)
+
+
+def test_topics_of_a_ros1_bag_have_their_header_stamps(tmp_path, sensor_topics):
+    path = tmp_path / "flight.bag"
+    write_ros1(path, sensor_topics)
+    write_mcap(tmp_path / "flight.mcap", sensor_topics, {})
+    for own, of in zip(bag_topics(path), bag_topics(tmp_path / "flight.mcap"), strict=True):
+        assert (own.name, own.type_name, own.has_header) == (of.name, of.type_name, True)
+        np.testing.assert_array_equal(own.stamps_ns, of.stamps_ns)

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every encoding of the fields of a Blackbox frame, against the bytes of the documentation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadpi_core.logs.blackbox_encodings import (
+    BROKEN,
+    CUT,
+    NEG_14BIT,
+    NULL,
+    SIGNED_VB,
+    TAG8_8SVB,
+    UNSIGNED_VB,
+    read_fields,
+)
+
+
+def unsigned(value):
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*out, value])
+
+
+def signed(value):
+    return unsigned((value << 1 ^ value >> 31) & 0xFFFFFFFF)
+
+
+# The bits of three values A, B and C, by encoding; the shortest form that holds them is taken.
+FORMS = {
+    7: ("00AABBCC", "0100AAAABBBBCCCC", "10AAAAAA00BBBBBB00CCCCCC"),
+    10: ("00AABBCC", "01AAAAABBBBBCCCC", "10AAAAAAAABBBBBBBCCCCCCC"),
+}
+
+
+def triple(values, encoding):
+    for form in FORMS[encoding]:
+        bits, room = form, {letter: form.count(letter) for letter in "ABC"}
+        for value, (letter, count) in zip(values, room.items(), strict=True):
+            if -(1 << (count - 1)) <= value < 1 << (count - 1):
+                bits = bits.replace(letter * count, f"{value & (1 << count) - 1:0{count}b}")
+        if not set(bits) & set(room):
+            return int(bits, 2).to_bytes(len(bits) // 8, "big")
+    lengths = [next(n for n in (1, 2, 3, 4) if -(1 << (8 * n - 1)) <= v < 1 << (8 * n - 1)) for v in values]
+    lead = 0xC0 | sum((n - 1) << 2 * k for k, n in enumerate(lengths))
+    parts = (v.to_bytes(n, "little", signed=True) for v, n in zip(values, lengths, strict=True))
+    return bytes([lead]) + b"".join(parts)
+
+
+def quadruple(values):
+    sizes = [
+        0 if v == 0 else next(tag for tag, b in ((1, 4), (2, 8), (3, 16)) if -(1 << b - 1) <= v < 1 << b - 1)
+        for v in values
+    ]
+    digits = "".join(
+        f"{v & (1 << b) - 1:0{b // 4}x}"
+        for v, b in zip(values, ((0, 4, 8, 16)[tag] for tag in sizes), strict=True)
+        if b
+    )
+    head = sum(tag << 2 * k for k, tag in enumerate(sizes))
+    return bytes([head]) + bytes.fromhex(digits + "0" * (len(digits) % 2))
+
+
+def eight(values):
+    if len(values) == 1:
+        return signed(values[0])
+    head = sum((value != 0) << k for k, value in enumerate(values))
+    return bytes([head]) + b"".join(signed(value) for value in values if value)
+
+
+ENCODERS = {
+    0: lambda values: b"".join(map(signed, values)),
+    6: eight,
+    7: lambda values: triple(values, 7),
+    8: quadruple,
+    10: lambda values: triple(values, 10),
+}
+
+
+SIZES = {0: 2, 6: 8, 7: 3, 8: 4, 10: 3}
+
+
+def test_encoders_of_this_test_give_the_bytes_of_the_documentation():
+    assert unsigned(23456) == b"\xa0\xb7\x01"
+    assert signed(-2147483648) == unsigned(4294967295)
+    assert eight([0, 0, 4, 0, 4])[:1] == b"\x14"
+    assert quadruple([13, 0, 4, 2]) == bytes([0b01010010, 0x0D, 0x42])
+    assert triple([1, -2, -1], 7) == bytes([0b00011011])
+
+
+def read(data: bytes, *encodings: int) -> tuple[list[int], int]:
+    """What is read of a frame whose fields are in these encodings, and the position behind it."""
+    count = len(encodings)
+    values = np.full(count, -99, dtype=np.int64)
+    kinds = np.array(encodings, dtype=np.int64)
+    stop = read_fields(np.frombuffer(data, dtype=np.uint8), 0, kinds, count, values)
+    return values.tolist(), stop
+
+
+@pytest.mark.parametrize("encoding", ENCODERS)
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_every_value_of_every_encoding(encoding, data):
+    most = data.draw(st.sampled_from([1, 7, 15, 31, 100, 30000] + [2**23, 2**31 - 1] * (encoding != 8)))
+    size = data.draw(st.integers(1, 8)) if encoding == 6 else SIZES[encoding]
+    values = data.draw(st.lists(st.integers(-most - 1, most), min_size=size, max_size=size))
+    packed = ENCODERS[encoding](values)
+    assert read(packed + b"rest", *[encoding] * size) == (values, len(packed))
+    for cut in range(len(packed)):
+        assert read(packed[:cut], *[encoding] * size)[1] == CUT
+
+
+def test_numbers_without_sign_of_14_bits_and_none_at_all():
+    packed = unsigned(2**32 - 1) + unsigned(40) + unsigned(-5 & 0x3FFF)
+    assert read(packed, UNSIGNED_VB, NEG_14BIT, NEG_14BIT, NULL) == ([2**32 - 1, -40, 5, 0], len(packed))
+
+
+def test_a_number_of_more_than_five_bytes_is_none():
+    assert read(b"\xff" * 6, UNSIGNED_VB)[1] == BROKEN
+    assert read(b"\x01" + b"\xff" * 6, UNSIGNED_VB, SIGNED_VB)[1] == BROKEN
+
+
+def test_groups_of_eight_end_with_the_fields_of_their_encoding():
+    """Nine fields in a row are a group of eight and one by itself, which has no byte before it."""
+    values = [3, 0, -2, 0, 0, 1, 0, 7, -6]
+    packed = eight(values[:8]) + signed(values[8])
+    assert read(packed, *[TAG8_8SVB] * 9) == (values, len(packed))
+    two = eight([5, 0]) + signed(9)
+    assert read(two, TAG8_8SVB, TAG8_8SVB, SIGNED_VB) == ([5, 0, 9], len(two))

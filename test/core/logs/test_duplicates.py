@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The same flight is recognised under another name, in another container, on another clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import Recording
+from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
+from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+
+
+def with_speeds(recording: Recording, change: Callable[[np.ndarray], object]) -> Recording:
+    speeds = recording.rotor_speeds.speeds.copy()
+    change(speeds)
+    return replace(recording, rotor_speeds=replace(recording.rotor_speeds, speeds=speeds))
+
+
+def with_imu(recording: Recording, **scale: float) -> Recording:
+    scaled = {name: getattr(recording.imu, name) * factor for name, factor in scale.items()}
+    return replace(recording, imu=replace(recording.imu, **scaled))
+
+
+def hashed(*recordings: Recording) -> list[tuple[str, str]]:
+    return [(recording.source, recording_hash(recording)) for recording in recordings]
+
+
+def test_copies_are_recognised_across_conversions(hover: Recording):
+    there_and_back = body_flu_to_frd(body_frd_to_flu(hover.imu.specific_force)) * (1.0 + 1e-13)
+    copy = replace(
+        hover,
+        source="copy.mcap",
+        name="copy",
+        imu=replace(hover.imu, time_ns=hover.imu.time_ns + 5_000_000_000, specific_force=there_and_back),
+        rotor_speeds=replace(hover.rotor_speeds, time_ns=hover.rotor_speeds.time_ns + 5_000_000_000),
+    )
+    assert recording_hash(copy) == recording_hash(hover)
+    with pytest.raises(LogError, match=r"copy\.mcap: the same flight as hover\.mcap"):
+        refuse_duplicates(hashed(hover, copy))
+
+
+def test_the_same_file_twice_is_a_duplicate(hover: Recording):
+    with pytest.raises(LogError, match=r"hover\.mcap: the same flight as hover\.mcap"):
+        refuse_duplicates(hashed(hover, replace(hover)))
+
+
+def test_different_flights_are_not_duplicates(hover: Recording):
+    other = with_imu(hover, specific_force=1.0 + 1e-5)
+    refuse_duplicates(
+        hashed(hover, other, with_speeds(hover, lambda speeds: np.add(speeds, 1.0, out=speeds)))
+    )
