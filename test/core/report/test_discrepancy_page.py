@@ -12,8 +12,6 @@ from rich.console import Console
 
 from quadpi_core.discrepancy.discrepancy_result import study_json
 from quadpi_core.discrepancy.external_simulations import CallableSimulation
-from quadpi_core.discrepancy.residual_bins import Residual
-from quadpi_core.report.discrepancy_figures import mean_map
 from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
 
 
@@ -61,21 +59,6 @@ def test_figures_of_every_flight(page_file, read_page, found):
         assert len(figures[f"residual {own.flight}"]["data"]) == 12
     gap = figures["gap"]["data"]
     assert {trace["name"] for trace in gap} == {"before", "after", "floor: noise"}
-
-
-def test_maps_hold_the_mean_of_what_was_measured_more_than_simulated():
-    u, v = np.meshgrid(np.linspace(-3.9, 3.9, 60), np.linspace(-3.9, 3.9, 60))
-    wrench = np.zeros((u.size, 6))
-    wrench[:, 0] = -0.1 * u.ravel()
-    flight = Residual("a", np.arange(u.size) / 40.0, {"u": u.ravel(), "v": v.ravel()}, wrench, wrench, wrench)
-    x, y, table = mean_map([flight], 0, "u", "v")
-    assert table.shape == (len(y) - 1, len(x) - 1)
-    centres = 0.5 * (x[:-1] + x[1:])
-    assert np.nanmean(table, axis=0) == pytest.approx(-0.1 * centres, abs=0.02)
-    empty = mean_map(
-        [flight._replace(variables={"u": u.ravel(), "v": np.abs(v.ravel()) * 0.01})], 0, "u", "v"
-    )
-    assert np.isfinite(empty[2]).any()
 
 
 def test_every_candidate_has_its_reason(page_file, read_page, found):

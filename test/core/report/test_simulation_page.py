@@ -9,13 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.frames import quaternion_from_roll_pitch_yaw
-from quadpi_core.report.simulation_figures import (
-    effort_figure,
-    rotor_names,
-    tracking_figure,
-    trajectory_figure,
-)
 from quadpi_core.report.simulation_page import (
     effects_text,
     faults_text,
@@ -24,46 +17,8 @@ from quadpi_core.report.simulation_page import (
     write_simulation_page,
 )
 from quadpi_core.report.table import terminal_table
-from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.simulation.truth import Reference, Truth
-from quadpi_core.vehicle import Vehicle
 
-RADIUS, TURN_RATE, HEIGHT = 3.0, 2.0, 5.0
-OFFSET = np.array([0.3, 0.0, -0.4])
-PITCH = 0.2
-TENTH = 100
-
-
-def circle(name="circle", samples=1000):
-    """Turns clockwise about the origin, nose ahead and 0.2 rad up, always half a metre from its reference."""
-    vehicle = Vehicle.load("bebop2")
-    time = np.arange(samples) / 100.0
-    angle = TURN_RATE * time
-    zero = np.zeros_like(time)
-    position = np.stack((RADIUS * np.cos(angle), RADIUS * np.sin(angle), zero - HEIGHT), axis=1)
-    velocity = RADIUS * TURN_RATE * np.stack((-np.sin(angle), np.cos(angle), zero), axis=1)
-    yaw = angle + np.pi / 2
-    attitude = quaternion_from_roll_pitch_yaw(np.stack((zero, zero + PITCH, yaw), axis=1))
-    still = np.zeros((samples, 3))
-    rotor_speeds = np.full((samples, 4), 900.0)
-    rotor_speeds[:TENTH, 2] = vehicle.rotor_speed_max_rad_s
-    return Truth(
-        name=name,
-        vehicle=vehicle,
-        time_ns=np.round(1e9 * time).astype(np.int64),
-        position=position,
-        attitude=attitude,
-        velocity=rotate_world_to_body(attitude, velocity),
-        rates=still,
-        acceleration=still,
-        angular_acceleration=still,
-        rotor_speeds=rotor_speeds,
-        rotor_accelerations=np.zeros((samples, 4)),
-        wrench=np.zeros((samples, 6)),
-        wind=still,
-        known_wind=None,
-        reference=Reference(position + OFFSET, velocity, still, yaw, zero, np.zeros((samples, 2)), zero),
-    )
+from .circling import PITCH, RADIUS, TURN_RATE, circle
 
 
 def planned(name="circle", effects=None, faults=()):
@@ -87,11 +42,6 @@ def page(flights, read_page, tmp_path):
     path = tmp_path / "flights.html"
     write_simulation_page(path, flights)
     return read_page(path)
-
-
-def trace(figure, name):
-    (found,) = (data for data in figure.data if data.name == name)
-    return np.column_stack((found.x, found.y, found.z))
 
 
 class TestSummary:
@@ -129,73 +79,6 @@ class TestSummary:
         assert effects_text(effects) == "payload mass_kg 0.05; wind north_m_s 2, east_m_s -1"
         faults = [{"kind": "frozen", "topic": "imu", "at_s": 2.0, "for_s": 0.5}]
         assert faults_text(faults) == "frozen imu 2–2.5 s"
-
-
-class TestTrajectory:
-    def test_axes_are_east_north_height_at_equal_scale(self):
-        figure = trajectory_figure(circle())
-        path = trace(figure, "flown")
-        np.testing.assert_allclose(path[0], [0.0, RADIUS, HEIGHT], atol=1e-6)
-        np.testing.assert_allclose(
-            trace(figure, "reference")[0], [0.0, RADIUS + 0.3, HEIGHT + 0.4], rtol=1e-6
-        )
-        scene = figure.layout.scene
-        scales = {
-            (axis.range[1] - axis.range[0]) / scene.aspectratio[name]
-            for name, axis in (("x", scene.xaxis), ("y", scene.yaxis), ("z", scene.zaxis))
-        }
-        assert max(scales) == pytest.approx(min(scales))
-
-    def test_a_flat_space_has_fewer_ticks_upward(self):
-        scene = trajectory_figure(circle()).layout.scene
-        assert scene.zaxis.nticks < 0.5 * scene.xaxis.nticks
-
-    def test_noses_point_along_the_flight_and_up(self):
-        nose = trace(trajectory_figure(circle()), "nose").reshape(-1, 3, 3)
-        assert len(nose) > 10
-        assert np.isnan(nose[:, 2]).all()
-        directions = nose[:, 1] - nose[:, 0]
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        np.testing.assert_allclose(directions[:, 2], np.sin(PITCH), rtol=1e-4)
-        # Clockwise seen from above: east of the circle it flies south.
-        east = np.argmax(nose[:, 0, 0])
-        assert directions[east, 1] < -0.9
-
-    def test_a_hover_has_one_vehicle_and_a_space_around_it(self):
-        truth = circle()
-        still = replace(truth, position=np.tile([1.0, 2.0, -3.0], (1000, 1)))
-        figure = trajectory_figure(replace(still, reference=Reference.hover(still.position[0], 1000)))
-        assert len(trace(figure, "nose")) == 3
-        low, high = figure.layout.scene.zaxis.range
-        assert low < 3.0 - 0.4
-        assert high > 3.0 + 0.4
-
-
-class TestTimeHistories:
-    def test_yaw_follows_its_reference_through_the_turns(self):
-        figure = tracking_figure(circle(), bins=1000)
-        flown, reference = (
-            next(data for data in figure.data if data.name == name and data.yaxis == "y4")
-            for name in ("flown", "reference")
-        )
-        np.testing.assert_allclose(flown.y, reference.y, atol=1e-3)
-        assert np.ptp(flown.y) > 720
-
-    def test_a_peak_of_one_sample_is_drawn(self):
-        truth = circle()
-        rates = truth.rates.copy()
-        rates[567, 1] = 9.0
-        figure = effort_figure(replace(truth, rates=rates), bins=150)
-        assert next(data for data in figure.data if data.name == "q").y.max() == 9.0
-
-    def test_each_name_is_explained_once(self):
-        for figure in (tracking_figure(circle(), 150), effort_figure(circle(), 150)):
-            explained = [data.name for data in figure.data if data.showlegend]
-            assert len(explained) == len(set(explained))
-
-    def test_rotors_are_named_by_their_place(self):
-        names = rotor_names(Vehicle.load("bebop2"))
-        assert names == ["front left", "front right", "rear right", "rear left"]
 
 
 def test_page_needs_nothing_from_outside(page):

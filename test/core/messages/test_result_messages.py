@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Results of the monitor as ROS messages, as rosbags reads them, and back."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from quadpi_core.flight import (
+    AXES,
+)
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.definitions import typestore
+from quadpi_core.monitor.alarm_log import reasons, reasons_by_row
+from quadpi_core.monitor.data_quality import GYRO_FROZEN
+from quadpi_core.results import AlarmEvent, Alarms, Predictions
+
+N = 7
+
+
+TIME_NS = 1_700_000_000_999_999_990 + 7 * np.arange(N)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def reference(payloads, type_name):
+    """Each message as rosbags reads it; rosbags must also write the same bytes."""
+    decoded = [typestore().deserialize_cdr(message, type_name) for message in payloads]
+    for one, message in zip(decoded, payloads, strict=True):
+        assert bytes(typestore().serialize_cdr(one, type_name)) == message
+    assert [one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in decoded] == TIME_NS.tolist()
+    return decoded
+
+
+def assert_same(actual, expected):
+    for column in fields(expected):
+        np.testing.assert_allclose(
+            getattr(actual, column.name), getattr(expected, column.name), rtol=1e-15, atol=1e-15
+        )
+
+
+def test_bounds_swap_on_axes_that_change_sign(rng):
+    predicted = rng.normal(size=(N, 6))
+    predictions = Predictions(
+        time_ns=TIME_NS,
+        predicted=predicted,
+        lower=predicted - rng.uniform(0.1, 1.0, size=(N, 6)),
+        upper=predicted + rng.uniform(1.1, 2.0, size=(N, 6)),
+        measured=rng.normal(size=(N, 6)),
+        relative_width=rng.uniform(size=(N, 6)),
+    )
+    payloads = result_messages.pack_predictions(
+        predictions, model="poly 0123456789ab", confidence=0.95, axes=AXES
+    )
+    for sample, one in enumerate(reference(payloads, sensor_messages.PREDICTION)):
+        assert one.lower_fx == predictions.lower[sample, 0]
+        assert one.lower_fy == -predictions.upper[sample, 1]
+        assert one.upper_mz == -predictions.lower[sample, 5]
+        assert one.lower_fz <= one.predicted_fz <= one.upper_fz
+        assert one.measured_my == -predictions.measured[sample, 4]
+        assert one.relative_width_my == predictions.relative_width[sample, 4]
+        assert (one.model, one.confidence, one.axes) == ("poly 0123456789ab", 0.95, 63)
+    assert_same(result_messages.unpack_predictions(payloads), predictions)
+
+
+def test_axes_that_are_not_held_stay_plain_zero():
+    zeros = np.zeros((N, 6))
+    payloads = result_messages.pack_predictions(
+        Predictions(TIME_NS, zeros, zeros, zeros, zeros, zeros), model="m", confidence=0.9, axes=()
+    )
+    assert not np.signbit(typestore().deserialize_cdr(payloads[0], sensor_messages.PREDICTION).upper_fy)
+
+
+def test_alarms_name_the_inputs_outside_farthest_first(rng):
+    excess = np.zeros((N, len(INPUT_NAMES)))
+    excess[1, INPUT_NAMES.index("u")] = 0.25
+    excess[2, [INPUT_NAMES.index("u"), INPUT_NAMES.index("mu_x")]] = 0.25, 0.5
+    excess[5] = excess[1]
+    alarms = Alarms(
+        time_ns=TIME_NS,
+        level=rng.integers(0, 3, N).astype(np.uint8),
+        causes=rng.integers(0, 8, N).astype(np.uint8),
+        cause_level=rng.integers(0, 3, (N, 3)).astype(np.uint8),
+        cause_health=rng.integers(0, 4, (N, 3)).astype(np.uint8),
+        cause_evidence=rng.random((N, 3)),
+        leverage=rng.normal(size=(N, 6)),
+        leverage_ratio=rng.uniform(0.0, 4.0, (N, 6)),
+        width=rng.normal(size=(N, 6)),
+        width_ratio=rng.uniform(0.0, 2.0, (N, 6)),
+        miscoverage=rng.random((N, 6)),
+        miss_share=rng.random((N, 6)),
+        input_score=(1.0 + 2.0 * excess) / 1.2,
+        input_excess=excess,
+        faults=np.full(N, GYRO_FROZEN),
+    )
+    payloads = result_messages.pack_alarms(alarms, reasons_by_row(alarms))
+    outside = [(), ("u",), ("mu_x", "u"), (), (), ("u",), ()]
+    for sample, one in enumerate(reference(payloads, sensor_messages.ALARM)):
+        assert tuple(one.inputs_outside) == outside[sample]
+        assert (one.level, one.causes) == (alarms.level[sample], alarms.causes[sample])
+        assert one.envelope_distance == excess[sample].max()
+        np.testing.assert_array_equal(one.leverage, alarms.leverage[sample])
+        for name in ("width", "cause_level", "cause_health", "cause_evidence", "miscoverage", "miss_share"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(alarms, name)[sample])
+        assert tuple(one.reasons) == reasons(alarms, sample)
+    unpacked = result_messages.unpack_alarms(payloads)
+    assert unpacked.reasons == [reasons(alarms, sample) for sample in range(N)]
+    assert any(unpacked.reasons)
+    assert unpacked.inputs_outside == outside
+    np.testing.assert_array_equal(unpacked.level, alarms.level)
+    np.testing.assert_array_equal(unpacked.time_ns, TIME_NS)
+
+
+def test_events_survive_their_message():
+    events = [
+        AlarmEvent(1, 1, 5_000_000_001, 5_000_000_001, 0, 1.5, ("u 1.4 x the training range", "gap")),
+        AlarmEvent(1, 1, 7_000_000_001, 5_000_000_001, 7_000_000_001, 2.5, ()),
+    ]
+    payloads = result_messages.pack_events(events)
+    for event, payload in zip(events, payloads, strict=True):
+        one = typestore().deserialize_cdr(payload, sensor_messages.EVENT)
+        assert (one.number, one.cause, one.peak_evidence) == (1, 1, event.peak_evidence)
+        assert one.end.sec * 10**9 + one.end.nanosec == event.end_ns
+        assert tuple(one.reasons) == event.reasons
+    assert result_messages.unpack_events(payloads) == events
