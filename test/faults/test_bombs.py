@@ -16,11 +16,10 @@ from lz4 import frame as lz4
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from quadpi_core.bounded_files import LIMIT_VARIABLE
-from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.errors import LogError
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.logs.mcap_files import MAGIC
-from quadpi_core.logs.unpacking import unlz4, unpacked_limit, unzstd, zstd_size
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 
@@ -195,35 +194,6 @@ def test_the_limit_can_be_raised(monkeypatch, tmp_path):
         read_bag(path)
 
 
-@pytest.mark.parametrize("limit", ["", "0", "-1", "1e3", "²", "9" * 20])
-def test_a_limit_that_is_none(monkeypatch, limit):
-    monkeypatch.setenv(LIMIT_VARIABLE, limit)
-    with pytest.raises(QuadpiError, match="must be a positive whole number of MiB"):
-        unpacked_limit(0)
-
-
-def test_a_large_file_may_unpack_to_more():
-    assert unpacked_limit(10 * 2**20) == 1000 * 2**20
-
-
-@pytest.mark.parametrize(("pack", "unpack"), [(zstd.compress, unzstd), (lz4.compress, unlz4)])
-def test_no_more_is_unpacked_than_was_announced(pack, unpack):
-    packed = pack(b"quadpi" * 1000)
-    assert unpack(packed, 6000) == b"quadpi" * 1000
-    for size in (0, 1, 5999, 6001, 2**40):
-        with pytest.raises(LogError, match=f"announces {size} bytes"):
-            unpack(packed, size)
-    with pytest.raises((LogError, RuntimeError, zstd.ZstdError)):
-        unpack(packed[: len(packed) // 2], 6000)
-
-
-def test_frames_of_zstandard_follow_each_other():
-    packed = zstd.compress(b"ab") + zstd.compress(b"") + zstd.compress(b"cde")
-    assert unzstd(packed, 5) == b"abcde"
-    assert zstd_size(packed, 2**20) == 5
-    assert zstd_size(packed[:-2], 2**20) <= 5
-
-
 @pytest.mark.parametrize("table", ["schema", "metadata", "topics", "message_definitions", "messages"])
 def test_a_database_that_counts(tmp_path, table):
     """A view may have no end: rows that nobody stored are counted and grouped as the bag is opened."""
@@ -237,12 +207,3 @@ def test_a_database_that_counts(tmp_path, table):
         database.commit()
     with refusing(path), pytest.raises(LogError, match=f"`{table}` computes what it holds"):
         read_bag(path)
-
-
-@pytest.mark.parametrize("frame", [struct.pack("<II", 0x184D2A50, 0), zstd.compress(b"")])
-def test_frames_of_nothing(frame):
-    """Each takes far longer to begin than its few bytes to read, and left the rest to be copied."""
-    with pytest.raises(LogError, match=r"more than \d+ frames of Zstandard in"):
-        unzstd(frame * 2**16, 0)
-    with pytest.raises(LogError, match=r"more than \d+ frames of Zstandard in"):
-        zstd_size(frame * 2**16, 2**20)
