@@ -97,7 +97,7 @@ def test_numbers_beyond_any_physical_one_are_refused(yaml, number):
 
 
 def test_as_many_entries_as_any_file_needs_are_read(yaml):
-    """One list of 998 numbers, 98 aliases of it, and numbers up to 100 000 entries, keys and lists included."""
+    """A list of 998 numbers, 98 aliases of it, and numbers up to 100 000 entries, keys and lists included."""
 
     def text(more):
         ones = ("1," * 998, "*a," * 98, "1," * more)

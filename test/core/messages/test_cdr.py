@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.messages.definitions import codec, definition_text, typestore
+from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.payloads import Payloads
 
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -121,13 +121,6 @@ def test_damaged_message_is_named_by_its_sample(damage, reason):
     messages[2] = damage(messages[2])
     with pytest.raises(LogError, match=rf"sample 2: .*{reason}"):
         codec(TRANSFORM).decode(Payloads.join(messages))
-
-
-def test_embedded_definition_keeps_units_and_holds_contained_types():
-    text = definition_text("quadpi/msg/Erpm")
-    assert "[rev/min]" in text
-    assert "MSG: std_msgs/Header" in text
-    assert "MSG: builtin_interfaces/Time" in text
 
 
 def test_stamped_messages_move_their_numbers_at_once():

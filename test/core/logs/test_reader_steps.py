@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Steps that readers share: which samples are dropped, and states put together of separate messages."""
+
+from __future__ import annotations
+
+import logging
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import ImuStream
+from quadpi_core.logs.reader_steps import (
+    normalised_attitude,
+    odometry_of,
+    require_imu,
+    rising,
+    rotors_together,
+    stamps_ns,
+    usable,
+)
+from quadpi_core.rotor_order import RPM, RotorOrder
+
+SECOND = 10**9
+
+
+def imu(*time_ns, force=0.0):
+    count = len(time_ns)
+    return ImuStream(np.array(time_ns), np.zeros((count, 3)), np.full((count, 3), force))
+
+
+def longest(stamps):
+    """Length of the longest rising part of a list, by trying all."""
+    for size in range(len(stamps), 0, -1):
+        if any(all(a < b for a, b in pairwise(part)) for part in combinations(stamps, size)):
+            return size
+    return 0
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(0, 12), min_size=1, max_size=9))
+def test_no_more_samples_are_dropped_than_must_be_for_stamps_to_rise(stamps):
+    kept, (values,) = rising(np.array(stamps), np.arange(float(len(stamps))))
+    assert np.all(np.diff(kept) > 0)
+    assert kept.tolist() == [stamps[int(place)] for place in values]
+    assert np.all(np.diff(values) > 0)
+    assert len(kept) == longest(stamps)
+
+
+def test_one_stamp_far_ahead_does_not_drop_those_after_it(caplog):
+    found = usable("flight.ulg", imu(1, 2, 10**15, 3, 3, 4))
+    assert found.time_ns.tolist() == [1, 2, 3, 4]
+    assert "flight.ulg: topic imu: dropped 2 of 6 samples whose stamp does not rise" in caplog.text
+
+
+def test_samples_that_are_not_finite_are_dropped_and_counted(caplog):
+    stream = imu(1, 2, 3)
+    stream.specific_force[1, 2] = np.nan
+    assert usable("flight.ulg", stream).time_ns.tolist() == [1, 3]
+    assert "dropped 1 of 3 samples that are not finite" in caplog.text
+    stream.angular_velocity[:, 0] = np.inf
+    assert usable("flight.ulg", stream) is None
+
+
+def test_good_samples_pass_without_a_word(caplog):
+    with caplog.at_level(logging.INFO):
+        assert len(usable("flight.ulg", imu(1, 2, 3))) == 3
+    assert not caplog.text
+
+
+def test_a_log_without_an_imu_names_the_messages_that_would_hold_it():
+    assert require_imu("a.ulg", imu(1), "sensor_combined").time_ns.tolist() == [1]
+    with pytest.raises(
+        LogError, match=r"^a\.ulg: topic imu: the log holds no samples of .* \(sensor_combined\)$"
+    ):
+        require_imu("a.ulg", None, "sensor_combined")
+
+
+def state(gap_s):
+    """Odometry at 0.1 s to 0.9 s of the way between two attitudes that are `gap_s` apart."""
+    times = np.array([0, round(gap_s * SECOND)])
+    turns = Rotation.from_euler("ZYX", [[0.3, 0.1, -0.2], [1.2, -0.3, 0.1]])
+    at = np.round(np.linspace(0.1, 0.9, 9) * gap_s * SECOND).astype(np.int64)
+    position, velocity = np.random.default_rng(0).normal(size=(2, 9, 3))
+    attitude = (times, turns.as_quat(scalar_first=True))
+    gyro = ImuStream(
+        np.arange(0, times[1] + 1, SECOND // 100), *np.zeros((2, times[1] // (SECOND // 100) + 1, 3))
+    )
+    between = Slerp(times, turns)(at)
+    return odometry_of(at, position, velocity, attitude, gyro), position, velocity, between
+
+
+def test_an_attitude_of_another_message_is_interpolated_along_the_rotation():
+    found, position, velocity, between = state(0.99)
+    np.testing.assert_array_equal(found.position, position)
+    turned = np.abs(np.sum(found.attitude * between.as_quat(scalar_first=True), axis=1))
+    # The chord for the arc: a turn of 0.9 rad makes less than a thousandth.
+    np.testing.assert_allclose(turned, 1.0, atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(found.attitude, axis=1), 1.0)
+    attitude = Rotation.from_quat(found.attitude, scalar_first=True)
+    np.testing.assert_allclose(found.velocity, attitude.inv().apply(velocity), atol=1e-12)
+
+
+def test_attitudes_more_than_a_second_apart_are_not_interpolated():
+    assert len(state(0.999)[0]) == 9
+    assert state(1.001)[0] is None
+    nothing = np.empty(0, np.int64), np.empty((0, 4))
+    assert odometry_of(np.array([1]), np.zeros((1, 3)), np.zeros((1, 3)), nothing, imu(1)) is None
+
+
+def controllers(*periods_ns):
+    """Speed controllers that report at different rates; each says its number, growing by 1 in a second."""
+    found = []
+    for number, period in enumerate(periods_ns):
+        time_ns = np.arange(0, 3 * SECOND, period)
+        found.append((time_ns, (100.0 * number + time_ns / SECOND)[:, np.newaxis]))
+    return found
+
+
+def test_rotors_that_are_logged_apart_are_taken_at_the_stamps_of_the_most_frequent():
+    stream = rotors_together(
+        controllers(*(SECOND // hz for hz in (10, 50, 20, 5))), RotorOrder((0, 1, 2, 3), RPM), None
+    )
+    rpm = stream.speeds * 60.0 / (2.0 * np.pi)
+    seconds = stream.time_ns / SECOND
+    np.testing.assert_allclose(np.diff(seconds), 0.02)
+    np.testing.assert_allclose(rpm, np.arange(4) * 100.0 + seconds[:, np.newaxis])
+    assert seconds[-1] == pytest.approx(2.8)
+    assert (
+        rotors_together(
+            [*controllers(*[SECOND] * 3), (np.empty(0, np.int64), np.empty((0, 1)))],
+            RotorOrder((0, 1, 2, 3), RPM),
+            None,
+        )
+        is None
+    )
+
+
+def test_clocks_in_any_unit_become_nanoseconds():
+    assert stamps_ns("a.csv", np.array([0.0, 1.5, 2.0**33])).tolist() == [0, 1_500_000_000, 2**33 * SECOND]
+    assert stamps_ns("a.csv", np.array([12.3456]), 1e-3).tolist() == [12_345_600]
+    with pytest.raises(LogError, match=r"^a\.csv: sample 1: the time is not a usable number \(nan\)$"):
+        stamps_ns("a.csv", np.array([0.0, np.nan]))
+    # 64 bits of nanoseconds end after 292 years.
+    with pytest.raises(LogError, match="sample 0: the time is not a usable number"):
+        stamps_ns("a.csv", np.array([9.3e9]))
+
+
+def test_a_rounded_attitude_is_scaled_and_one_that_is_none_is_refused():
+    level = np.array([[1.0, 0.0, 0.0, 0.0]])
+    for norm in (0.951, 1.049):
+        np.testing.assert_allclose(normalised_attitude("a.csv", "odometry", norm * level), level)
+    for norm in (0.949, 1.051):
+        with pytest.raises(
+            LogError, match=r"^a\.csv: topic odometry: sample 1: the attitude quaternion has norm"
+        ):
+            normalised_attitude("a.csv", "odometry", np.vstack([level, norm * level]))
+    assert np.isnan(normalised_attitude("a.csv", "odometry", np.nan * level)).all()

@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that convert a message's numbers in one call, against the conversions of frames one by one."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadpi_core.messages import values
+from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.sensor_messages import ODOMETRY, PREDICTION
+
+N = 8
+# FRD in FLU, and NED in ENU, as columns.
+BODY = np.diag([1.0, -1.0, -1.0])
+WORLD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(8)
+
+
+@pytest.fixture
+def state(rng):
+    """Position, attitude, velocity and rates, FRD and NED."""
+    position, velocity, rates = rng.normal(size=(3, N, 3))
+    return position, Rotation.random(N, rng), velocity, rates
+
+
+def filled(state, covariances):
+    position, attitude, velocity, rates = state
+    numbers = np.full((N, values.ODOMETRY_VALUES), np.nan)
+    wxyz = attitude.as_quat(scalar_first=True)
+    values.odometry_values(position, wxyz, velocity, rates, *covariances, numbers)
+    return numbers
+
+
+def covariance(rng):
+    roots = rng.normal(size=(N, 6, 6))
+    return roots @ np.swapaxes(roots, 1, 2)
+
+
+def test_sizes_are_those_of_the_messages():
+    for kind, count in ((ODOMETRY, values.ODOMETRY_VALUES), (PREDICTION, values.PREDICTION_VALUES)):
+        assert max(place.stop for place in codec(kind).places.values()) == count
+
+
+def test_odometry_is_that_of_rotation_matrices(state, rng):
+    """Also its covariances, which turn with the axes that they are of."""
+    pose, twist = covariance(rng), covariance(rng)
+    numbers, places = filled(state, (pose, twist)), codec(ODOMETRY).places
+    position, attitude, velocity, rates = state
+    np.testing.assert_array_equal(numbers[:, places["pose.pose.position"]], position @ WORLD.T)
+    np.testing.assert_array_equal(numbers[:, places["twist.twist.linear"]], velocity @ BODY)
+    np.testing.assert_array_equal(numbers[:, places["twist.twist.angular"]], rates @ BODY)
+    sent = Rotation.from_quat(numbers[:, places["pose.pose.orientation"]])
+    np.testing.assert_allclose(sent.as_matrix(), WORLD @ attitude.as_matrix() @ BODY, atol=1e-14)
+    both = np.kron(np.eye(2), WORLD), np.kron(np.eye(2), BODY)
+    for name, turn, given in (("pose", both[0], pose), ("twist", both[1], twist)):
+        found = numbers[:, places[f"{name}.covariance"]].reshape(N, 6, 6)
+        np.testing.assert_allclose(found, turn @ given @ turn.T, rtol=1e-15)
+
+
+def test_what_is_read_of_an_odometry_is_what_was_filled(state):
+    numbers = filled(state, np.zeros((2, N, 6, 6)))
+    position, attitude, velocity, rates = (np.full((N, width), np.nan) for width in (3, 4, 3, 3))
+    places = codec(ODOMETRY).places
+    pose = numbers[:, places["pose.pose.position"].start : places["pose.pose.orientation"].stop]
+    assert pose.shape == (N, 7)
+    assert values.state_values(numbers, position, attitude, velocity, rates) == -1
+    np.testing.assert_array_equal(position, state[0])
+    turned = np.abs(np.sum(attitude * state[1].as_quat(scalar_first=True), axis=1))
+    np.testing.assert_allclose(turned, 1.0, atol=1e-15)
+    np.testing.assert_array_equal(velocity, state[2])
+    np.testing.assert_array_equal(rates, state[3])
+    assert not np.signbit(numbers[:, places["twist.covariance"]]).any()
+
+
+@pytest.mark.parametrize(("norm", "first"), [(1.009, -1), (0.991, -1), (1.011, 2), (0.989, 2), (0.0, 2)])
+def test_an_orientation_is_scaled_to_unit_length_if_it_is_off_by_a_hundredth_at_most(state, norm, first):
+    sent = state[1].as_quat()
+    sent[2] *= norm
+    attitude = np.empty((N, 4))
+    assert values.attitude_values(sent, attitude) == first
+    rows = slice(None) if first < 0 else slice(0, first)
+    np.testing.assert_allclose(np.linalg.norm(attitude[rows], axis=1), 1.0)
+
+
+def test_bounds_of_a_prediction_stay_lower_and_upper_in_other_axes(rng):
+    predicted, measured, width = rng.normal(size=(3, N, 6))
+    lower, upper = predicted - rng.uniform(0.1, 1.0, (N, 6)), predicted + rng.uniform(1.1, 2.0, (N, 6))
+    numbers = np.empty((N - 2, values.PREDICTION_VALUES))
+    values.prediction_values(predicted, lower, upper, measured, width, 2, numbers)
+    signs = np.tile([1.0, -1.0, -1.0], 2)
+    bounds = np.sort(signs * np.stack((lower, upper)), axis=0)
+    expected = np.hstack((signs * predicted, *bounds, signs * measured, width))
+    np.testing.assert_array_equal(numbers, expected[2:])
