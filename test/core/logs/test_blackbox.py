@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Blackbox frames: every encoding and predictor, damage, and a real log value by value."""
+"""Blackbox logs: every predictor and kind of frame, damage and its limits, a real log value by value."""
 
 from __future__ import annotations
 
@@ -15,44 +15,7 @@ from hypothesis import strategies as st
 from quadpi_core.errors import LogError
 from quadpi_core.logs.blackbox import decode_blackbox
 
-END = b"E\xffEnd of log\x00"
-# Nothing but what any flight has.
-PLAIN = {"loopIteration": (0, 1, 6, 9), "time": (0, 1, 2, 0)}
-
-
-def log(fields, frames, *, more=(), end=END):
-    """A flight of fields name: (predictor, encoding of I; of P), and the bytes of its frames."""
-    names, columns = list(fields), list(zip(*fields.values(), strict=True))
-    lines = ["Product:Blackbox flight data recorder by Nicholas Sherlock", "Data version:2"]
-    lines.append(f"Field I name:{','.join(names)}")
-    # All are signed but the first two.
-    lines.append(f"Field I signed:{','.join(str(int(k > 1)) for k in range(len(names)))}")
-    kinds = ("I predictor", "I encoding", "P predictor", "P encoding")
-    for kind, numbers in zip(kinds, columns, strict=True):
-        lines.append(f"Field {kind}:{','.join(map(str, numbers))}")
-    lines += more
-    return "".join(f"H {line}\n" for line in lines).encode() + b"".join(frames) + end
-
-
-def unsigned(value):
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes([*out, value])
-
-
-def signed(value):
-    return unsigned((value << 1 ^ value >> 31) & 0xFFFFFFFF)
-
-
-def intra(iteration, time, rest=b""):
-    return b"I" + unsigned(iteration) + unsigned(time) + rest
-
-
-def inter(jerk=0, rest=b""):
-    """`jerk`: how far the time is off a straight line."""
-    return b"P" + signed(jerk) + rest
+from .blackbox_writer import PLAIN, inter, intra, log, signed, unsigned
 
 
 def read(data, *names):
@@ -90,9 +53,6 @@ def test_which_iterations_are_logged(share, logged):
         "loopIteration",
     )
     assert found == expected
-
-
-VALUES = st.integers(-(2**31), 2**31 - 1)
 
 
 def test_numbers_without_sign_of_14_bits_and_none_at_all():
@@ -217,6 +177,49 @@ def test_intervals_that_no_firmware_writes():
     ):
         found = decode_blackbox(log(PLAIN, [intra(0, 5), inter(2), inter()], more=more), [])
         assert found.columns["time"].tolist() == [5.0, 7.0, 9.0]
+
+
+@pytest.mark.parametrize(("fields", "accepted"), [(256, True), (257, False)])
+def test_256_fields_are_the_most(fields, accepted):
+    names = {f"f{k}": (0, 9, 0, 9) for k in range(fields - 2)}
+    data = log(PLAIN | names, [intra(0, 5)])
+    if accepted:
+        assert read(data, "f253") == [[0.0]]
+        return
+    with pytest.raises(LogError, match="its header `Field I encoding` has 257 entries for 257 fields"):
+        decode_blackbox(data, [])
+
+
+@pytest.mark.parametrize(("length", "whole"), [(8191, True), (8192, False)])
+def test_a_header_line_ends_within_8_kb(length, whole):
+    """What begins as a header is a frame or damage where its line does not end."""
+    line = "debug:" + "x" * (length - len("H debug:"))
+    found = decode_blackbox(log(PLAIN, [intra(0, 5)], more=[line]), [])
+    assert (found.damaged_bytes == 0) is whole
+
+
+@pytest.mark.parametrize(("step_us", "whole"), [(10_000_000, True), (10_000_001, False)])
+def test_a_frame_may_come_ten_seconds_after_the_one_before(step_us, whole):
+    frames = [intra(0, 1000), intra(32, 1000 + step_us), intra(64, 1500)]
+    found = decode_blackbox(log(PLAIN, frames), [])
+    assert found.columns["time"].tolist() == [1000.0, *([1000.0 + step_us] if whole else [1500.0])]
+
+
+@pytest.mark.parametrize(("share", "whole"), [(0.40, True), (0.47, False)])
+def test_a_flight_is_read_again_up_to_sixteen_fields_for_each_byte(share, whole):
+    """Damage costs the 202 fields of a frame at the first byte of each piece, and one at each other byte."""
+    fields = PLAIN | {f"f{k}": (0, 0, 1, 0) for k in range(200)}
+    frames = [intra(32 * k, 500 * k, 200 * signed(0)) for k in range(200)]
+    piece = b"I" + b"\xff" * 5
+    header = len(log(fields, [], end=b""))
+    good = header + sum(map(len, frames))
+    damage = piece * round(share / (1.0 - share) * good / len(piece))
+    data = log(fields, [*frames[:100], damage, *frames[100:]])
+    expected = 207 * len(damage) / len(piece)
+    assert (expected < 16 * len(data)) is whole
+    found = decode_blackbox(data, [])
+    assert (len(found.columns["time"]) == 200) is whole
+    assert found.damaged_at is not None
 
 
 def test_frames_of_one_byte_cannot_fill_the_memory(monkeypatch):

@@ -20,18 +20,7 @@ from quadpi_core.logs.blackbox_encodings import (
     read_fields,
 )
 
-
-def unsigned(value):
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes([*out, value])
-
-
-def signed(value):
-    return unsigned((value << 1 ^ value >> 31) & 0xFFFFFFFF)
-
+from .blackbox_writer import signed, unsigned
 
 # The bits of three values A, B and C, by encoding; the shortest form that holds them is taken.
 FORMS = {
