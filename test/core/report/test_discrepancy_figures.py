@@ -1,22 +1,102 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
+"""Figures of residuals: what is drawn is what was measured more than simulated, before and after."""
+
 import numpy as np
 import pytest
 
+from quadpi_core.discrepancy.by_condition import Profile
+from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.residual_bins import Residual
-from quadpi_core.report.discrepancy_figures import mean_map
+from quadpi_core.flight import AXES
+from quadpi_core.report.discrepancy_figures import (
+    LINES,
+    gap_figure,
+    map_figure,
+    mean_map,
+    profile_figure,
+    residual_figure,
+)
+
+VARIABLES = ("u", "v", "speed", "height", "w", "rotor_speed")
 
 
-def test_maps_hold_the_mean_of_what_was_measured_more_than_simulated():
+def flight(u, v, wrench=None):
+    """Residuals of forces that fall with the forward speed."""
+    if wrench is None:
+        wrench = np.zeros((u.size, 6))
+        wrench[:, 0] = -0.1 * u
+    rng = np.random.default_rng(0)
+    others = {name: rng.uniform(0.0, 9.0, u.size) for name in VARIABLES[2:]}
+    return Residual("a", np.arange(u.size) / 40.0, {"u": u, "v": v, **others}, wrench, wrench, 0.5 * wrench)
+
+
+@pytest.fixture
+def square():
     u, v = np.meshgrid(np.linspace(-3.9, 3.9, 60), np.linspace(-3.9, 3.9, 60))
-    wrench = np.zeros((u.size, 6))
-    wrench[:, 0] = -0.1 * u.ravel()
-    flight = Residual("a", np.arange(u.size) / 40.0, {"u": u.ravel(), "v": v.ravel()}, wrench, wrench, wrench)
-    x, y, table = mean_map([flight], 0, "u", "v")
+    return flight(u.ravel(), v.ravel())
+
+
+def test_maps_hold_the_mean_of_what_was_measured_more_than_simulated(square):
+    x, y, table = mean_map([square], 0, "u", "v")
     assert table.shape == (len(y) - 1, len(x) - 1)
     centres = 0.5 * (x[:-1] + x[1:])
     assert np.nanmean(table, axis=0) == pytest.approx(-0.1 * centres, abs=0.02)
-    empty = mean_map(
-        [flight._replace(variables={"u": u.ravel(), "v": np.abs(v.ravel()) * 0.01})], 0, "u", "v"
-    )
-    assert np.isfinite(empty[2]).any()
+    assert max(table.shape) <= 12
+    # 14 values in an extent of 13 do not fit into bins of one: bins of two do.
+    steps = np.arange(14.0).repeat(30)
+    assert len(mean_map([flight(steps, steps)], 0, "u", "v")[0]) - 1 == 7
+
+
+def test_a_cell_needs_twenty_samples_to_be_drawn():
+    """Of several flights together."""
+    here, there = np.array([0.5] * 19), np.array([8.5] * 20)
+    few = flight(np.concatenate((here, there)), np.concatenate((here, there)))
+    x, _, table = mean_map([few], 0, "u", "v")
+    assert np.isnan(table[0, 0])
+    assert table[-1, -1] == pytest.approx(-0.85)
+    assert np.isfinite(table).sum() == 1
+    one = flight(np.array([0.5]), np.array([0.5]))
+    np.testing.assert_array_equal(mean_map([few, one], 0, "u", "v")[0], x)
+    assert np.isfinite(mean_map([few, one], 0, "u", "v")[2]).sum() == 2
+
+
+def test_colours_of_an_axis_have_one_scale_about_zero(square):
+    figure = map_figure([square], ("Fx", "Mz"))
+    assert len(figure.data) == 6
+    largest = max(np.nanmax(np.abs(cell.z)) for cell in figure.data[:3])
+    scale = figure.layout.coloraxis1
+    assert (scale.cmin, scale.cmax) == (pytest.approx(-largest), pytest.approx(largest))
+    assert {cell.coloraxis for cell in figure.data[3:]} == {"coloraxis2"}
+
+
+def test_a_profile_is_drawn_to_the_end_of_its_last_bin():
+    profile = Profile("Fx", "u", np.array([0.0, 2.0, 4.0]), *np.array([[3.0, 4.0], [1.0, 2.0], [0.5, 0.6]]))
+    figure = profile_figure([profile] * 4)
+    assert len(figure.data) == 12
+    drawn = {line.name: line for line in figure.data[:3]}
+    assert drawn["as it is"].y.tolist() == [3.0, 4.0, 4.0]
+    assert drawn["with what was found"].y.tolist() == [1.0, 2.0, 2.0]
+    assert {line.line.shape for line in figure.data} == {"hv"}
+    assert [line.showlegend for line in figure.data].count(True) == 3
+    assert figure.layout.xaxis.title.text == "forward airspeed [m/s]"
+
+
+def test_a_gap_is_drawn_before_after_and_as_the_floor():
+    before, after, floor = np.arange(18.0).reshape(3, 6)
+    figure = gap_figure(Gap(before, after, floor, 0.5))
+    drawn = {}
+    for trace in figure.data:
+        drawn.setdefault(trace.name, {}).update(zip(trace.x, trace.y, strict=True))
+    for name, values in (("before", before), ("after", after), ("floor: noise", floor)):
+        assert drawn[name] == dict(zip(AXES, values, strict=True))
+
+
+def test_residuals_over_time_have_a_band_of_twice_the_floor(square):
+    figure = residual_figure(square, np.full(6, 0.25), bins=200)
+    assert len(figure.data) == LINES == 12
+    bands = [(shape.y0, shape.y1) for shape in figure.layout.shapes]
+    assert bands == [(-0.5, 0.5)] * 6
+    before, after = figure.data[:2]
+    assert (before.name, after.name) == ("before", "after")
+    assert after.y.max() == pytest.approx(0.5 * before.y.max(), rel=1e-6)

@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What commands share: where outputs may go, remarks on the data, names printed as they are."""
+
+from __future__ import annotations
+
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from quadpi_core.cli.options import check_outputs, open_console, print_quality, write_result
+from quadpi_core.errors import OutputError, QuadpiError
+from quadpi_core.findings import DataQuality, Finding
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with an input file and an input folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "flight.mcap").touch()
+    (tmp_path / "model").mkdir()
+    return tmp_path
+
+
+INPUTS = [Path("flight.mcap"), Path("model")]
+
+
+def test_outputs_beside_the_inputs_are_accepted_and_nothing_is_written(place: Path):
+    before = sorted(place.rglob("*"))
+    check_outputs(INPUTS, Path("data.json"), None, Path("new/page.html"), folders=[Path("bags"), None])
+    check_outputs(INPUTS)
+    assert sorted(place.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("files", "folders"),
+    [
+        (["flight.mcap"], []),
+        (["model"], []),
+        (["model/data.json"], []),
+        ([], ["model/bags"]),
+        (["model/../flight.mcap"], []),
+        (["link"], []),
+        (["same", "same"], []),
+        (["bags/data.json"], ["bags"]),
+        (["bags"], ["bags"]),
+        ([], ["bags", "bags/deeper"]),
+    ],
+)
+def test_an_output_in_the_place_of_an_input_or_another_output_is_refused(place: Path, files, folders):
+    (place / "link").symlink_to(place / "flight.mcap")
+    taken = (files or folders)[-1]
+    with pytest.raises(QuadpiError, match=rf"^{taken}: would replace or alter an input or another output"):
+        check_outputs(INPUTS, *map(Path, files), folders=list(map(Path, folders)))
+
+
+def test_an_output_that_cannot_be_written_is_refused(place: Path):
+    (place / "bags").mkdir()
+    with pytest.raises(OutputError, match=r"^bags: cannot be written: Is a directory"):
+        check_outputs([], Path("bags"))
+    with pytest.raises(OutputError, match=r"^flight\.mcap: cannot be written: Not a directory"):
+        check_outputs([], folders=[Path("flight.mcap")])
+
+
+def test_remarks_name_the_flight_and_are_no_markup():
+    console = Console(file=StringIO(), width=40)
+    quality = DataQuality(
+        findings=(Finding("units", "imu", "looks like [red]g[/red], m/s² expected " + "x" * 50),)
+    )
+    print_quality(console, [("[bold]flight.mcap", quality), ("other.mcap", DataQuality())])
+    assert console.file.getvalue() == (
+        "[bold]flight.mcap: topic imu: looks like [red]g[/red], m/s² expected " + "x" * 50 + "\n"
+    )
+
+
+def test_the_terminal_prints_names_as_they_are(capsys: pytest.CaptureFixture[str]):
+    open_console().print("[red]wind[/red] :smile:")
+    assert capsys.readouterr().out == "[red]wind[/red] :smile:\n"
+
+
+def test_a_result_is_written_where_it_is_asked_for(tmp_path: Path):
+    write_result(None, {"picp": 0.95})
+    write_result(tmp_path / "data.json", {"picp": 0.95})
+    assert (tmp_path / "data.json").read_text() == '{\n "picp": 0.95\n}\n'
+    assert len(list(tmp_path.iterdir())) == 1

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The frame of every page: whole and self-contained, whatever text from outside it shows."""
+
+import json
+from dataclasses import replace
+
+import plotly.graph_objects as go
+import pytest
+from jinja2 import UndefinedError
+
+from quadpi_core.errors import OutputError
+from quadpi_core.report.page import Page
+from quadpi_core.report.table import Column, Table
+from quadpi_core.version import __version__
+
+HOSTILE = '</script><script>alert(1)</script> & "<b>" {{ title }}'
+SECTIONS = {"bins": 300, "table_of_flights": Table([Column("flight")], [["hop"]]), "flights": ["hop"]}
+
+
+@pytest.fixture
+def page():
+    figure = go.Figure().add_scatter(x=[1, 2], y=[3, 4], name="flown")
+    return Page(
+        "A title", "does it hold?", "It holds.", {"vehicle": "bebop2"}, {"Term": "meaning"}, {"hop": figure}
+    )
+
+
+@pytest.fixture
+def written(tmp_path, read_page):
+    """written(page) → what a reader of the page sees; the sections are those of a simulation."""
+
+    def write(page):
+        page.write(tmp_path / "page.html", "simulation.html", **SECTIONS)
+        return read_page(tmp_path / "page.html")
+
+    return write
+
+
+def test_question_verdict_facts_definitions_and_version_are_on_it(page, written):
+    shown = written(page)
+    shown.assert_needs_nothing_from_outside()
+    for text in (
+        "A title",
+        "does it hold?",
+        "It holds.",
+        "vehicle",
+        "bebop2",
+        "Term",
+        "meaning",
+        __version__,
+    ):
+        assert text in shown.text
+
+
+def test_text_from_outside_stays_text(page, written):
+    hostile = replace(
+        page, title=HOSTILE, verdict=HOSTILE, facts={HOSTILE: HOSTILE}, definitions={HOSTILE: HOSTILE}
+    )
+    shown = written(hostile)
+    assert len(shown.scripts) == len(written(page).scripts)
+    assert shown.text.count(HOSTILE) == 6
+
+
+def test_figures_are_those_that_were_given_and_cannot_end_their_script(page, written):
+    figure = go.Figure().add_scatter(x=[1], y=[2], name=HOSTILE)
+    shown = written(replace(page, figures={"hop": figure, f"trajectory {HOSTILE}": figure}))
+    figures = json.loads(shown.scripts[1])
+    assert list(figures) == ["hop", f"trajectory {HOSTILE}"]
+    assert figures["hop"]["data"][0]["name"] == HOSTILE
+
+
+def test_a_page_that_fails_leaves_the_old_one(page, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text("old")
+    with pytest.raises(UndefinedError, match="bins"):
+        page.write(
+            path, "simulation.html", **{name: SECTIONS[name] for name in ("table_of_flights", "flights")}
+        )
+    assert [file.name for file in tmp_path.iterdir()] == ["page.html"]
+    assert path.read_text() == "old"
+    with pytest.raises(OutputError, match=r"page\.html/deeper: cannot be written"):
+        page.write(path / "deeper", "simulation.html", **SECTIONS)
