@@ -28,7 +28,6 @@ Result = TypeVar("Result")
 
 # Starting processes takes about as long as reading this number of flights of half a minute.
 MANY_FILES = 64
-_ANSWER_S = 30.0
 # One task per core: threads within a task would only take cores from other tasks.
 _ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 
@@ -73,11 +72,14 @@ class Workers:
         scheduler: address of a Dask scheduler whose workers do the tasks instead. They must run the same
             version of quadpi; files are only found where they share the file system.
         progress: called in this process as tasks finish.
+        answer_s: seconds after which a scheduler that does not answer, or has no workers, is given up: Dask
+            needs a few on a busy cluster, and a wrong address should not hold a user for minutes.
     """
 
     count: int | None = None
     scheduler: str | None = None
     progress: ReportProgress = ignore_progress
+    answer_s: float = 30.0
 
     def map(
         self,
@@ -113,7 +115,7 @@ class Workers:
         elif items and self.scheduler is None:
             _map_in_processes(count, function, items, shared, finished)
         elif items:
-            with _client(str(self.scheduler)) as client:
+            with _client(str(self.scheduler), self.answer_s) as client:
                 _map_on_cluster(client, function, items, shared, finished)
         return results
 
@@ -255,17 +257,17 @@ def _map_on_cluster(
 
 
 @contextmanager
-def _client(scheduler: str) -> Iterator[Any]:
+def _client(scheduler: str, answer_s: float) -> Iterator[Any]:
     """A client of the scheduler."""
     # Slow to import, and few commands need it.
     from distributed import Client
 
     try:
-        client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
+        client = Client(scheduler, timeout=answer_s, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ParallelError(f"--scheduler {scheduler}: no scheduler answers: {one_line(error)}") from error
     with client:
-        _require_workers(client, scheduler)
+        _require_workers(client, scheduler, answer_s)
         yield client
 
 
@@ -292,9 +294,9 @@ def _signals_deferred() -> Iterator[None]:
             signal.raise_signal(number)
 
 
-def _require_workers(client: Any, scheduler: str) -> None:
+def _require_workers(client: Any, scheduler: str, answer_s: float) -> None:
     try:
-        client.wait_for_workers(1, timeout=_ANSWER_S)
+        client.wait_for_workers(1, timeout=answer_s)
     except TimeoutError as error:
         raise ParallelError(f"--scheduler {scheduler}: has no workers") from error
     for worker, version in client.run(_version, on_error="return").items():

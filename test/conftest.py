@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ import pytest
 from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
+from quadpi_core import paths
 from quadpi_core.cli import main
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
@@ -126,6 +127,12 @@ def tool(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Mod
     monkeypatch.syspath_prepend(ROOT / "tools")
     monkeypatch.delitem(sys.modules, name, raising=False)
     return importlib.import_module(name)
+
+
+@pytest.fixture
+def no_exchange(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the system cannot exchange two folders in one step: its library has no renameat2."""
+    monkeypatch.setattr(paths, "ctypes", SimpleNamespace(CDLL=lambda *_, **__: SimpleNamespace()))
 
 
 def run_without_torch(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:

@@ -25,7 +25,7 @@ from quadpi_core.logs.mavlink_dialect import load_dialect
 MARKERS = (0xFD, 0xFE)
 _V2_MARKER = 0xFD
 # Possible start of a packet; one of version 2 has only known flags, as far as its bytes have arrived.
-_BEGIN = re.compile(rb"\xfd(?:.?\Z|.[\x00\x01])|\xfe", re.DOTALL)
+PACKET_BEGIN = re.compile(rb"\xfd(?:.?\Z|.[\x00\x01])|\xfe", re.DOTALL)
 _V2_HEADER, _V1_HEADER = 10, 6
 _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED = 0x01
@@ -163,7 +163,7 @@ class Framer:
 
         One search for either version: a search for each would scan the rest of the buffer at every call.
         """
-        found = _BEGIN.search(self._buffer, position + 1)
+        found = PACKET_BEGIN.search(self._buffer, position + 1)
         following = found.start() if found else len(self._buffer)
         self.counts.noise_bytes += following - position
         return following

@@ -110,23 +110,34 @@ def test_a_worker_has_one_thread(tasks):
     assert Workers(2).map(tasks.variable, names, shared=None) == ["1"] * 4
 
 
-def test_no_scheduler_is_said(tasks, monkeypatch):
-    monkeypatch.setattr(parallel, "_ANSWER_S", 1.0)
+def test_no_scheduler_is_said(tasks):
     for address in ("tcp://127.0.0.1:1", "nowhere"):
         with pytest.raises(ParallelError, match=f"--scheduler {address}: no scheduler answers"):
-            Workers(scheduler=address).map(tasks.scaled, [1], shared=1)
+            Workers(scheduler=address, answer_s=1.0).map(tasks.scaled, [1], shared=1)
 
 
-def test_no_workers_are_said(tasks, monkeypatch):
+def test_no_workers_are_said(tasks):
     from distributed import LocalCluster
 
-    # Enough for the scheduler itself to answer on a busy machine.
-    monkeypatch.setattr(parallel, "_ANSWER_S", 5.0)
     with (
         LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty,
         pytest.raises(ParallelError, match="has no workers"),
     ):
-        Workers(scheduler=empty.scheduler_address).map(tasks.scaled, [1], shared=1)
+        # Enough for the scheduler itself to answer on a busy machine.
+        Workers(scheduler=empty.scheduler_address, answer_s=5.0).map(tasks.scaled, [1], shared=1)
+
+
+def test_a_scheduler_has_thirty_seconds_to_answer(tasks, monkeypatch):
+    given = []
+
+    def unanswered(*_, timeout, **__):
+        given.append(timeout)
+        raise OSError("timed out")
+
+    monkeypatch.setattr("distributed.Client", unanswered)
+    with pytest.raises(ParallelError, match="no scheduler answers: timed out"):
+        Workers(scheduler="tcp://127.0.0.1:1").map(tasks.scaled, [1], shared=1)
+    assert given == [30.0]
 
 
 def test_workers_of_another_version_are_refused(tasks, monkeypatch, cluster):

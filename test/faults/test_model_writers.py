@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import pytest
 
-from quadpi_core import paths
 from quadpi_core.errors import ModelError
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.scratch import MADE, REPLACED, scratch_folder
@@ -19,9 +18,9 @@ WRITES = 60
 
 
 @pytest.mark.parametrize("exchanges", [True, False])
-def test_readers_see_one_or_the_other(monkeypatch, tmp_path, exchanges):
+def test_readers_see_one_or_the_other(request, tmp_path, exchanges):
     if not exchanges:
-        monkeypatch.setattr(paths, "_exchange", lambda *_: False)
+        request.getfixturevalue("no_exchange")
     folder = tmp_path / "model"
     good = AerodynamicModel.load(GOLDEN_MODEL)
     variants = [replace(good, cutoff_hz=cutoff) for cutoff in (20.0, 30.0)]
@@ -71,8 +70,8 @@ def test_a_folder_that_is_moved_away_is_waited_for(tmp_path):
         assert reader.result().identity == identity
 
 
-def test_without_an_exchange_the_folder_is_moved_away_first(monkeypatch, tmp_path):
-    monkeypatch.setattr(paths, "_exchange", lambda *_: False)
+@pytest.mark.usefixtures("no_exchange")
+def test_without_an_exchange_the_folder_is_moved_away_first(tmp_path):
     folder = tmp_path / "model"
     good = AerodynamicModel.load(GOLDEN_MODEL)
     good.save(folder)

@@ -15,7 +15,6 @@ import pytest
 
 import quadpi_core
 from benchmarks.fuzzing.flight_logs import dataflash, hover
-from quadpi_core import paths
 from quadpi_core.paths import bags_directory, whole_output
 
 # A command that says on its output when it has come somewhere. A step of the work is one of training, or a
@@ -144,6 +143,7 @@ def test_realisations_that_are_finished_are_kept(quadpi, interrupted, tmp_path):
     assert not [path for path in tmp_path.rglob(".*") if path.exists()]
 
 
+@pytest.mark.usefixtures("no_exchange")
 def test_a_folder_that_was_about_to_be_replaced_is_there_again(tmp_path, monkeypatch):
     folder = tmp_path / "model"
     folder.mkdir()
@@ -157,8 +157,6 @@ def test_a_folder_that_was_about_to_be_replaced_is_there_again(tmp_path, monkeyp
             raise KeyboardInterrupt
         return rename(path, target)
 
-    # As where the system cannot exchange two folders in one step.
-    monkeypatch.setattr(paths, "_exchange", lambda *_: False)
     monkeypatch.setattr(Path, "rename", interrupt)
     with pytest.raises(KeyboardInterrupt), whole_output(folder) as temporary:
         temporary.mkdir()
