@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real golden fuzz environment clean
+.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -60,6 +60,9 @@ discovery-real: environment ## renew docs/discovery-real.md: searches on real fl
 alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 2 --data FOLDER")
 	@sh tools/bootstrap.sh --train
 	@$(BIN)/python tools/alarm_tables.py $(ALARM_ARGS)
+
+pictures: environment ## renew the pictures of the page in docs/images, by a headless Chromium
+	@QUADPI_PICTURES=docs/images $(BIN)/python -m pytest -q -k pictures test/core/view/test_view_page.py
 
 golden: environment ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
 	@$(BIN)/python tools/golden_trace.py $(GOLDEN_ARGS)

@@ -32,9 +32,10 @@ SHORT_FORMS = {
     "discovery": "test/discovery/test_blind.py",
     "fuzz": "test/faults/test_fuzzing.py",
     "golden": "test/golden/test_golden_trace.py",
+    "pictures": "test/core/view/test_view_page.py",
     "tables": "test/test_paper_tables.py",
 }
-HERE = {*SHORT, "bench", "clean", "demo", "help"}
+HERE = {*SHORT, "bench", "clean", "demo", "help", "pictures"}
 
 
 def make(*arguments: str, folder: Path = ROOT) -> str:
@@ -64,7 +65,7 @@ def test_every_target_is_run_somewhere() -> None:
     by_ci = set(re.findall(r"^make ([a-z-]+)", (ROOT / ".ci" / "run").read_text(), flags=re.MULTILINE))
     # It is run before the others.
     assert set(TARGETS) == HERE | by_ci | {"environment"}
-    assert SHORT_FORMS.keys() == {*SHORT, "bench", "demo"} - {"discovery-real"}
+    assert SHORT_FORMS.keys() == {*SHORT, "bench", "demo", "pictures"} - {"discovery-real"}
     assert all((ROOT / place).is_file() for place in SHORT_FORMS.values())
     (phony,) = re.findall(r"^\.PHONY: (.*)$", MAKEFILE, flags=re.MULTILINE)
     assert set(phony.split()) == set(TARGETS)

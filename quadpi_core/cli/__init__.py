@@ -26,6 +26,7 @@ from quadpi_core.cli.info_command import info
 from quadpi_core.cli.replay_command import replay
 from quadpi_core.cli.simulate_command import simulate
 from quadpi_core.cli.validate_command import validate
+from quadpi_core.cli.view_command import view
 from quadpi_core.errors import QuadpiError
 from quadpi_core.version import __version__
 
@@ -62,7 +63,7 @@ app = typer.Typer(
 )
 app.command("import")(import_logs)
 # In the order in which `--help` lists them.
-for command in (info, identify, evaluate, replay, simulate, validate, discrepancy, demo):
+for command in (info, identify, evaluate, replay, view, simulate, validate, discrepancy, demo):
     app.command()(command)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,31 @@ def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
         upper=upper,
         measured=mirrored(values[:, places["measured"]]),
         relative_width=values[:, places["relative_width"]].copy(),
+    )
+
+
+class PredictingModel(NamedTuple):
+    """Which model a prediction is of.
+
+    Attributes:
+        identity: name and the first 12 digits of its hash.
+        confidence: nominal coverage of the interval.
+        axes: names of the axes that it holds.
+    """
+
+    identity: str
+    confidence: float
+    axes: tuple[str, ...]
+
+
+def unpack_model(payload: bytes) -> PredictingModel:
+    """Which model a quadpi/WrenchPrediction is of."""
+    columns = codec(PREDICTION).decode(payload)
+    flags = int(columns["axes"][0])
+    return PredictingModel(
+        identity=columns["model"][0].decode(errors="replace"),
+        confidence=float(columns["confidence"][0]),
+        axes=tuple(axis for place, axis in enumerate(AXES) if flags & 1 << place),
     )
 
 

@@ -34,7 +34,17 @@ RUN_ELSEWHERE = {
     "paper-tables.md",
 }
 ON_REAL_FLIGHTS = {"commands.md", "import-logs.md"}
-QUADPI = 'quadpi() { "$PYTHON" -m quadpi_core.cli "$@"; }\n'
+# `quadpi view` serves until it is ended: after this time it has said what is wrong, or nothing is.
+VIEW_S = 30
+QUADPI = f"""
+quadpi() {{
+    if [ "$1" = view ]; then
+        timeout {VIEW_S} "$PYTHON" -m quadpi_core.cli "$@" --port 0 --no-open; [ $? = 124 ]
+    else
+        "$PYTHON" -m quadpi_core.cli "$@"
+    fi
+}}
+"""
 
 
 def commands(page: str) -> list[str]:

@@ -1,0 +1,272 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag as a source of the page: judged by models as the live nodes would, or with the results in it."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.payloads import Payloads, Topic
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.monitor import pairing_kernel
+from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.monitor import Monitor
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
+from quadpi_core.vehicle import Vehicle
+from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
+
+# An hour at 20 blocks a second, 50 MB with one model.
+_BLOCKS = 72_000
+# Parts that wait to be taken: the reader goes no further ahead than this.
+_WAITING = 4
+# Time that a tick may spend on what has been read, so that pages are answered meanwhile.
+_TICK_S = 0.03
+_RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds")
+
+Part = Callable[[VehicleView], None]
+_Content = TypeVar("_Content")
+
+
+class Source(Protocol):
+    """Where a page's data come from."""
+
+    live: bool
+    title: str
+
+    @property
+    def vehicles(self) -> Mapping[str, VehicleView]:
+        """Every vehicle, by name."""
+
+    def poll(self) -> None:
+        """Take what has come since the last call; called at every tick of the server."""
+
+    def close(self) -> None:
+        """Stop."""
+
+
+class BagSource:
+    """A flight that is read in a thread while pages look at what has been read.
+
+    Args:
+        title: what the page is about.
+        name: of the flight.
+        parts: what to do with the view, block by block; may raise QuadpiError.
+        known: see :class:`VehicleView`.
+    """
+
+    live = False
+
+    def __init__(
+        self, title: str, name: str, parts: Iterator[Part], known: Mapping[str, AerodynamicModel]
+    ) -> None:
+        self.title = title
+        view = VehicleView(name, known, BLOCK_NS, _BLOCKS)
+        view.silent(("reading the bag",))
+        self.vehicles = {name: view}
+        self.error: QuadpiError | None = None
+        self.finished = False
+        self._view = view
+        self._parts: queue.Queue[Part | QuadpiError | None] = queue.Queue(_WAITING)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._read, args=(parts,), name="bag reader", daemon=True)
+        self._thread.start()
+
+    def poll(self) -> None:
+        """Take what has been read, for a moment."""
+        deadline = time.monotonic() + _TICK_S
+        while not self.finished and time.monotonic() < deadline:
+            try:
+                part = self._parts.get_nowait()
+            except queue.Empty:
+                break
+            if isinstance(part, QuadpiError):
+                self.error = part
+                self._view.silent((f"the bag cannot be read further: {part}",))
+                self._view.health.rows.append(("bag", "error", str(part)))
+            elif part is not None:
+                part(self._view)
+            self.finished = part is None or self.error is not None
+
+    def close(self) -> None:
+        """End the reader."""
+        self._stopping.set()
+        self._thread.join()
+
+    def _read(self, parts: Iterator[Part]) -> None:
+        try:
+            for part in parts:
+                if not self._hand_over(part):
+                    return
+            self._hand_over(None)
+        except QuadpiError as error:
+            self._hand_over(error)
+        finally:
+            if hasattr(parts, "close"):
+                parts.close()
+
+    def _hand_over(self, part: Part | QuadpiError | None) -> bool:
+        while not self._stopping.is_set():
+            try:
+                self._parts.put(part, timeout=0.1)
+                return True
+            except queue.Full:
+                continue
+        return False
+
+
+def open_bag(
+    bag: Path,
+    models: Sequence[AerodynamicModel],
+    vehicle: Vehicle | None,
+    confidence: float | None = None,
+) -> BagSource:
+    """The source of a flight.
+
+    Args:
+        bag: with sensor topics to judge by the models, or with results.
+        models: the first gives the alarm; none: those whose results the bag holds.
+        vehicle: of the models.
+        confidence: of the intervals; each model's own unless given.
+
+    Raises:
+        QuadpiError: for a bag that cannot be read or holds no results, and models of another vehicle.
+    """
+    known = {model.identity: model for model in models}
+    if models:
+        assert vehicle is not None
+        names = dict.fromkeys(model.name for model in models)
+        if len(names) < len(models):
+            raise QuadpiError(
+                "--model: two models have the same name, which is how the page tells them apart"
+            )
+        parts = _started(judged(bag, models, vehicle, confidence))
+        return BagSource(f"{bag.name}, judged by {', '.join(names)}", bag.stem, parts, known)
+    parts = _started(recorded(bag))
+    return BagSource(f"{bag.name}, results as recorded", bag.stem, parts, known)
+
+
+def _started(parts: Iterator[Part]) -> Iterator[Part]:
+    """The parts with the first one made, so that what is wrong with a bag is said before a page is opened."""
+    first = next(parts, None)
+
+    def rest() -> Iterator[Part]:
+        if first is not None:
+            yield first
+        yield from parts
+
+    return rest()
+
+
+def judged(
+    bag: Path, models: Sequence[AerodynamicModel], vehicle: Vehicle, confidence: float | None
+) -> Iterator[Part]:
+    """Parts of a flight, judged as `quadpi replay` does."""
+    monitors = [Monitor(model, vehicle, None, confidence) for model in models]
+    held: list[OdometryStream] = []
+    with open_flight(bag, vehicle) as flight:
+        for stretch in follow(_noting_states(flight, held), vehicle):
+            if stretch.begin == pairing_kernel.SET_BACK:
+                for monitor in monitors:
+                    monitor.reset()
+            for monitor in monitors:
+                monitor.retune(stretch.rate)
+            states = held[:] if stretch.states is None else [stretch.states.odometry]
+            held.clear()
+            yield _judged_part(monitors, stretch.samples, states)
+
+
+def _noting_states(flight: RecordedFlight, held: list[OdometryStream]) -> RecordedFlight:
+    """The flight; what its blocks say of the state by themselves is noted, as no estimator gives it."""
+
+    def blocks() -> Iterator[Recording]:
+        for block in flight.blocks:
+            if not flight.has_mocap and block.odometry is not None:
+                held.append(block.odometry)
+            yield block
+
+    return replace(flight, blocks=blocks())
+
+
+def _judged_part(
+    monitors: Sequence[Monitor], samples: PairedSamples, states: Sequence[OdometryStream]
+) -> Part:
+    first, *others = monitors
+    prepared = first.preparation.step(*samples)
+    predictions, alarms, events = first.judge(prepared)
+    further = [(other, other.predict(other.preparation.step(*samples))) for other in others]
+    reported = None
+    if len(alarms):
+        reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, reasons_by_row(alarms)))
+    rotors = RotorSpeedStream(samples.time_ns, samples.rotor_speeds)
+
+    def show(view: VehicleView) -> None:
+        for monitor, given in ((first, predictions), *further):
+            model = monitor.model
+            view.take_predictions(model.name, given, model.identity, monitor.confidence, model.axes)
+        view.take_inputs(prepared.usable_ns, prepared.inputs)
+        for stream in states:
+            view.take_states(stream)
+        view.take_rotor_speeds(rotors)
+        if reported is not None:
+            view.take_alarms(reported)
+        view.take_events(events)
+
+    return show
+
+
+def recorded(bag: Path) -> Iterator[Part]:
+    """Parts of the results that a bag holds."""
+    with Bag(bag) as opened:
+        names = {}
+        for topic in _RESULTS:
+            connection = find_topic(opened, topic)
+            if connection is not None:
+                names[topic] = connection.topic
+        if "prediction" not in names:
+            found = ", ".join(sorted({connection.topic for connection in opened.connections})) or "none"
+            raise LogError(
+                f"{bag}: holds no predictions; judge it by a model: quadpi view {bag} --model MODEL "
+                f"(topics of the bag: {found})"
+            )
+        for block in opened.blocks(list(names.values())):
+            topics = {topic: block[name] for topic, name in names.items() if len(block[name].payloads)}
+            yield _recorded_part(bag, topics)
+
+
+def _recorded_part(bag: Path, topics: Mapping[str, Topic]) -> Part:
+    """What to show of the topics of a block that have messages."""
+
+    def unpacked(name: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
+        return unpacked_topic(bag, topics[name], unpack) if name in topics else None
+
+    predictions = unpacked("prediction", result_messages.unpack_predictions)
+    about = unpacked("prediction", lambda payloads: result_messages.unpack_model(payloads[len(payloads) - 1]))
+    states = unpacked("odometry", sensor_messages.unpack_odometry)
+    rotors = unpacked("rotor_speeds", sensor_messages.unpack_rotor_speeds)
+    alarms = unpacked("extrapolation_alarm", result_messages.unpack_alarms)
+    events = unpacked("alarm_log", result_messages.unpack_events)
+
+    def show(view: VehicleView) -> None:
+        if predictions is not None and about is not None:
+            view.take_predictions(about.identity.partition("@")[0], predictions, *about)
+        if states is not None:
+            view.take_states(states)
+        if rotors is not None:
+            view.take_rotor_speeds(rotors)
+        if alarms is not None:
+            view.take_alarms(alarms)
+        view.take_events(events or [])
+
+    return show

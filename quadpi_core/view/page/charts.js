@@ -1,0 +1,328 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// Figures drawn on canvas: quantities over time, the envelope, the flight, the timeline.
+
+export const WINDOW_S = 30;
+const STATE_LINES = ["--trusted-line", "--warning-line", "--alarm-line", "--none-line", "--none-line"];
+let colours = {};
+
+// Colours of the theme, read once after it changes.
+export function readTheme() {
+  const style = getComputedStyle(document.documentElement);
+  colours = new Proxy({}, {get: (kept, name) => kept[name] ??= style.getPropertyValue(name).trim()});
+}
+
+export const stateColour = (state) => colours[STATE_LINES[state] ?? "--none-line"];
+export const colour = (name) => colours[name];
+
+// A canvas cleared at the resolution of the screen: [context, width, height].
+export function cleared(canvas) {
+  const ratio = Math.min(2, window.devicePixelRatio || 1);
+  const width = canvas.clientWidth, height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  context.font = "12px system-ui, sans-serif";
+  return [context, width, height];
+}
+
+function ticks(low, high, count) {
+  const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 2.5, 5, 10].map((factor) => factor * power).find((one) => one >= raw);
+  const found = [];
+  for (let value = Math.ceil(low / step) * step; value <= high; value += step) found.push(Math.abs(value) < 1e-9 * step ? 0 : value);
+  return found;
+}
+
+const short = (value) => Math.abs(value) >= 100 ? value.toFixed(0) : String(Number(value.toPrecision(3)));
+
+// Quantities over the last 30 s. A series: {low, high} columns, drawn as a line through the middle of its extremes;
+// a band is filled between its columns.
+export class TimeChart {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.range = null;
+  }
+
+  draw(store, cursor, series, {band = null, outlines = [], misses = null, least = 0} = {}) {
+    const [context, width, height] = cleared(this.canvas);
+    const left = 46, bottom = height - 16, span = width - left;
+    const last = Math.floor(cursor / store.blockS), first = Math.max(0, last - Math.round(WINDOW_S / store.blockS));
+    const x = (block) => left + span * (1 - (cursor - block * store.blockS) / WINDOW_S);
+    this.fit(store, first, last, [...series, ...(band ? [band] : [])], least);
+    const [low, high] = this.range, y = (value) => bottom - (bottom - 4) * (value - low) / (high - low);
+    context.strokeStyle = colours["--rule"];
+    context.fillStyle = colours["--soft"];
+    context.lineWidth = 1;
+    context.textAlign = "right";
+    context.textBaseline = "middle";
+    for (const value of ticks(low, high, 5)) {
+      context.beginPath(); context.moveTo(left, y(value)); context.lineTo(width, y(value)); context.stroke();
+      context.fillText(short(value), left - 5, y(value));
+    }
+    context.textAlign = "center";
+    for (const value of ticks(cursor - WINDOW_S, cursor, 6)) {
+      if (value >= 0) context.fillText(`${short(value)} s`, Math.min(width - 16, x(value / store.blockS)), height - 6);
+    }
+    context.save();
+    context.beginPath(); context.rect(left, 0, span, bottom + 2); context.clip();
+    if (band) this.fill(context, store, first, last, band, x, y);
+    for (const one of outlines) for (const edge of one.edges) this.line(context, store, first, last, {...one, low: edge, high: edge}, x, y);
+    for (const one of series) this.line(context, store, first, last, one, x, y);
+    if (misses) this.mark(context, store, first, last, misses, x, y);
+    context.restore();
+  }
+
+  fit(store, first, last, series, least) {
+    let low = Infinity, high = -Infinity;
+    for (let block = first; block <= last; block++) {
+      const place = store.at(block);
+      if (!place) continue;
+      for (const one of series) {
+        const bottom = place[0][place[1] + one.low], top = place[0][place[1] + one.high];
+        if (bottom < low && bottom > -1e9) low = bottom;
+        if (top > high && top < 1e9) high = top;
+      }
+    }
+    if (!(high >= low)) [low, high] = this.range ?? [0, 1];
+    if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
+    const margin = 0.06 * (high - low) || 0.5;
+    low -= margin; high += margin;
+    // Grows at once, shrinks slowly: a scale that jumps cannot be read.
+    if (this.range) {
+      low = Math.min(low, this.range[0] + 0.04 * (low - this.range[0]));
+      high = Math.max(high, this.range[1] + 0.04 * (high - this.range[1]));
+    }
+    this.range = [low, high];
+  }
+
+  line(context, store, first, last, one, x, y) {
+    context.strokeStyle = one.colour;
+    context.lineWidth = one.width ?? 1.5;
+    context.setLineDash(one.dash ?? []);
+    context.beginPath();
+    let drawing = false;
+    for (let block = first; block <= last; block++) {
+      const place = store.at(block);
+      const low = place ? place[0][place[1] + one.low] : NaN, high = place ? place[0][place[1] + one.high] : NaN;
+      if (!(Number.isFinite(low) && Number.isFinite(high))) { drawing = false; continue; }
+      const at = x(block + 0.5), bottom = y(low), top = y(high);
+      if (drawing) context.lineTo(at, bottom); else context.moveTo(at, bottom);
+      if (bottom - top > 1) context.lineTo(at, top);
+      drawing = true;
+    }
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  fill(context, store, first, last, band, x, y) {
+    context.fillStyle = band.fill;
+    context.strokeStyle = band.colour;
+    context.lineWidth = 1;
+    let block = first;
+    while (block <= last) {
+      const up = [], down = [];
+      for (; block <= last; block++) {
+        const place = store.at(block);
+        const low = place ? place[0][place[1] + band.low] : NaN, high = place ? place[0][place[1] + band.high] : NaN;
+        if (!(Number.isFinite(low) && Number.isFinite(high))) break;
+        up.push([x(block + 0.5), y(high)]);
+        down.push([x(block + 0.5), y(low)]);
+      }
+      block++;
+      if (!up.length) continue;
+      context.beginPath();
+      for (const [k, point] of up.entries()) if (k) context.lineTo(...point); else context.moveTo(...point);
+      for (const point of down.reverse()) context.lineTo(...point);
+      context.closePath();
+      context.fill();
+      context.stroke();
+    }
+  }
+
+  mark(context, store, first, last, misses, x, y) {
+    context.fillStyle = colours["--miss"];
+    context.beginPath();
+    for (let block = first; block <= last; block++) {
+      const place = store.at(block);
+      if (!place || !(place[0][place[1] + misses.count] > 0)) continue;
+      const above = place[0][place[1] + misses.high] > place[0][place[1] + misses.upper];
+      const at = x(block + 0.5), tip = y(place[0][place[1] + (above ? misses.high : misses.low)]), side = above ? -1 : 1;
+      context.moveTo(at, tip + side);
+      context.lineTo(at - 4, tip + side * 8);
+      context.lineTo(at + 4, tip + side * 8);
+    }
+    context.fill();
+  }
+}
+
+// How far an input lies in its training range: 0 at the lower end, 1 at the upper end.
+const placed = (value, input) => (value - input.lower) / ((input.upper - input.lower) || 1);
+
+export function drawEnvelope(canvas, store, cursor) {
+  const [context, width, height] = cleared(canvas), inputs = store.vehicle?.inputs ?? [];
+  context.textBaseline = "middle";
+  if (!inputs.length || inputs[0].lower === null) {
+    context.fillStyle = colours["--soft"];
+    context.fillText("Training ranges are not known here: quadpi view --model MODEL", 8, 20);
+    return null;
+  }
+  const last = Math.floor(cursor / store.blockS), first = Math.max(0, last - Math.round(WINDOW_S / store.blockS));
+  const rows = inputs.map((input, k) => {
+    let low = Infinity, high = -Infinity;
+    for (let block = first; block <= last; block++) {
+      const bottom = store.value(block, "inputs_min", k), top = store.value(block, "inputs_max", k);
+      if (bottom < low) low = bottom;
+      if (top > high) high = top;
+    }
+    const bottom = placed(store.recent(last, "inputs_min", k, 0.5), input), top = placed(store.recent(last, "inputs_max", k, 0.5), input);
+    const now = top - 1 > -bottom ? top : bottom;
+    return {input, low: placed(low, input), high: placed(high, input), bottom, top, now, out: Math.max(-bottom, top - 1)};
+  });
+  const known = rows.filter((row) => Number.isFinite(row.out));
+  const farthest = known.reduce((best, row) => !best || row.out > best.out ? row : best, null);
+  const labels = Math.min(210, 0.44 * width), left = labels + 10, span = width - left - 8, step = height / rows.length;
+  // The training range is the middle half; what is a range away from it is at the edge.
+  const x = (place) => left + span * Math.min(1, Math.max(0, 0.25 + 0.5 * place));
+  rows.forEach((row, k) => {
+    const y = step * (k + 0.5), outside = row.out > 0;
+    context.fillStyle = colours["--training"];
+    context.fillRect(x(0), y - 6, x(1) - x(0), 12);
+    if (row.high >= row.low) {
+      context.fillStyle = colours["--none-line"];
+      context.fillRect(x(row.low), y - 1.5, Math.max(1, x(row.high) - x(row.low)), 3);
+    }
+    context.fillStyle = outside ? colours["--miss"] : colours["--ink"];
+    context.textAlign = "right";
+    context.font = `${row === farthest ? "bold " : ""}12px system-ui, sans-serif`;
+    const angle = row.input.angle ? ` (${row.input.angle})` : "";
+    context.fillText(`${row === farthest ? "▶ " : ""}${row.input.words}${angle}`, labels, y, labels - 2);
+    if (!Number.isFinite(row.now)) return;
+    const at = x(row.now);
+    context.beginPath();
+    if (outside) {
+      context.moveTo(at, y - 8); context.lineTo(at + 8, y); context.lineTo(at, y + 8); context.lineTo(at - 8, y);
+    } else context.arc(at, y, 5, 0, 7);
+    context.fill();
+  });
+  return farthest;
+}
+
+// The flight seen from a side that can be turned: north, east and up.
+export class FlightFigure {
+  constructor(canvas, redraw) {
+    this.canvas = canvas;
+    this.turn = 0.7;
+    this.tilt = 0.45;
+    this.zoom = 1;
+    let from = null;
+    canvas.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
+    canvas.addEventListener("pointerup", () => { from = null; });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!from) return;
+      this.turn += 0.01 * (event.clientX - from[0]);
+      this.tilt = Math.min(1.5, Math.max(0.02, this.tilt + 0.01 * (event.clientY - from[1])));
+      from = [event.clientX, event.clientY];
+      redraw();
+    });
+    canvas.addEventListener("wheel", (event) => { event.preventDefault(); this.zoom = Math.min(8, Math.max(0.4, this.zoom * Math.exp(-0.001 * event.deltaY))); redraw(); }, {passive: false});
+  }
+
+  draw(store, cursor, track) {
+    const [context, width, height] = cleared(this.canvas);
+    const last = Math.floor(cursor / store.blockS), first = Math.max(0, last - Math.round(WINDOW_S / store.blockS));
+    const recent = [];
+    let state = NaN;
+    for (let block = first; block <= last; block++) {
+      const given = store.value(block, "state");
+      if (!Number.isNaN(given)) state = given;
+      const point = [0, 1, 2].map((k) => store.value(block, "position", k));
+      if (point.every(Number.isFinite)) recent.push([point, state, block]);
+    }
+    const past = track.map(([, ...point]) => point), points = [...past, ...recent.map(([point]) => point)];
+    if (!points.length) return;
+    const low = [0, 1, 2].map((k) => points.reduce((least, point) => Math.min(least, point[k]), Infinity));
+    const high = [0, 1, 2].map((k) => points.reduce((most, point) => Math.max(most, point[k]), -Infinity));
+    const middle = low.map((value, k) => (value + high[k]) / 2);
+    const size = Math.max(2, Math.hypot(...low.map((value, k) => high[k] - value)));
+    const scale = 0.92 * this.zoom * Math.min(width, 1.6 * height) / size;
+    const [sin, cos, down, level] = [Math.sin(this.turn), Math.cos(this.turn), Math.sin(this.tilt), Math.cos(this.tilt)];
+    const project = ([north, east, below]) => {
+      const n = north - middle[0], e = east - middle[1], d = below - middle[2];
+      return [width / 2 + scale * (e * cos - n * sin), height / 2 + scale * (d * level - (n * cos + e * sin) * down)];
+    };
+    this.ground(context, project, low, high);
+    context.strokeStyle = colours["--none-line"];
+    context.lineWidth = 1;
+    context.beginPath();
+    past.forEach((point, k) => { if (k) context.lineTo(...project(point)); else context.moveTo(...project(point)); });
+    context.stroke();
+    for (let k = 1; k < recent.length; k++) {
+      const [point, trust] = recent[k];
+      context.strokeStyle = stateColour(trust);
+      context.lineWidth = trust === 2 ? 5 : trust === 1 ? 3.5 : 2;
+      context.beginPath(); context.moveTo(...project(recent[k - 1][0])); context.lineTo(...project(point)); context.stroke();
+    }
+    if (recent.length) this.vehicle(context, store, recent[recent.length - 1], project, size);
+  }
+
+  ground(context, project, low, high) {
+    const step = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1e3, 1e4, 1e5].find((one) => (high[0] - low[0] + high[1] - low[1]) / one < 14) ?? 1e6;
+    const [north, east] = [0, 1].map((k) => [Math.floor(low[k] / step) * step, Math.ceil(high[k] / step + 1e-9) * step]);
+    context.strokeStyle = colours["--rule"];
+    context.fillStyle = colours["--soft"];
+    context.lineWidth = 1;
+    context.beginPath();
+    for (let n = north[0]; n <= north[1] + 1e-9; n += step) { context.moveTo(...project([n, east[0], high[2]])); context.lineTo(...project([n, east[1], high[2]])); }
+    for (let e = east[0]; e <= east[1] + 1e-9; e += step) { context.moveTo(...project([north[0], e, high[2]])); context.lineTo(...project([north[1], e, high[2]])); }
+    context.stroke();
+    context.textAlign = "left";
+    context.fillText(`grid ${step} m`, 6, 12);
+    context.textAlign = "center";
+    context.fillText("N", ...project([north[1] + 0.4 * step, (east[0] + east[1]) / 2, high[2]]));
+    context.fillText("E", ...project([(north[0] + north[1]) / 2, east[1] + 0.4 * step, high[2]]));
+  }
+
+  vehicle(context, store, [position, state, block], project, size) {
+    const [w, x, y, z] = [0, 1, 2, 3].map((k) => store.value(block, "attitude", k));
+    const arm = 0.06 * size / this.zoom;
+    const body = ([a, b, c]) => [
+      (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c,
+      2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c,
+      2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c].map((value, k) => position[k] + arm * value);
+    context.strokeStyle = context.fillStyle = colours["--ink"];
+    context.lineWidth = 2.5;
+    for (const [one, other] of [[[0.7, 0.7, 0], [-0.7, -0.7, 0]], [[0.7, -0.7, 0], [-0.7, 0.7, 0]], [[0, 0, 0], [1.5, 0, 0]]]) {
+      context.beginPath(); context.moveTo(...project(body(one))); context.lineTo(...project(body(other))); context.stroke();
+    }
+    context.fillStyle = stateColour(state);
+    context.beginPath(); context.arc(...project(position), 5, 0, 7); context.fill();
+  }
+}
+
+const HEIGHTS = {0: 0.3, 4: 0.2, 3: 0.15, 1: 0.65, 2: 1};
+
+// The whole session: higher is worse. Marks the window of the charts and the cursor.
+export function drawTimeline(canvas, overview, end, cursor) {
+  const [context, width, height] = cleared(canvas), floor = height - 14, scale = width / Math.max(1e-9, end);
+  context.fillStyle = colours["--training"];
+  context.fillRect(Math.max(0, (cursor - WINDOW_S) * scale), 0, Math.min(cursor, WINDOW_S) * scale, floor);
+  const bin = overview.bin_s ?? 1;
+  for (let k = 0; k < (overview.codes ?? "").length; k++) {
+    const code = overview.codes[k];
+    if (code === "-") continue;
+    context.fillStyle = stateColour(Number(code));
+    const tall = floor * HEIGHTS[code];
+    context.fillRect(k * bin * scale, floor - tall, Math.max(1, bin * scale + 0.3), tall);
+  }
+  context.fillStyle = colours["--soft"];
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  for (const value of ticks(0, end, Math.max(2, Math.min(10, width / 90)))) context.fillText(`${short(value)} s`, Math.min(width - 18, Math.max(14, value * scale)), height - 6);
+  context.fillStyle = colours["--ink"];
+  context.fillRect(Math.min(width - 2, cursor * scale - 1), 0, 2, floor + 3);
+}

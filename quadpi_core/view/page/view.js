@@ -1,0 +1,432 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// The page: its connection, the moment that it shows, and what it says of that moment. All text from elsewhere is set
+// as textContent, so a name is never markup.
+
+import {cleared, colour, drawEnvelope, drawTimeline, FlightFigure, readTheme, TimeChart} from "./charts.js";
+import {Store} from "./store.js";
+
+const AXES = [["Fx", "forward force", "N"], ["Fy", "force to the right", "N"], ["Fz", "downward force", "N"],
+  ["Mx", "roll moment", "Nm"], ["My", "pitch moment", "Nm"], ["Mz", "yaw moment", "Nm"]];
+const WORDS = ["TRUSTED", "WARNING", "ALARM", "NO DATA", "NOT JUDGED"], SIGNS = ["✓", "!", "✕", "?", "–"];
+const NO_DATA = 3;
+// Reasons in the banner, the strongest; the others are in its title.
+const REASONS = 3;
+const COVERAGE_EVERY_MS = 250;
+const RETRY_MS = 500, RETRY_MOST_MS = 2000, CONNECT_MS = 3000;
+
+const $ = (id) => document.getElementById(id);
+const store = new Store();
+const page = {
+  socket: null, retry: RETRY_MS, live: true, follow: true, playing: true, cursor: 0, selected: null, chosen: 0,
+  vehicles: new Map(), overview: {events: [], track: [], codes: "", health: []}, wanted: true, before: 0, coveredAt: 0,
+  frames: 0, rate: 0, rateAt: 0, said: {},
+};
+// For those who measure the page: what it shows, and when it was drawn.
+window.quadpi = {page, store, drawn: null};
+
+function element(name, text, attributes = {}) {
+  const made = document.createElement(name);
+  if (text !== undefined) made.textContent = text;
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+// Set a text only where it changes: a page that is read aloud says what is new.
+function say(id, text) {
+  if (page.said[id] === text) return;
+  page.said[id] = text;
+  $(id).textContent = text;
+}
+
+const percent = (share) => Number.isNaN(share) ? "–" : share >= 1 ? "100 %" : `${Math.min(99.9, 100 * share).toFixed(1)} %`;
+const seconds = (value) => `${value.toFixed(2)} s`;
+const here = () => page.vehicles.get(page.selected);
+const block = (cursor = page.cursor) => Math.floor(cursor / store.blockS);
+const newest = () => here()?.newest ?? -1;
+const end = () => Math.max(0, (newest() + 1) * store.blockS);
+const redraw = () => { page.wanted = true; };
+
+// --- connection ---
+
+function send(wish) {
+  if (page.socket?.readyState === WebSocket.OPEN) page.socket.send(JSON.stringify(wish));
+}
+
+function connect() {
+  const socket = page.socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
+  socket.binaryType = "arraybuffer";
+  const given = setTimeout(() => socket.close(), CONNECT_MS);
+  socket.onopen = () => { clearTimeout(given); page.retry = RETRY_MS; lost(false); };
+  socket.onmessage = ({data}) => {
+    if (typeof data === "string") take(JSON.parse(data));
+    else if (store.take(data)) followNewest();
+    redraw();
+  };
+  socket.onclose = () => {
+    clearTimeout(given);
+    lost(true);
+    setTimeout(connect, page.retry);
+    page.retry = Math.min(RETRY_MOST_MS, 2 * page.retry);
+  };
+}
+
+function lost(is) {
+  $("link").textContent = is ? "server lost, trying again" : "connected";
+  $("link").classList.toggle("lost", is);
+  document.body.classList.toggle("lost", is);
+  page.lost = is;
+  redraw();
+}
+
+function take(message) {
+  if (message.type === "hello") {
+    page.live = message.live;
+    page.vehicles.clear();
+    store.clear();
+    say("title", message.title);
+    $("live").hidden = !page.live;
+    document.querySelectorAll("label select").forEach((one) => { one.parentElement.hidden = page.live; });
+    page.follow = page.live;
+    if (page.selected !== null) send({select: page.selected});
+  } else if (message.type === "state") {
+    page.vehicles = new Map(message.vehicles.map((one) => [one.id, one]));
+    if (!page.vehicles.has(page.selected) && page.vehicles.size) select([...page.vehicles.keys()][0]);
+    showVehicles();
+    followNewest();
+  } else if (message.type === "vehicle" && message.id === page.selected) {
+    store.describe(message);
+    page.chosen = Math.min(page.chosen, Math.max(0, message.models.length - 1));
+    showModels();
+  } else if (message.type === "overview" && message.id === page.selected) {
+    page.overview = message;
+    showEvents();
+    showHealth();
+  }
+}
+
+function select(id) {
+  if (page.selected !== id) store.clear();
+  page.selected = id;
+  page.overview = {events: [], track: [], codes: "", health: []};
+  showEvents();
+  send({select: id});
+}
+
+function followNewest() {
+  if (!page.live || !page.follow || !page.playing) return;
+  const time = store.recent(newest(), "time", 0, 2);
+  page.cursor = Number.isNaN(time) ? end() : time;
+}
+
+// --- time ---
+
+function seek(time) {
+  page.cursor = Math.min(Math.max(0, time), end());
+  if (page.live) page.follow = page.cursor >= end() - 0.2;
+  redraw();
+}
+
+function play(playing) {
+  page.playing = playing;
+  if (playing && !page.live && page.cursor >= end() - store.blockS) page.cursor = 0;
+  redraw();
+}
+
+function alarm(direction) {
+  const starts = page.overview.events.map((event) => event.start).sort((a, b) => a - b);
+  const found = direction > 0 ? starts.find((start) => start > page.cursor - 0.9) : starts.reverse().find((start) => start < page.cursor - 1.1);
+  if (found !== undefined) jump(found);
+}
+
+// To a moment, with what follows it still to come: a second later, so that it is on the charts.
+function jump(start) {
+  page.playing = false;
+  if (page.live) page.follow = false;
+  page.cursor = Math.min(end(), start + 1);
+  redraw();
+}
+
+function follow() {
+  page.follow = page.playing = true;
+  followNewest();
+  redraw();
+}
+
+function advance(now) {
+  const passed = Math.min(0.25, (now - page.before) / 1000);
+  page.before = now;
+  if (page.live ? page.follow || !page.playing : !page.playing) return;
+  if (page.cursor >= end()) return;
+  page.cursor = Math.min(end(), page.cursor + passed * (page.live ? 1 : Number($("speed").value)));
+  if (page.live && page.cursor >= end() - 0.2) page.follow = true;
+  redraw();
+}
+
+function fetchBlocks() {
+  if (!store.vehicle || (page.live && page.follow)) return;
+  const at = block(), ahead = Math.round(10 * Math.max(1, Number($("speed").value)) / store.blockS);
+  for (const range of store.missing(at - Math.round(60 / store.blockS), at + ahead, newest())) send({id: store.vehicle.id, blocks: range});
+}
+
+// --- what it says ---
+
+function showVehicles() {
+  const list = $("vehicles"), ids = [...page.vehicles.keys()];
+  if (ids.length < 2) { list.replaceChildren(); return; }
+  const text = JSON.stringify([...page.vehicles.values()].map((one) => [one.id, one.state]).concat(page.selected));
+  if (page.said.vehicles === text) return;
+  page.said.vehicles = text;
+  list.replaceChildren(...ids.map((id) => {
+    const state = page.vehicles.get(id).state;
+    const made = element("button", `${SIGNS[state]} ${id || "/"}: ${WORDS[state]}`, {type: "button", "aria-current": String(id === page.selected)});
+    made.addEventListener("click", () => select(id));
+    return made;
+  }));
+}
+
+function showModels() {
+  const models = store.vehicle?.models ?? [];
+  $("models").tBodies[0].replaceChildren(...models.map((model, k) => {
+    const row = element("tr"), cell = element("td");
+    const made = element("button", model.identity || model.name, {type: "button", "aria-pressed": String(k === page.chosen)});
+    made.addEventListener("click", () => { page.chosen = k; showModels(); redraw(); });
+    cell.append(made);
+    row.append(cell, element("td", "–"), element("td", "–"), element("td", percent(model.confidence)));
+    return row;
+  }));
+  page.coveredAt = 0;
+  const first = models[page.chosen];
+  say("model", first ? `${first.identity || first.name}${page.chosen ? " (shown, not the one that gives the alarm)" : ""}` : "–");
+  $("model").title = first?.identity ?? "";
+}
+
+function showEvents() {
+  const text = JSON.stringify(page.overview.events);
+  if (page.said.events === text) return;
+  page.said.events = text;
+  $("events").replaceChildren(...page.overview.events.slice().reverse().map((event) => {
+    const item = element("li"), made = element("button", undefined, {type: "button", title: event.reasons.join("\n")});
+    const lasted = event.end === null ? "still on" : seconds(event.end - event.start);
+    made.append(element("b", event.cause), ` at ${seconds(event.start)}, ${lasted}: ${event.reasons[0] ?? ""}`);
+    made.addEventListener("click", () => jump(event.start));
+    item.append(made);
+    return item;
+  }));
+}
+
+function showHealth() {
+  const rows = [...page.overview.health, ["page", "ok", `${page.rate.toFixed(0)} frames/s`]];
+  $("health").tBodies[0].replaceChildren(...rows.map(([about, level, text]) => {
+    const row = element("tr");
+    row.append(element("td", about), element("td", `${level === "ok" ? "" : level === "warn" ? "! " : "✕ "}${text}`, {class: level}));
+    return row;
+  }));
+}
+
+function moment() {
+  if (page.lost) return {state: NO_DATA, reasons: ["the page has lost its server and is trying again"]};
+  const vehicle = here();
+  if (!vehicle) return {state: NO_DATA, reasons: [page.live ? "no vehicle publishes predictions or an alarm in this ROS domain" : "reading the bag"]};
+  if (page.live && page.follow && page.playing) return vehicle;
+  const state = store.recent(block(), "state", 0, 1);
+  if (Number.isNaN(state)) return {state: NO_DATA, reasons: newest() < 0 ? vehicle.reasons : ["nothing is known of this moment"]};
+  return {state, reasons: store.words(block())};
+}
+
+function showBanner() {
+  const {state, reasons} = moment();
+  if ($("banner").dataset.state !== String(state)) $("banner").dataset.state = state;
+  say("state", WORDS[state]);
+  say("sign", SIGNS[state]);
+  const words = reasons.length ? reasons : state === 0 ? ["inside what was flown in training"] : [];
+  const text = JSON.stringify(words);
+  if (page.said.reasons !== text) {
+    page.said.reasons = text;
+    const shown = words.slice(0, REASONS).map((one, k) => element("li", k ? one.replace(/^outside: /, "") : one));
+    if (words.length > REASONS) shown[REASONS - 1].textContent += `, and ${words.length - REASONS} more`;
+    $("reasons").title = words.join("\n");
+    $("reasons").replaceChildren(...shown);
+  }
+  document.title = `${WORDS[state]} · quadpi`;
+  say("since", since(state));
+  say("time", seconds(page.cursor));
+  say("play", page.playing ? "Pause" : "Play");
+  $("live").setAttribute("aria-pressed", String(page.live && page.follow && page.playing));
+}
+
+// How long the state has been this one, by the timeline's bins.
+function since(state) {
+  const {codes, bin_s: bin} = page.overview;
+  let at = Math.min(codes.length - 1, Math.floor(page.cursor / bin));
+  if (at < 0 || codes[at] !== String(state)) return "now";
+  while (at > 0 && (codes[at - 1] === String(state) || codes[at - 1] === "-")) at--;
+  return `${(page.cursor - at * bin).toFixed(0)} s`;
+}
+
+function showCoverage(now) {
+  if (now - page.coveredAt < COVERAGE_EVERY_MS) return;
+  page.coveredAt = now;
+  const models = store.vehicle?.models ?? [], at = block();
+  // The axis that is inside least often, in words; of all axes together a bad one would not be seen.
+  const worst = ({inside, count}, model) => {
+    const held = AXES.map(([name], k) => [inside[k], name]).filter(([, name]) => model.axes.includes(name));
+    if (!count || !held.length) return "–";
+    const [share, name] = held.reduce((least, one) => one[0] < least[0] ? one : least);
+    return `${percent(share)} of ${name}`;
+  };
+  models.forEach((model, number) => {
+    const [ten, sixty] = [store.coverage(at, number, 10), store.coverage(at, number, 60)];
+    const cells = $("models").tBodies[0].rows[number]?.cells;
+    const least = [ten, sixty].map((one) => worst(one, model));
+    if (cells) least.forEach((text, k) => { cells[k + 1].textContent = text; });
+    if (number !== page.chosen) return;
+    ["covered10", "covered60"].forEach((id, k) => say(id, least[k]));
+    AXES.forEach(([name], k) => {
+      const chip = axes[k].covered;
+      if (!model.axes.includes(name)) { chip.textContent = "not in this model"; return; }
+      chip.textContent = `10 s ${percent(ten.inside[k])} · 60 s ${percent(sixty.inside[k])}`;
+      chip.classList.toggle("short", sixty.inside[k] < model.confidence || ten.inside[k] < model.confidence);
+    });
+  });
+}
+
+// --- drawing ---
+
+const axes = AXES.map(([name, words, unit]) => {
+  const box = element("div", undefined, {class: "axis"}), head = element("h2"), covered = element("span", "–");
+  const canvas = element("canvas", undefined, {role: "img", "aria-label": `${name}, ${words}: measured in its prediction interval`});
+  head.append(`${name}  ${words} [${unit}]`, covered);
+  box.append(head, canvas);
+  $("axes").append(box);
+  return {chart: new TimeChart(canvas), covered};
+});
+const strips = Object.fromEntries(["speed", "height", "rotor"].map((name) => [name, new TimeChart($(`${name}_chart`))]));
+const flight = new FlightFigure($("flight"), redraw);
+const column = (name, k = 0) => store.columns[name][0] + k;
+const modelColour = (number) => colour(`--model-${1 + number % 6}`);
+
+function drawAxes() {
+  const models = store.vehicle.models, m = page.chosen;
+  axes.forEach(({chart}, k) => {
+    const measured = {low: column("measured_min", k), high: column("measured_max", k), colour: colour("--measured")};
+    if (!models[m]?.axes.includes(AXES[k][0])) { chart.draw(store, page.cursor, [measured]); return; }
+    const outlines = models.map((_, other) => other).filter((other) => other !== m).map((other) => ({
+      edges: [column(`${other}.lower`, k), column(`${other}.upper`, k)], colour: modelColour(other), dash: [5, 3], width: 1}));
+    chart.draw(store, page.cursor, [
+      measured,
+      {low: column(`${m}.predicted_min`, k), high: column(`${m}.predicted_max`, k), colour: colour("--predicted")},
+    ], {
+      band: {low: column(`${m}.lower`, k), high: column(`${m}.upper`, k), colour: colour("--band"), fill: colour("--band-fill")},
+      outlines,
+      misses: {count: column(`${m}.misses`, k), low: column("measured_min", k), high: column("measured_max", k), upper: column(`${m}.upper`, k)},
+    });
+  });
+}
+
+function drawStrips() {
+  const at = block(), value = (name, k = 0) => store.recent(at, name, k, 0.5);
+  const one = (name, k = 0, dye = "--model-1") => ({low: column(name, k), high: column(name, k), colour: colour(dye)});
+  strips.speed.draw(store, page.cursor, [one("speed")], {least: 1});
+  // Height is up, position is down: a view of the store that turns it.
+  const down = column("position", 2);
+  strips.height.draw(mirrored(down), page.cursor, [{low: down, high: down, colour: colour("--model-1")}], {least: 1});
+  strips.rotor.draw(store, page.cursor, [0, 1, 2, 3].map((k) => ({
+    low: column("rotor_min", k), high: column("rotor_max", k), colour: modelColour(k), dash: [[], [6, 3], [2, 3], [9, 3, 2, 3]][k]})), {least: 20});
+  const text = (number, unit, digits) => Number.isNaN(number) ? "" : `${number.toFixed(digits)} ${unit}`;
+  say("speed_now", text(value("speed"), "m/s", 1));
+  say("height_now", text(-value("position", 2), "m", 1));
+  const mean = [0, 1, 2, 3].map((k) => 0.5 * (value("rotor_min", k) + value("rotor_max", k)));
+  say("rotor_now", mean.some(Number.isNaN) ? "" : `${mean.map((speed) => speed.toFixed(0)).join(" · ")} rad/s`);
+}
+
+function mirrored(place) {
+  const row = new Float32Array(store.width);
+  return {blockS: store.blockS, at: (number) => {
+    const found = store.at(number);
+    if (!found) return null;
+    row[place] = -found[0][found[1] + place];
+    return [row, 0];
+  }};
+}
+
+function draw(now) {
+  showBanner();
+  const timeline = $("timeline");
+  drawTimeline(timeline, page.overview, end(), page.cursor);
+  timeline.setAttribute("aria-valuemax", end().toFixed(1));
+  timeline.setAttribute("aria-valuenow", page.cursor.toFixed(1));
+  if (!store.vehicle || !store.width) {
+    for (const canvas of document.querySelectorAll("main canvas")) cleared(canvas);
+    return;
+  }
+  drawAxes();
+  drawStrips();
+  const farthest = drawEnvelope($("envelope"), store, page.cursor);
+  say("farthest", farthest && farthest.out > 0 ? `farthest: ${farthest.input.words}, ${(100 * farthest.out).toFixed(0)} % of the range outside` : "");
+  flight.draw(store, page.cursor, page.overview.track.filter(([time]) => time <= page.cursor));
+  showCoverage(now);
+  window.quadpi.drawn = {newest: store.recent(newest(), "time", 0, 1), state: moment().state, at: Date.now()};
+}
+
+function frame(now) {
+  advance(now);
+  fetchBlocks();
+  if (page.wanted) {
+    page.wanted = false;
+    draw(now);
+    page.frames++;
+  }
+  if (now - page.rateAt > 2000) {
+    page.rate = 1000 * page.frames / (now - page.rateAt);
+    page.frames = 0;
+    page.rateAt = now;
+  }
+  requestAnimationFrame(frame);
+}
+
+// --- wishes of the user ---
+
+function changeSpeed(step) {
+  const list = $("speed");
+  list.selectedIndex = Math.min(list.options.length - 1, Math.max(0, list.selectedIndex + step));
+}
+
+function theme(name) {
+  document.documentElement.dataset.theme = name;
+  readTheme();
+  redraw();
+}
+
+$("play").addEventListener("click", () => play(!page.playing));
+$("previous").addEventListener("click", () => alarm(-1));
+$("next").addEventListener("click", () => alarm(1));
+$("live").addEventListener("click", follow);
+$("theme").addEventListener("click", () => theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
+let dragging = false;
+const seekTo = (event) => {
+  const box = $("timeline").getBoundingClientRect();
+  seek(end() * (event.clientX - box.left) / box.width);
+};
+$("timeline").addEventListener("pointerdown", (event) => { dragging = true; $("timeline").setPointerCapture(event.pointerId); seekTo(event); });
+$("timeline").addEventListener("pointermove", (event) => { if (dragging) seekTo(event); });
+$("timeline").addEventListener("pointerup", () => { dragging = false; });
+addEventListener("resize", redraw);
+addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
+  const step = event.shiftKey ? 10 : 1;
+  const keys = {
+    " ": () => play(!page.playing), ArrowLeft: () => seek(page.cursor - step), ArrowRight: () => seek(page.cursor + step),
+    p: () => alarm(-1), n: () => alarm(1), l: () => page.live && follow(), "[": () => changeSpeed(-1), "]": () => changeSpeed(1),
+    t: () => $("theme").click(), Home: () => seek(0), End: () => seek(end()),
+  };
+  const number = Number(event.key);
+  if (number >= 1 && number <= page.vehicles.size) select([...page.vehicles.keys()][number - 1]);
+  else if (keys[event.key] && !(event.key === " " && event.target.tagName === "BUTTON")) keys[event.key]();
+  else return;
+  event.preventDefault();
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", ({matches}) => theme(matches ? "dark" : "light"));
+theme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+connect();
+requestAnimationFrame(frame);

@@ -1,0 +1,322 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the page knows of one vehicle: its blocks, the words of its state, its alarms and its health."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, MISCOVERAGE, AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.view.blocks import BlockStore, Rows, columns
+from quadpi_core.view.flight_clock import FlightClock
+from quadpi_core.view.timeline import Timeline, Track
+from quadpi_core.view.trust import INPUT_WORDS, State, plain, reasons_of, states_of
+
+# 20 blocks a second: as fine as a line on a screen, as slow as an eye can follow.
+BLOCK_NS = 50_000_000
+# Alarms that the page lists, the newest.
+EVENTS_SHOWN = 200
+# More models than can be told apart by colour are not taken.
+MODELS_MAX = 6
+# A message's inputs are those of this many blocks before it as well: alarms come at 10 Hz, blocks at 20 Hz.
+_BLOCKS_OF_A_MESSAGE = 2
+_CAUSES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
+_NANOSECONDS = 1e-9
+
+
+@dataclass
+class ShownModel:
+    """A model of which predictions come.
+
+    Attributes:
+        name: as in its topic.
+        number: in the columns of the blocks.
+        identity: name and hash; empty until a message says it.
+        confidence: nominal coverage of the intervals.
+        axes: names of those that it holds.
+    """
+
+    name: str
+    number: int
+    identity: str = ""
+    confidence: float = 0.0
+    axes: tuple[str, ...] = AXES
+
+
+@dataclass
+class Health:
+    """How the sources of a vehicle are, in rows that the page shows as they are.
+
+    Attributes:
+        rows: what it is about, whether that is "ok", "warn" or "error", and what to say.
+    """
+
+    rows: list[tuple[str, str, str]] = field(default_factory=list)
+
+
+class VehicleView:
+    """Takes what comes of one vehicle, at full rate, and gives what a page asks for.
+
+    Args:
+        name: its namespace, or that of its flight.
+        known: models whose envelopes are known, by identity.
+        block_ns: duration of a block.
+        capacity: blocks kept.
+    """
+
+    def __init__(
+        self, name: str, known: Mapping[str, AerodynamicModel], block_ns: int, capacity: int
+    ) -> None:
+        self.name = name
+        self.blocks = BlockStore(block_ns, capacity)
+        self.models: dict[str, ShownModel] = {}
+        self.timeline, self.track = Timeline(), Track()
+        self.health = Health()
+        # Counts the changes of what `describe` gives.
+        self.version = 0
+        self.start_ns = 0
+        self.state = State.NO_DATA
+        self.reasons: tuple[str, ...] = ("nothing has come yet",)
+        self._known = known
+        self._clock = FlightClock(self._jumped)
+        self._events: dict[tuple[int, int], dict[str, Any]] = {}
+        # Block and words at every change of the words; ends with the blocks.
+        self._words: list[tuple[int, tuple[str, ...]]] = []
+
+    @property
+    def model(self) -> AerodynamicModel | None:
+        """The first model, if its envelope is known."""
+        first = next(iter(self.models.values()), None)
+        return None if first is None else self._known.get(first.identity)
+
+    def take_predictions(
+        self, model: str, predictions: Predictions, identity: str, confidence: float, axes: Sequence[str]
+    ) -> None:
+        """Take predictions of a model; those of the first one lead the time."""
+        if len(predictions.time_ns) == 0:
+            return
+        shown = self._shown(model, identity, confidence, tuple(axes))
+        if shown is None:
+            return
+        if shown.number == 0:
+            if not self._clock.started:
+                self.start_ns = int(predictions.time_ns[0])
+                self.version += 1
+            time_ns = self._clock.advance(predictions.time_ns)
+            own: dict[str, Array] = {
+                "time": _seconds(time_ns),
+                "measured_min": predictions.measured,
+                "measured_max": predictions.measured,
+            }
+        else:
+            time_ns, near = self._clock.place(predictions.time_ns)
+            if not near.all():
+                time_ns, predictions = time_ns[near], _rows_of(predictions, near)
+            own = {}
+        outside = (predictions.measured < predictions.lower) | (predictions.measured > predictions.upper)
+        own |= {
+            f"model_{shown.number}__{name}": values
+            for name, values in (
+                ("count", np.ones(len(time_ns))),
+                ("misses", outside.astype(float)),
+                ("predicted_min", predictions.predicted),
+                ("predicted_max", predictions.predicted),
+                ("lower", predictions.lower),
+                ("upper", predictions.upper),
+            )
+        }
+        self.blocks.add(time_ns, **own)
+
+    def take_inputs(self, time_ns: Stamps, inputs: Array) -> None:
+        """Take inputs (K, 19) of the models, low-passed as they see them."""
+        times, near = self._clock.place(time_ns)
+        self.blocks.add(times[near], inputs_min=inputs[near], inputs_max=inputs[near])
+
+    def take_states(self, states: OdometryStream) -> None:
+        """Take positions, attitudes and velocities."""
+        times, near = self._clock.place(states.time_ns)
+        near &= np.isfinite(states.position).all(axis=1)
+        if not near.any():
+            return
+        position, velocity = states.position[near], states.velocity[near]
+        self.blocks.add(
+            times[near],
+            position=position,
+            attitude=states.attitude[near],
+            velocity=velocity,
+            speed=np.sqrt((velocity * velocity).sum(axis=1)),
+        )
+        self.track.add(_seconds(times[near]), position)
+
+    def take_rotor_speeds(self, rotors: RotorSpeedStream) -> None:
+        """Take rotor speeds."""
+        times, near = self._clock.place(rotors.time_ns)
+        self.blocks.add(times[near], rotor_min=rotors.speeds[near], rotor_max=rotors.speeds[near])
+
+    def take_alarms(self, alarms: ReportedAlarms) -> None:
+        """Take what the monitor says, and put it in plain words."""
+        if len(alarms) == 0:
+            return
+        if not self._clock.started:
+            # Silence before the first sample: there is a state, but no time to draw it at.
+            self.state = states_of(alarms)[-1]
+            self.reasons = reasons_of(alarms, len(alarms) - 1, None, *self._inputs_before(-1))
+            return
+        times, near = self._clock.place(alarms.time_ns)
+        if not near.all():
+            alarms, times = alarms.where(near), times[near]
+        if len(alarms) == 0:
+            return
+        states = np.array(states_of(alarms), dtype=np.uint8)
+        self.blocks.add(
+            times,
+            state=states.astype(float),
+            causes=alarms.causes.astype(float),
+            distance=alarms.envelope_distance,
+        )
+        self.timeline.add(_seconds(times), states)
+        envelope = self.model.envelope if self.model is not None else None
+        for row, number in enumerate((times // self.blocks.block_ns).tolist()):
+            words = reasons_of(alarms, row, envelope, *self._inputs_before(number))
+            self._note(number, words)
+        self.state, self.reasons = State(int(states[-1])), self._words[-1][1]
+
+    def take_events(self, events: Sequence[AlarmEvent]) -> None:
+        """Take alarms that were raised or cleared."""
+        for event in events:
+            start_s = _NANOSECONDS * self._clock.time_of(event.start_ns)
+            kept = {
+                "number": event.number,
+                "cause": _CAUSES.get(event.cause, str(event.cause)),
+                "start": round(start_s, 3),
+                "end": round(_NANOSECONDS * self._clock.time_of(event.end_ns), 3) if event.end_ns else None,
+                "peak": round(event.peak_evidence, 3),
+                "reasons": [plain(reason) for reason in event.reasons],
+            }
+            self._events[event.number, event.start_ns] = kept
+        while len(self._events) > EVENTS_SHOWN:
+            del self._events[next(iter(self._events))]
+
+    def silent(self, reasons: tuple[str, ...]) -> None:
+        """Say that nothing comes of the vehicle: the last state counts no more."""
+        self.state, self.reasons = State.NO_DATA, reasons
+
+    def describe(self) -> dict[str, Any]:
+        """What a page has to know before it can draw blocks."""
+        envelope = self.model.envelope if self.model is not None else None
+        return {
+            "id": self.name,
+            "block_s": _NANOSECONDS * self.blocks.block_ns,
+            "start": _NANOSECONDS * self.start_ns,
+            "columns": columns(self.blocks.models),
+            "models": [
+                {
+                    "name": one.name,
+                    "identity": one.identity,
+                    "confidence": one.confidence,
+                    "axes": one.axes,
+                    "vehicle": known.vehicle if (known := self._known.get(one.identity)) else None,
+                }
+                for one in self.models.values()
+            ],
+            "inputs": [
+                {
+                    "name": name,
+                    "words": INPUT_WORDS[name].name,
+                    "unit": INPUT_WORDS[name].unit,
+                    "angle": INPUT_WORDS[name].angle,
+                    "lower": None if envelope is None else float(envelope.lower[k]),
+                    "upper": None if envelope is None else float(envelope.upper[k]),
+                }
+                for k, name in enumerate(INPUT_NAMES)
+            ],
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Its state now."""
+        return {
+            "id": self.name,
+            "state": int(self.state),
+            "reasons": list(self.reasons),
+            "oldest": self.blocks.oldest,
+            "newest": self.blocks.newest,
+            "version": self.version,
+        }
+
+    def overview(self) -> dict[str, Any]:
+        """The whole session, coarsely, with its alarms and the health of its sources."""
+        return {
+            "id": self.name,
+            "bin_s": self.timeline.bin_s,
+            "codes": self.timeline.codes,
+            "track": self.track.points,
+            "events": list(self._events.values()),
+            "health": self.health.rows,
+        }
+
+    def window(self, first: int, last: int) -> tuple[int, Rows, list[tuple[int, tuple[str, ...]]]]:
+        """Blocks of a range: number of the first, rows, and words with the blocks that they begin at."""
+        first, rows = self.blocks.get(first, last)
+        begin = max(0, bisect.bisect_right(self._words, first, key=lambda entry: entry[0]) - 1)
+        words = []
+        for number, text in self._words[begin:]:
+            if number > last:
+                break
+            words.append((number, text))
+        return first, rows, words
+
+    def _shown(self, name: str, identity: str, confidence: float, axes: tuple[str, ...]) -> ShownModel | None:
+        shown = self.models.get(name)
+        if shown is None:
+            if len(self.models) >= MODELS_MAX:
+                return None
+            shown = self.models[name] = ShownModel(name, self.blocks.add_model())
+        if (shown.identity, shown.confidence, shown.axes) != (identity, confidence, axes):
+            shown.identity, shown.confidence, shown.axes = identity, confidence, axes
+            self.version += 1
+        return shown
+
+    def _inputs_before(self, number: int) -> tuple[Array, Array]:
+        numbers = range(number - _BLOCKS_OF_A_MESSAGE, number + 1)
+        low = np.array([self.blocks.value(one, "inputs_min") for one in numbers], dtype=float)
+        high = np.array([self.blocks.value(one, "inputs_max") for one in numbers], dtype=float)
+        return np.fmin.reduce(low), np.fmax.reduce(high)
+
+    def _note(self, number: int, words: tuple[str, ...]) -> None:
+        if self._words and self._words[-1][1] == words:
+            return
+        # One entry per block: the last words of a block are those that it shows.
+        while self._words and self._words[-1][0] >= number:
+            self._words.pop()
+        self._words.append((number, words))
+        if len(self._words) > 2 * self.blocks.capacity:
+            del self._words[: self.blocks.capacity]
+
+    def _jumped(self, time_ns: int, step_ns: int) -> None:
+        seconds = _NANOSECONDS * step_ns
+        self._events[-1 - len(self._events), time_ns] = {
+            "number": 0,
+            "cause": "stamps jumped",
+            "start": round(_NANOSECONDS * time_ns, 3),
+            "end": round(_NANOSECONDS * time_ns, 3),
+            "peak": 0.0,
+            "reasons": [f"by {seconds:+.1f} s: what follows is drawn 1 s after what came before"],
+        }
+
+
+def _seconds(time_ns: Stamps) -> Array:
+    seconds: Array = _NANOSECONDS * time_ns.astype(np.float64)
+    return seconds
+
+
+def _rows_of(predictions: Predictions, chosen: Any) -> Predictions:
+    return Predictions(**{name: values[chosen] for name, values in vars(predictions).items()})

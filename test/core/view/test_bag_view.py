@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag as the page gets it: judged here, or with the results that it holds."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError, ModelError, QuadpiError
+from quadpi_core.logs.bags import read_outputs
+from quadpi_core.vehicle import Vehicle
+from quadpi_core.view.bag_view import open_bag
+from quadpi_core.view.trust import State
+
+from .conftest import BAG, read_whole
+
+
+def test_a_judged_bag_shows_what_replay_writes(judged_view, results_bag):
+    predictions, alarms = read_outputs(results_bag)
+    start_ns = predictions.time_ns[0]
+    numbers = (predictions.time_ns - start_ns) // judged_view.blocks.block_ns
+    for block in (0, 17, 200, judged_view.blocks.newest):
+        inside = numbers == block
+        assert judged_view.blocks.value(block, "0.count")[0] == inside.sum()
+        for name, values, fold in (
+            ("measured_max", predictions.measured, np.max),
+            ("0.lower", predictions.lower, np.min),
+            ("0.predicted_max", predictions.predicted, np.max),
+        ):
+            np.testing.assert_allclose(
+                judged_view.blocks.value(block, name), fold(values[inside], axis=0), rtol=1e-6
+            )
+        missed = (predictions.measured < predictions.lower) | (predictions.measured > predictions.upper)
+        np.testing.assert_array_equal(judged_view.blocks.value(block, "0.misses"), missed[inside].sum(axis=0))
+    assert alarms.level.max() == 2
+    assert str(int(State.ALARM)) in judged_view.timeline.codes
+
+
+def test_a_bag_of_results_shows_the_same_without_a_model(judged_view, results_bag):
+    recorded = read_whole(open_bag(results_bag, [], None))
+    assert recorded.timeline.codes == judged_view.timeline.codes
+    assert recorded.describe()["models"][0]["identity"] == judged_view.describe()["models"][0]["identity"]
+    for name in ("measured_min", "0.upper", "speed", "position"):
+        np.testing.assert_allclose(
+            recorded.blocks.value(300, name), judged_view.blocks.value(300, name), rtol=1e-5, atol=1e-6
+        )
+    assert np.isnan(recorded.blocks.value(300, "inputs_min")).all()
+
+
+def test_several_models_side_by_side(model, vehicle, judged_view):
+    second = replace(model, name="second", identity="second@1")
+    both = read_whole(open_bag(BAG, [model, second], vehicle))
+    assert [one["name"] for one in both.describe()["models"]] == [model.name, "second"]
+    np.testing.assert_array_equal(both.blocks.value(100, "1.upper"), judged_view.blocks.value(100, "0.upper"))
+
+
+def test_models_of_one_name_are_refused(model, vehicle):
+    with pytest.raises(QuadpiError, match="--model: two models have the same name"):
+        open_bag(BAG, [model, model], vehicle)
+
+
+def test_a_bag_without_predictions_says_how_to_get_them():
+    with pytest.raises(LogError, match=r"holds no predictions; judge it by a model: quadpi view .* --model"):
+        open_bag(BAG, [], None)
+
+
+def test_a_model_of_another_vehicle_is_refused(model):
+    with pytest.raises(ModelError, match="is of vehicle bebop2, not neurobem"):
+        open_bag(BAG, [model], Vehicle.load("neurobem"))
+
+
+def test_closing_ends_the_reader_at_once(model, vehicle):
+    source = open_bag(BAG, [model], vehicle)
+    source.close()
+    assert "bag reader" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_a_bag_that_is_cut_off_shows_what_was_read_and_says_so(model, vehicle, monkeypatch):
+    from quadpi_core.view import bag_view
+
+    whole = bag_view.judged
+
+    def cut(*arguments):
+        for number, part in enumerate(whole(*arguments)):
+            if number == 2:
+                raise LogError("flight.mcap: cut off")
+            yield part
+
+    monkeypatch.setattr(bag_view, "judged", cut)
+    source = open_bag(BAG, [model], vehicle)
+    with pytest.raises(LogError, match="cut off"):
+        read_whole(source)
+    (view,) = source.vehicles.values()
+    assert view.blocks.newest > 0
+    assert view.summary()["state"] == State.NO_DATA
+    assert view.overview()["health"] == [("bag", "error", "flight.mcap: cut off")]

@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The state in one word and its reasons in a pilot's words."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.models.envelope import Envelope
+from quadpi_core.results import (
+    ACTIVE,
+    BAD_DATA,
+    EXTRAPOLATION,
+    LEVEL_ALARM,
+    LEVEL_OK,
+    LEVEL_WARNING,
+    MISCOVERAGE,
+    UNAVAILABLE,
+    UNCALIBRATED,
+    WAITING,
+    ReportedAlarms,
+)
+from quadpi_core.view.trust import INPUT_WORDS, State, outside_words, plain, reasons_of, states_of
+
+
+def message(
+    level=LEVEL_OK, causes=0, health=(ACTIVE, ACTIVE, ACTIVE), outside=(), reasons=()
+) -> ReportedAlarms:
+    return ReportedAlarms(
+        time_ns=np.zeros(1, dtype=np.int64),
+        level=np.array([level], dtype=np.uint8),
+        causes=np.array([causes], dtype=np.uint8),
+        cause_level=np.zeros((1, 3), dtype=np.uint8),
+        cause_health=np.array([health], dtype=np.uint8),
+        cause_evidence=np.zeros((1, 3)),
+        leverage=np.zeros((1, 6)),
+        width=np.zeros((1, 6)),
+        miscoverage=np.zeros((1, 6)),
+        miss_share=np.zeros((1, 6)),
+        envelope_distance=np.zeros(1),
+        inputs_outside=[tuple(outside)],
+        reasons=[tuple(reasons)],
+    )
+
+
+@pytest.mark.parametrize(
+    ("alarm", "state"),
+    [
+        (message(), State.TRUSTED),
+        (message(health=(UNCALIBRATED, WAITING, ACTIVE)), State.TRUSTED),
+        (message(LEVEL_WARNING, EXTRAPOLATION), State.WARNING),
+        (message(LEVEL_ALARM, MISCOVERAGE), State.ALARM),
+        (message(LEVEL_ALARM, BAD_DATA), State.ALARM),
+        (message(LEVEL_ALARM, BAD_DATA, health=(WAITING, WAITING, UNAVAILABLE)), State.NO_DATA),
+        (message(health=(WAITING, WAITING, ACTIVE)), State.NOT_JUDGED),
+        (message(health=(UNAVAILABLE, UNAVAILABLE, ACTIVE)), State.NOT_JUDGED),
+    ],
+)
+def test_state(alarm, state):
+    assert states_of(alarm) == [state]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "training", "words"),
+    [
+        ("u", (9.0, 9.8), (-2.0, 8.1), "forward speed 9.8 of 8.1 m/s flown in training"),
+        ("u", (-3.0, 1.0), (-2.0, 8.1), "backward speed 3.0 of 2.0 m/s flown in training"),
+        (
+            "omega_avg",
+            (600.0, 700.0),
+            (800.0, 1200.0),
+            "mean rotor speed 600 rad/s, below the 800 rad/s flown in training",
+        ),
+        ("cos_phi", (0.5, 0.6), (0.7, 1.0), "roll angle 60.0 of 45.6° flown in training"),
+        ("cos_phi", (0.9, 1.0), (0.5, 0.8), "roll angle 0°, below the 36.9° flown in training"),
+        ("sin_theta", (-0.9, 0.1), (-0.5, 0.5), "pitch angle nose down 64.2 of 30.0° flown in training"),
+        (
+            "w",
+            (1.0, 2.0),
+            (-3.0, -1.0),
+            "speed downward in body axes 2.0 m/s, above the -1.0 m/s flown in training",
+        ),
+        ("mu_x", (0.1, 0.25), (-0.1, 0.15), "forward advance ratio 0.25 of 0.15 flown in training"),
+        ("r", (0.0, 0.5), (0.0, 0.0), "yaw rate to the right 0.5 rad/s, above the 0 rad/s flown in training"),
+    ],
+)
+def test_an_input_outside_in_plain_words(name, values, training, words):
+    assert outside_words(name, values, training) == f"outside: {words}"
+
+
+def test_an_input_inside_or_unknown_has_no_words():
+    assert outside_words("u", (-1.0, 8.1), (-2.0, 8.1)) is None
+    assert outside_words("u", (np.nan, np.nan), (-2.0, 8.1)) is None
+
+
+def test_every_input_has_words():
+    assert tuple(INPUT_WORDS) == INPUT_NAMES
+
+
+def reasons(alarm, envelope=None, **values):
+    inputs = np.zeros(len(INPUT_NAMES))
+    for name, value in values.items():
+        inputs[INPUT_NAMES.index(name)] = value
+    return reasons_of(alarm, 0, envelope, inputs, inputs)
+
+
+@pytest.fixture
+def envelope() -> Envelope:
+    count = len(INPUT_NAMES)
+    fields = ("leverage_peak", "width_peak", "leverage_limit", "width_limit")
+    return Envelope(
+        np.full(count, -1.0), np.full(count, 1.0), np.full(count, 0.1), *(np.ones(6) for _ in fields)
+    )
+
+
+def test_inputs_come_first_in_the_order_of_the_message_and_the_rest_follows(envelope):
+    alarm = message(
+        LEVEL_ALARM,
+        EXTRAPOLATION | MISCOVERAGE,
+        outside=("p", "u", "v", "q"),
+        reasons=(
+            "u 1.4 x the training range",
+            "Fz leverage 3.0 x its peak in training",
+            "Fx outside its interval 31 % of the time",
+        ),
+    )
+    assert reasons(alarm, envelope, u=2.0, p=-3.0, v=1.5, q=1.2) == (
+        "outside: roll rate to the left 3.0 of 1.0 rad/s flown in training",
+        "outside: forward speed 2.0 of 1.0 m/s flown in training",
+        "outside: speed to the right 1.5 of 1.0 m/s flown in training",
+        "Fz leverage 3.0 x its peak in training",
+        "Fx outside its interval 31 % of the time",
+    )
+
+
+def test_without_an_envelope_the_message_is_put_in_words():
+    alarm = message(LEVEL_ALARM, EXTRAPOLATION, outside=("u",), reasons=("u 1.4 x the training range",))
+    assert reasons(alarm) == ("outside: longitudinal speed (u) 1.4 x the training range",)
+    assert plain("no imu for 0.4 s") == "no imu for 0.4 s"
+
+
+def test_a_name_that_is_no_input_is_passed_over(envelope):
+    alarm = message(
+        LEVEL_ALARM, EXTRAPOLATION, outside=("<script>", "u"), reasons=("u 1.4 x the training range",)
+    )
+    assert reasons(alarm, envelope, u=2.0) == ("outside: forward speed 2.0 of 1.0 m/s flown in training",)
+
+
+@pytest.mark.parametrize(
+    ("alarm", "words"),
+    [
+        (message(), ()),
+        (message(health=(ACTIVE, WAITING, ACTIVE)), ("coverage is judged once the state has settled",)),
+        (message(health=(WAITING, WAITING, ACTIVE)), ("on the ground, or the state settles",)),
+        (
+            message(LEVEL_ALARM, BAD_DATA, (WAITING, WAITING, UNAVAILABLE), reasons=("no imu for 0.4 s",)),
+            ("no imu for 0.4 s",),
+        ),
+    ],
+)
+def test_what_is_said_where_no_limit_is_passed(alarm, words):
+    assert reasons(alarm) == words

@@ -1,0 +1,137 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the page knows of a vehicle."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.flight import AXES
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.results import AlarmEvent, Predictions
+from quadpi_core.view.trust import State
+from quadpi_core.view.vehicle_view import BLOCK_NS, EVENTS_SHOWN, MODELS_MAX, VehicleView
+
+from .test_trust import message
+
+START = 1_700_000_000_000_000_000
+
+
+def predictions(seconds: float, start_ns: int = START, miss: bool = False) -> Predictions:
+    count = round(500 * seconds)
+    zero = np.zeros((count, 6))
+    return Predictions(
+        start_ns + np.arange(count) * 2_000_000,
+        zero,
+        zero - 1.0,
+        zero + 1.0,
+        zero + (2.0 if miss else 0.5),
+        zero + 1.0,
+    )
+
+
+def view(known=None) -> VehicleView:
+    return VehicleView("uav", known or {}, BLOCK_NS, 1000)
+
+
+def test_nothing_is_known_at_first():
+    one = view()
+    assert (one.state, one.reasons) == (State.NO_DATA, ("nothing has come yet",))
+    assert one.summary()["newest"] == -1
+    assert one.window(0, 100)[1].shape[0] == 0
+    json.dumps([one.describe(), one.summary(), one.overview()], allow_nan=False)
+
+
+def test_misses_are_counted_by_axis():
+    one = view()
+    one.take_predictions("m", predictions(1.0), "m@1", 0.95, AXES)
+    one.take_predictions("m", predictions(1.0, START + 1_000_000_000, miss=True), "m@1", 0.95, AXES)
+    assert one.blocks.value(3, "0.misses").tolist() == [0.0] * 6
+    assert one.blocks.value(23, "0.misses").tolist() == [25.0] * 6
+
+
+def test_words_come_with_the_blocks_from_which_they_hold(judged_view):
+    first, rows, words = judged_view.window(100, 200)
+    assert first == 100
+    assert len(rows) == 101
+    assert words[0][0] <= 100
+    assert all(100 < number <= 200 for number, _ in words[1:])
+    assert any("flown in training" in text for _, texts in words for text in texts)
+
+
+def test_the_farthest_input_is_named_with_its_training_range(judged_view, model):
+    event = next(one for one in judged_view.overview()["events"] if one["cause"] == "extrapolation")
+    assert event["reasons"][0].startswith("outside: ")
+    assert event["start"] < event["end"]
+    described = {one["name"]: one for one in judged_view.describe()["inputs"]}
+    assert described["u"]["upper"] == model.envelope.upper[INPUT_NAMES.index("u")]
+
+
+def test_another_model_in_flight_is_told():
+    one = view()
+    one.take_predictions("m", predictions(0.1), "m@1", 0.95, AXES)
+    version = one.version
+    one.take_predictions("m", predictions(0.1, START + 100_000_000), "m@1", 0.95, AXES)
+    assert one.version == version
+    one.take_predictions("m", predictions(0.1, START + 200_000_000), "m@2", 0.9, AXES[:3])
+    assert one.version == version + 1
+    assert one.describe()["models"] == [
+        {"name": "m", "identity": "m@2", "confidence": 0.9, "axes": AXES[:3], "vehicle": None}
+    ]
+
+
+def test_more_models_than_colours_are_passed_over():
+    one = view()
+    for k in range(MODELS_MAX + 2):
+        one.take_predictions(f"m{k}", predictions(0.1), f"m{k}@1", 0.95, AXES)
+    assert len(one.describe()["models"]) == MODELS_MAX == one.blocks.models
+
+
+def test_stamps_that_jump_are_drawn_behind_and_listed():
+    one = view()
+    one.take_predictions("m", predictions(2.0), "m@1", 0.95, AXES)
+    one.take_predictions("m", predictions(1.0, START - 500_000_000_000), "m@1", 0.95, AXES)
+    assert one.blocks.newest == 79
+    (event,) = one.overview()["events"]
+    assert event["cause"] == "stamps jumped"
+    assert event["reasons"][0].startswith("by -502.0 s")
+
+
+def test_silence_before_the_first_sample_is_said():
+    one = view()
+    silent = message(2, 4, (1, 1, 2), reasons=("no imu for 0.4 s",))
+    one.take_alarms(silent)
+    assert (one.state, one.reasons) == (State.NO_DATA, ("no imu for 0.4 s",))
+
+
+def test_the_list_of_alarms_is_bounded_and_keeps_the_newest():
+    one = view()
+    one.take_predictions("m", predictions(0.1), "m@1", 0.95, AXES)
+    for number in range(1, EVENTS_SHOWN + 50):
+        at = START + number * 1_000_000
+        one.take_events([AlarmEvent(number, 1, at, at, at + 1, 2.0, ("u 1.4 x the training range",))])
+    events = one.overview()["events"]
+    assert len(events) == EVENTS_SHOWN
+    assert events[-1]["number"] == EVENTS_SHOWN + 49
+
+
+def test_an_event_that_is_cleared_takes_its_place():
+    one = view()
+    one.take_predictions("m", predictions(0.1), "m@1", 0.95, AXES)
+    for end in (0, START + 50_000_000):
+        one.take_events([AlarmEvent(1, 2, START, START, end, 2.0, ())])
+    (event,) = one.overview()["events"]
+    assert (event["cause"], event["start"], event["end"]) == ("miscoverage", 0.0, 0.05)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_do_not_end_it(bad):
+    one = view()
+    broken = predictions(0.1)
+    broken.measured[3] = bad
+    one.take_predictions("m", broken, "m@1", bad, AXES)
+    assert one.blocks.newest == 1
+    one.take_alarms(message(reasons=()))

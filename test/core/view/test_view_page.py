@@ -1,0 +1,261 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a bag in a real browser: what it shows, how it is moved through time, and what it survives."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+
+from test.chromium import PROGRAM, Tab, chromium
+
+from .conftest import BAG, MODEL_FOLDER
+
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: apt-get install chromium")
+
+LINES = ("measured", "predicted", "band", "trusted-line", "warning-line", "alarm-line", "none-line")
+READY = "window.quadpi?.drawn?.newest > 0"
+# Set to a folder, the tests leave pictures of the page there: `make pictures`.
+PICTURES = os.environ.get("QUADPI_PICTURES")
+
+
+@contextmanager
+def page_of(folder: Path, port: int = 0, model: Path = MODEL_FOLDER, bag: Path = BAG) -> Iterator[str]:
+    """Address of the page of a bag, served by the command line."""
+    command = ["view", str(bag), "--model", str(model), "--port", str(port), "--no-open"]
+    with (folder / "view.err").open("w+") as errors:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "quadpi_core.cli", *command],
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            env=os.environ | {"COLUMNS": "200"},
+        )
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            assert "http://" in line, errors.seek(0) or errors.read()
+            yield line.split()[2]
+        finally:
+            process.terminate()
+            assert process.wait(20) == 143
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory) -> Iterator[Tab]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as tab:
+        yield tab
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory) -> Iterator[str]:
+    with page_of(tmp_path_factory.mktemp("view")) as url:
+        yield url
+
+
+@pytest.fixture
+def opened(tab: Tab, url: str) -> Tab:
+    tab.problems.clear()
+    tab.open(url)
+    tab.wait(READY)
+    tab.wait("quadpi.page.vehicles.get('extrapolation').newest >= 379")
+    return tab
+
+
+def at(tab: Tab, seconds: float) -> None:
+    """Go to a moment and stay there."""
+    tab.value(
+        f"Object.assign(quadpi.page, {{cursor: {seconds}, playing: false, wanted: 1}}); quadpi.drawn = null"
+    )
+    tab.wait("quadpi.drawn !== null && quadpi.store.at(Math.floor(quadpi.page.cursor / 0.05)) !== null")
+    tab.value("new Promise((done) => { quadpi.page.wanted = true; setTimeout(done, 200); })")
+
+
+def test_it_plays_from_the_start_without_an_error_in_the_console(opened):
+    first = opened.value("quadpi.page.cursor")
+    opened.wait(f"quadpi.page.cursor > {first} + 0.5")
+    assert opened.value("document.title").endswith("· quadpi")
+    assert opened.value("document.getElementById('link').textContent") == "connected"
+    assert opened.problems == []
+
+
+def test_state_and_reason_follow_the_moment(opened):
+    at(opened, 5.0)
+    assert opened.value("document.getElementById('state').textContent") == "TRUSTED"
+    at(opened, 10.5)
+    assert opened.value("document.getElementById('state').textContent") == "ALARM"
+    assert "flown in training" in opened.value("document.getElementById('reasons').textContent")
+    assert "range outside" in opened.value("document.getElementById('farthest').textContent")
+    assert opened.value("document.title") == "ALARM · quadpi"
+
+
+def test_coverage_is_that_of_the_samples(opened, judged_view):
+    at(opened, 15.0)
+    shown = opened.value("quadpi.store.coverage(Math.floor(quadpi.page.cursor / 0.05), 0, 10)")
+    blocks = range(300 - 200 + 1, 301)
+    count = sum(judged_view.blocks.value(block, "0.count")[0] for block in blocks)
+    missed = sum(judged_view.blocks.value(block, "0.misses") for block in blocks)
+    assert shown["count"] == count
+    assert shown["inside"] == pytest.approx(1.0 - missed / count)
+
+
+def test_keys_move_through_time_and_to_alarms(opened):
+    at(opened, 5.0)
+    opened.press("ArrowRight")
+    assert opened.value("quadpi.page.cursor") == pytest.approx(6.0)
+    opened.press("ArrowLeft")
+    assert opened.value("quadpi.page.cursor") == pytest.approx(5.0)
+    opened.press("n")
+    starts = sorted(opened.value("quadpi.page.overview.events.map((event) => event.start)"))
+    assert opened.value("quadpi.page.cursor") == pytest.approx(starts[0] + 1.0)
+    opened.press("n")
+    assert opened.value("quadpi.page.cursor") == pytest.approx(starts[1] + 1.0)
+    opened.press("p")
+    assert opened.value("quadpi.page.cursor") == pytest.approx(starts[0] + 1.0)
+    opened.press("]")
+    assert opened.value("document.getElementById('speed').value") == "2"
+    opened.press("[")
+    opened.press(" ")
+    assert opened.value("quadpi.page.playing")
+    opened.press(" ")
+    assert not opened.value("quadpi.page.playing")
+
+
+def test_a_click_on_an_alarm_goes_there(opened):
+    opened.wait("document.querySelectorAll('#events button').length > 0")
+    opened.value("document.querySelector('#events li:last-child button').click()")
+    first = min(opened.value("quadpi.page.overview.events.map((event) => event.start)"))
+    assert opened.value("quadpi.page.cursor") == pytest.approx(first + 1.0)
+    opened.wait("document.getElementById('state').textContent === 'ALARM'")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_text_has_the_contrast_that_wcag_aa_asks_for(opened, theme):
+    """Of the colours of the style sheet: texts 4.5, the large word and lines of charts 3."""
+    opened.value(f"document.documentElement.dataset.theme = '{theme}'")
+    names = ("ground", "paper", "ink", "soft", "miss", *LINES, "trusted", "warning", "alarm", "none")
+    style = "getComputedStyle(document.documentElement)"
+    colours = {name: opened.value(f"{style}.getPropertyValue('--{name}').trim()") for name in names}
+    for ground in ("ground", "paper"):
+        for text in ("ink", "soft", "miss"):
+            assert contrast(colours[text], colours[ground]) >= 4.5, (text, ground)
+    for line in LINES:
+        assert contrast(colours[line], colours["paper"]) >= 3.0, line
+    for state, ink in (
+        ("trusted", "#ffffff"),
+        ("alarm", "#ffffff"),
+        ("none", "#ffffff"),
+        ("warning", "#14191f"),
+    ):
+        assert contrast(colours[state], ink) >= 4.5, state
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours #rrggbb (WCAG 2.1)."""
+
+    def luminance(colour: str) -> float:
+        parts = (int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
+        red, green, blue = (c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+    bright, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (bright + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 768), (768, 1024), (390, 844)])
+def test_it_fits_screens_from_a_phone_to_a_desk(opened, width, height):
+    opened.resize(width, height)
+    try:
+        at(opened, 10.5)
+        assert opened.value("document.documentElement.scrollWidth") <= width
+        banner = opened.value("document.getElementById('banner').getBoundingClientRect().bottom")
+        assert banner <= height, "the state is not seen at once"
+    finally:
+        opened.resize(1400, 1300)
+
+
+@pytest.mark.slow
+def test_a_hostile_name_is_text(tab, tmp_path):
+    name = '<img src=x onerror="window.hostile=1">'
+    bag = tmp_path / f"{name}.mcap"
+    bag.write_bytes(BAG.read_bytes())
+    model = tmp_path / '<b onclick="1">model'
+    model.symlink_to(MODEL_FOLDER)
+    tab.problems.clear()
+    with page_of(tmp_path, bag=bag, model=model) as url:
+        tab.open(url)
+        tab.wait(READY)
+        tab.wait("document.getElementById('models').tBodies[0].rows.length > 0")
+        assert name in tab.value("document.getElementById('title').textContent")
+        assert "<b onclick" in tab.value("document.getElementById('models').textContent")
+        assert tab.value("document.querySelectorAll('img, main b:not([id])').length") == 0
+        assert tab.value("window.hostile === undefined")
+    assert [text for text in tab.problems if "WebSocket" not in text] == []
+
+
+@pytest.mark.slow
+def test_it_connects_again_after_the_server_restarts(tab, tmp_path):
+    with page_of(tmp_path) as url:
+        tab.open(url)
+        tab.wait(READY)
+    tab.wait("document.getElementById('link').classList.contains('lost')")
+    assert tab.value("document.getElementById('state').textContent") == "NO DATA"
+    tab.value("window.same = true")
+    with page_of(tmp_path, port=int(url.rstrip("/").rpartition(":")[2])):
+        tab.wait("document.getElementById('link').textContent === 'connected'")
+        tab.wait("quadpi.page.vehicles.get('extrapolation')?.newest > 0 && quadpi.store.at(5) !== null")
+        tab.wait("document.getElementById('state').textContent !== 'NO DATA'")
+        assert tab.value("window.same")
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[str]:
+    """Another site on this machine."""
+
+    class Site(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(b"<title>elsewhere</title>")
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    site = HTTPServer(("127.0.0.1", 0), Site)
+    thread = threading.Thread(target=site.serve_forever)
+    thread.start()
+    yield f"http://localhost:{site.server_port}/"
+    site.shutdown()
+    thread.join()
+    site.server_close()
+
+
+def test_another_site_cannot_read_the_page_or_its_socket(tab, url, elsewhere):
+    tab.open(elsewhere)
+    tab.wait("document.title === 'elsewhere'")
+    socket = url.replace("http", "ws") + "socket"
+    asked = (
+        f"new Promise((done) => {{ const one = new WebSocket('{socket}'); one.onmessage = () => done('read');"
+        "one.onclose = () => done('refused'); })"
+    )
+    assert tab.value(asked) == "refused"
+    assert tab.value(f"fetch('{url}view.js').then(() => 'read', () => 'refused')") == "refused"
+
+
+@pytest.mark.skipif(not PICTURES, reason="pictures are made by `make pictures`")
+def test_pictures_for_the_documents(opened):
+    opened.resize(1400, 1010)
+    at(opened, 16.5)
+    time.sleep(0.5)
+    opened.picture(Path(PICTURES or "") / "view.webp", "webp")
+    opened.resize(1400, 1300)
