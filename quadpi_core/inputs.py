@@ -8,13 +8,14 @@ in SI units and body axes forward-right-down. (u, v, w) is the velocity relative
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
+from quadpi_core.records import Records, Vector3, record_dtype
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 INPUT_NAMES = (
@@ -48,6 +49,36 @@ COSINES = np.array([name.startswith("cos_") for name in INPUT_NAMES])
 ROTORS_AT_REST_RAD_S = 1.0
 _NEWTON_STEPS_MAX = 80
 _CONVERGED = 1e-15
+
+
+class Derivatives:
+    """What a model may know of the motion beside the input vector; it has passed the same low-pass.
+
+    Attributes:
+        angular_acceleration: rad/s², measured, body axes.
+        rotor_accelerations: rad/s².
+        rotor_jerks: rad/s³, the derivative of `rotor_accelerations`.
+    """
+
+    angular_acceleration: Vector3
+    rotor_accelerations: Annotated[Array, ROTORS]
+    rotor_jerks: Annotated[Array, ROTORS]
+
+
+DERIVATIVES = record_dtype(Derivatives)
+
+
+def flight_derivatives(flight: Flight) -> Records:
+    """Derivatives (N,) of a whole flight that has passed its low-pass; those of rotors by cubic splines."""
+    # Slow to import, and most importers of this module need no spline.
+    from scipy.interpolate import CubicSpline
+
+    speeds = CubicSpline(flight.time, flight.rotor_speeds)
+    derivatives = np.zeros(len(flight), DERIVATIVES)
+    derivatives["angular_acceleration"] = flight.angular_acceleration
+    derivatives["rotor_accelerations"] = speeds(flight.time, 1)
+    derivatives["rotor_jerks"] = speeds(flight.time, 2)
+    return derivatives
 
 
 def flight_inputs(flight: Flight, vehicle: Vehicle) -> Array:

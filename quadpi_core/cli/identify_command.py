@@ -82,7 +82,7 @@ def identify(
     from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
     from quadpi_core.parallel import Workers
-    from quadpi_core.report.model_tables import held_out_table, selection_table
+    from quadpi_core.report.model_tables import fact_tables, held_out_table, selection_table
     from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.table import terminal_table
     from quadpi_core.vehicle import Vehicle
@@ -113,6 +113,8 @@ def identify(
     for axis in model.axes:
         if model.selection[axis]:
             console.print(terminal_table(selection_table(model.selection[axis], axis)))
+    for table in fact_tables(model):
+        console.print(terminal_table(table))
     names = ", ".join(flight.name for flight in model.flights)
     console.print(
         f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True

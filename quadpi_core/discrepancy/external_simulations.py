@@ -19,7 +19,7 @@ from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, 
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps, WrenchStream
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_INDEX, flight_inputs
+from quadpi_core.inputs import INPUT_INDEX, flight_derivatives, flight_inputs
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
@@ -137,14 +137,17 @@ class ModelSimulation(CallableSimulation):
             )
 
         def predict(flight: Flight) -> Array:
-            return model.evaluate(flight_inputs(flight, flown)).predicted
+            return model.evaluate(
+                flight_inputs(flight, flown), derivatives=flight_derivatives(flight)
+            ).predicted
 
         return cls(str(folder), flown, predict, read_tolerances(file), file, model=model)
 
     def intervals(self, flight: Flight) -> tuple[Array, Array]:
         """Lower and upper bounds (N, 6) at the confidence of the model."""
         assert self.model is not None  # by load
-        found = self.model.evaluate(flight_inputs(flight, self.vehicle))
+        inputs = flight_inputs(flight, self.vehicle)
+        found = self.model.evaluate(inputs, derivatives=flight_derivatives(flight))
         return found.lower, found.upper
 
     @property

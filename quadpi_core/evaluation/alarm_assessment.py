@@ -69,8 +69,8 @@ def alarm_of_flight(
         confidence: of the intervals.
     """
     known, wrench = live.known, live.wrench[live.known]
-    inputs = live.inputs[known]
-    evaluation = model.evaluate(inputs, confidence)
+    inputs, derivatives = live.inputs[known], live.derivatives[known]
+    evaluation = model.evaluate_recorded(time[known], inputs, derivatives, confidence)
     alarm = Alarm(
         model.envelope,
         model.alarm_limits,
@@ -84,7 +84,8 @@ def alarm_of_flight(
     verdicts["usable"], verdicts["settled"] = known, True
     # The flight was in the air all the time: at an infinite speed the alarm never takes it for standing.
     verdicts["velocity"] = np.inf
-    rows = alarm.step(Prepared(verdicts, inputs, wrench, verdicts["time_ns"][known]), evaluation)
+    prepared = Prepared(verdicts, inputs, wrench, verdicts["time_ns"][known], derivatives)
+    rows = alarm.step(prepared, evaluation)
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
     missed[known] = ~inside_interval(wrench, evaluation.lower, evaluation.upper)
     outside = np.zeros(samples, dtype=np.bool_)

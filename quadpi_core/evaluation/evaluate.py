@@ -45,7 +45,7 @@ def predict_flight(
         adaptive: intervals that adapt to the measurement as the flight goes, as the monitor's may.
         with_alarm: run the alarm as well, on the model's own intervals in either case.
     """
-    evaluation = model.evaluate(flight.inputs, confidence)
+    evaluation = model.evaluate_recorded(flight.time, flight.inputs, flight.derivatives, confidence)
     lower, upper = evaluation.lower, evaluation.upper
     if adaptive:
         rate_hz = 1.0 / float(np.median(np.diff(flight.time)))
@@ -108,7 +108,11 @@ def judge(
         adaptive=adaptive,
         at_confidence=at,
     )
-    return results, replace(evaluation, data_quality={flight.name: flight.quality for flight in flights})
+    return results, replace(
+        evaluation,
+        force_bandwidth_hz=model.force_bandwidth_hz,
+        data_quality={flight.name: flight.quality for flight in flights},
+    )
 
 
 def is_model_folder(path: Path) -> bool:

@@ -118,6 +118,8 @@ class Evaluation:
         regime_edges: edges of the bins that all groups and flights share, by quantity.
         groups: by name.
         flights: by name.
+        force_bandwidth_hz: at which the measured forces end, so that predicted forces are judged smoothed
+            alike; None where they are judged as they are.
         data_quality: remarks on the data, by flight.
     """
 
@@ -134,6 +136,7 @@ class Evaluation:
     regime_edges: Mapping[str, Sequence[float]]
     groups: Mapping[str, GroupEvaluation]
     flights: Mapping[str, FlightEvaluation]
+    force_bandwidth_hz: float | None = None
     data_quality: Mapping[str, DataQuality] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:

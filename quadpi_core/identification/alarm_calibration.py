@@ -25,6 +25,7 @@ from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envel
 from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule, inside_interval
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
+from quadpi_core.records import Records
 
 
 class _Spread(NamedTuple):
@@ -50,6 +51,10 @@ class Judged(Protocol):
     @property
     def inputs(self) -> Array:
         """(N, 19) columns as `quadpi_core.inputs.INPUT_NAMES`."""
+
+    @property
+    def derivatives(self) -> Records:
+        """(N,) see `quadpi_core.inputs.Derivatives`."""
 
     @property
     def wrench(self) -> Array:
@@ -181,7 +186,7 @@ class LiveErrors(NamedTuple):
 def live_errors(
     flights: Sequence[Judged],
     held_out: Mapping[str, Sequence[FlightErrors]],
-    evaluate: Callable[[Array], Evaluation],
+    evaluate: Callable[[Array, Records], Evaluation],
 ) -> list[LiveErrors]:
     """Errors that the live path would make on each flight, left out.
 
@@ -192,7 +197,7 @@ def live_errors(
     Args:
         flights: of the identification.
         held_out: by axis held, the held-out errors on each flight; all samples or every k-th.
-        evaluate: the model of all flights.
+        evaluate: the model of all flights, of inputs (M, 19) and derivatives (M,).
     """
     live = []
     for k, flight in enumerate(flights):
@@ -266,8 +271,8 @@ class _Changes(NamedTuple):
         )
 
 
-def _changes(flight: Judged, rows: Any, evaluate: Callable[[Array], Evaluation]) -> _Changes:
-    was, now = evaluate(flight.inputs[rows]), evaluate(flight.judged.inputs[rows])
+def _changes(flight: Judged, rows: Any, evaluate: Callable[[Array, Records], Evaluation]) -> _Changes:
+    was, now = (evaluate(of.inputs[rows], of.derivatives[rows]) for of in (flight, flight.judged))
     error = flight.judged.wrench[rows] - 0.5 * (now.lower + now.upper)
     return _Changes(
         error - (flight.wrench[rows] - 0.5 * (was.lower + was.upper)),

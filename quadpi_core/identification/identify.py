@@ -58,11 +58,15 @@ def identify(
     fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
     fitted = dict(fit.axes)
     compiled = kind.compile(fitted)
-    factors = interval_factors(fitted, options.confidence)
+    evaluate, factors = kind.evaluator(compiled), interval_factors(fitted, options.confidence)
 
     # Intervals: the held-out errors must be covered for the causal states of the live path too.
     held_out = fit.held_out
-    live = live_errors(flights, held_out, lambda rows: compiled.evaluate(rows, factors)) if held_out else []
+    live = (
+        live_errors(flights, held_out, lambda rows, moving: evaluate(rows, factors, moving))
+        if held_out
+        else []
+    )
     rules = {
         axis: rule.covering([flight.errors[axis] for flight in live])
         for axis in held_out
@@ -71,7 +75,7 @@ def identify(
     fitted |= {axis: replace(fitted[axis], rule=rule) for axis, rule in rules.items()}
 
     # Alarm: the envelope of all flights, with limits from the flights left out.
-    evidence = compiled.evaluate(samples.inputs, factors)
+    evidence = evaluate(samples.inputs, factors, samples.derivatives)
     envelope, limits = calibrate_alarm(
         Envelope.fit(samples.inputs, samples.flight, evidence.leverage, evidence.relative_width),
         left_out(flights, rules, live, options.confidence) if rules else [],
@@ -121,8 +125,10 @@ def _joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSamp
         vehicle,
         np.concatenate([flight.time for flight in flights]),
         np.concatenate([flight.inputs for flight in flights]),
+        np.concatenate([flight.derivatives for flight in flights]),
         np.concatenate([flight.wrench for flight in flights]),
         np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights]),
+        [flight.name for flight in flights],
     )
 
 

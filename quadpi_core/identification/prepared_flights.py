@@ -17,9 +17,9 @@ from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
-from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, Stamps
+from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Recording, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES, flight_inputs
+from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES, flight_derivatives, flight_inputs
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
 from quadpi_core.models.model_kind import CUTOFF_HZ
@@ -27,10 +27,14 @@ from quadpi_core.monitor.pairing_kernel import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import Followed, follow, recorded_flight
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
+from quadpi_core.records import Records
 from quadpi_core.screening.consistency import checked
 from quadpi_core.signals.resample import interpolate, nominal_rate
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
+
+# Where inputs, derivatives and wrench of a live sample end in a row that is interpolated.
+_COLUMNS = np.cumsum([len(INPUT_NAMES), DERIVATIVES.itemsize // 8, len(AXES)])
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,7 @@ class PreparedFlight:
         sha256: hash of the sensor streams, the same for every copy of the flight.
         time: (N,) s.
         inputs: (N, 19) input vectors X.
+        derivatives: (N,) what the motion has beside them, see `inputs.Derivatives`.
         wrench: (N, 6) measured wrench.
         height: (N,) m above the origin of the world.
         live: the samples as a monitor would have had them, on which the alarm is calibrated and assessed;
@@ -53,6 +58,7 @@ class PreparedFlight:
     sha256: str
     time: Array
     inputs: Array
+    derivatives: Records
     wrench: Array
     height: Array
     live: LiveSamples | None = None
@@ -68,6 +74,7 @@ class PreparedFlight:
             sha256=sha256,
             time=flight.time,
             inputs=flight_inputs(flight, vehicle),
+            derivatives=flight_derivatives(flight),
             wrench=measured_wrench(flight, vehicle),
             height=-flight.position[:, 2],
             live=live,
@@ -79,7 +86,8 @@ class PreparedFlight:
         """Samples on which the alarm is calibrated and assessed."""
         if self.live is not None:
             return self.live
-        return LiveSamples(self.inputs, self.wrench, np.ones(len(self.time), dtype=np.bool_))
+        known = np.ones(len(self.time), dtype=np.bool_)
+        return LiveSamples(self.inputs, self.derivatives, self.wrench, known)
 
 
 def prepare_flights(
@@ -140,12 +148,14 @@ class LiveSamples(NamedTuple):
 
     Attributes:
         inputs: (N, 19) input vectors.
+        derivatives: (N,) see `inputs.Derivatives`.
         wrench: (N, 6) measured, N and Nm, body axes.
         known: (N,) False where a monitor has no sample or its state has not settled; other columns are void
             there.
     """
 
     inputs: Array
+    derivatives: Records
     wrench: Array
     known: npt.NDArray[np.bool_]
 
@@ -199,18 +209,19 @@ class CausalPass:
             SignalError: if the cut-off is impossible.
         """
         preparation = Preparation(vehicle, None, cutoff_hz)
-        stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, len(INPUT_NAMES) + 7))]
+        stamps, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, _COLUMNS[-1] + 1))]
         for part in self.parts:
             if part.begin == SET_BACK:
                 preparation.reset()
             preparation.retune(part.rate)
             prepared = preparation.step(*part.samples)
             stamps.append(prepared.usable_ns)
-            rows.append(np.column_stack((prepared.inputs, prepared.measured, prepared.settled)))
+            derivatives = prepared.derivatives.view(np.float64).reshape(-1, DERIVATIVES.itemsize // 8)
+            rows.append(np.column_stack((prepared.inputs, derivatives, prepared.measured, prepared.settled)))
         time_ns, values = np.concatenate(stamps), np.concatenate(rows)
         if len(time_ns) == 0:
             raise LogError(f"{self.source}: no sample that a monitor could judge")
         values, known = interpolate(time_ns, values, at_ns, MAX_GAP_NS)
-        inputs, wrench, settled = np.split(values, [len(INPUT_NAMES), len(INPUT_NAMES) + 6], axis=1)
+        inputs, derivatives, wrench, settled = map(np.ascontiguousarray, np.split(values, _COLUMNS, axis=1))
         known &= settled[:, 0] == 1.0
-        return LiveSamples(np.ascontiguousarray(inputs), np.ascontiguousarray(wrench), known)
+        return LiveSamples(inputs, derivatives.view(DERIVATIVES)[:, 0], wrench, known)

@@ -32,12 +32,15 @@ from quadpi_core.models.model_folder import (
 )
 from quadpi_core.models.model_kind import (
     CompiledAxes,
+    Evaluate,
     Evaluation,
     FittedAxis,
     Kind,
     StoredAxes,
     interval_factors,
 )
+from quadpi_core.records import Records
+from quadpi_core.signals.force_bandwidth import as_recorded
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -152,15 +155,28 @@ class AerodynamicModel:
         return f"intervals calibrated on {inside} of {total} flights, each left out in turn{rest}"
 
     @cached_property
-    def _compiled(self) -> CompiledAxes:
-        return self.compiled or self.kind.compile(self.fitted)
+    def _evaluate(self) -> Evaluate:
+        return self.kind.evaluator(self.compiled or self.kind.compile(self.fitted))
 
     @cached_property
     def _factors(self) -> Callable[[float], Array]:
         return lru_cache(maxsize=16)(lambda confidence: interval_factors(self.fitted, confidence))
 
-    def evaluate(self, inputs: Array, confidence: float | None = None) -> Evaluation:
+    @property
+    def force_bandwidth_hz(self) -> float | None:
+        """See :meth:`.model_kind.Kind.force_bandwidth_hz`."""
+        return self.kind.force_bandwidth_hz(self.fitted)
+
+    def evaluate(
+        self, inputs: Array, confidence: float | None = None, derivatives: Records | None = None
+    ) -> Evaluation:
         """Predictions, bounds and evidence for input vectors (N, 19), all axes at once.
+
+        Args:
+            inputs: (N, 19), columns as `quadpi_core.inputs.INPUT_NAMES`.
+            confidence: of the intervals; the model's own unless given.
+            derivatives: (N,) see `quadpi_core.inputs.Derivatives`. Without them a kind that uses them takes
+                the rotor speeds as steady.
 
         Raises:
             ModelError: for inputs of another shape, beyond whose end the compiled code would read, or a
@@ -170,7 +186,22 @@ class AerodynamicModel:
             raise ModelError(f"inputs have shape {inputs.shape}, expected (N, {len(INPUT_NAMES)})")
         if confidence is None:
             confidence = self.confidence
-        return self._compiled.evaluate(inputs, self._factors(confidence))
+        return self._evaluate(inputs, self._factors(confidence), derivatives)
+
+    def evaluate_recorded(
+        self, time: Array, inputs: Array, derivatives: Records, confidence: float | None = None
+    ) -> Evaluation:
+        """As :meth:`evaluate`, for a whole flight (N,) whose measured forces may end at a lower frequency.
+
+        Predicted forces and their bounds are then what such a recording would have, see
+        `quadpi_core.signals.force_bandwidth`.
+        """
+        said = self.evaluate(inputs, confidence, derivatives)
+        if self.force_bandwidth_hz is None:
+            return said
+        predicted = as_recorded(time, inputs, said.predicted, self.force_bandwidth_hz)
+        change = predicted - said.predicted
+        return said._replace(predicted=predicted, lower=said.lower + change, upper=said.upper + change)
 
     def interval_ratio(self, confidence: float) -> Array:
         """Width (6,) of the intervals of the model's own confidence over that of another; 1 where not held.

@@ -9,7 +9,7 @@ Each kind is one file of the folder `kinds`, or of a package that someone else i
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
@@ -24,6 +24,7 @@ from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.interval_rules import FlightErrors, Rule
 from quadpi_core.models.selection import StopRule
 from quadpi_core.parallel import ReportProgress
+from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 
 Settings: TypeAlias = Literal["default", "paper"]
@@ -92,6 +93,11 @@ class CompiledAxes(Protocol):
         """
 
 
+# Evaluates input vectors (N, 19) by factors of :func:`interval_factors`, and by the derivatives (N,) that the
+# input vector does not hold where they are known.
+Evaluate: TypeAlias = Callable[[Array, Array, Records | None], Evaluation]
+
+
 def interval_factors(fitted: Mapping[str, FittedAxis], confidence: float) -> Array:
     """Half width (6,) of each axis' interval per unit of spread; 0 for axes not held.
 
@@ -137,15 +143,19 @@ class TrainingSamples:
         vehicle: that flew.
         time: (N,) s, rises within a flight.
         inputs: (N, 19) input vectors, columns as `quadpi_core.inputs.INPUT_NAMES`.
+        derivatives: (N,) what the motion has beside them, see `quadpi_core.inputs.Derivatives`.
         wrench: (N, 6) measured, N and Nm.
         flight: (N,) number of the flight, from 0; samples of a flight lie together.
+        names: of the flights.
     """
 
     vehicle: Vehicle
     time: Array
     inputs: Array
+    derivatives: Records
     wrench: Array
     flight: npt.NDArray[np.int64]
+    names: Sequence[str]
 
     def target(self, axis: str) -> Array:
         """Measured force or moment (N,) of one axis."""
@@ -181,6 +191,22 @@ class StoredAxes:
     entries: Mapping[str, Mapping[str, Any]]
     arrays: Mapping[str, Array]
     files: Mapping[str, bytes] = field(default_factory=dict)
+
+
+class Facts(NamedTuple):
+    """A table of what a kind has to say of a fitted model, for commands and pages.
+
+    Attributes:
+        title: of the table, and its key in JSON.
+        columns: their headings.
+        rows: as many cells each as there are columns.
+        note: below the table.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str | float]]
+    note: str = ""
 
 
 class Kind(ABC):
@@ -228,6 +254,21 @@ class Kind(ABC):
     @abstractmethod
     def compile(self, fitted: Mapping[str, Any]) -> CompiledAxes:
         """Pack the fitted axes of a model for evaluation."""
+
+    def evaluator(self, compiled: CompiledAxes) -> Evaluate:
+        """What evaluates the packed axes; a kind that needs more than the input vector overrides it."""
+        return lambda inputs, factors, _: compiled.evaluate(inputs, factors)
+
+    def force_bandwidth_hz(self, fitted: Mapping[str, Any]) -> float | None:  # noqa: ARG002 - for kinds that know it
+        """Bandwidth of the measured forces of the flights, where it ends below that of the other signals.
+
+        Predicted forces are then compared with those of such a flight as it would have recorded them.
+        """
+        return None
+
+    def facts(self, fitted: Mapping[str, Any]) -> list[Facts]:  # noqa: ARG002 - for kinds that have any
+        """What there is to say of a fitted model beside its terms."""
+        return []
 
     def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
         """What a model folder keeps; unless overridden, each axis by itself."""

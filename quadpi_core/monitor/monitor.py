@@ -14,7 +14,7 @@ from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.adaptive import AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
@@ -68,7 +68,7 @@ class Monitor:
             AdaptiveFactor(self.confidence, rate_hz or RATE_BEFORE_HZ) if settings.adaptive else None
         )
         # Compiles the model before the first sample.
-        model.evaluate(np.zeros((1, len(INPUT_NAMES))), self.confidence)
+        model.evaluate(np.zeros((1, len(INPUT_NAMES))), self.confidence, np.zeros(1, DERIVATIVES))
 
     def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
         """Take K samples; blocks of any length give the same rows, bit for bit.
@@ -105,7 +105,7 @@ class Monitor:
         A sample one of whose numbers overflows is no longer usable.
         """
         inputs, measured = prepared.inputs, prepared.measured
-        evaluation = self.model.evaluate(inputs, self.confidence)
+        evaluation = self.model.evaluate(inputs, self.confidence, prepared.derivatives)
         predicted, lower, upper, leverage, relative_width = evaluation
         if self._adaptive is not None:
             lower, upper = self._adaptive.step(measured, lower, upper)

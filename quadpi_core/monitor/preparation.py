@@ -13,7 +13,13 @@ from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES, inputs_kernel, relative_to_air, vehicle_constants
+from quadpi_core.inputs import (
+    DERIVATIVES,
+    INPUT_NAMES,
+    inputs_kernel,
+    relative_to_air,
+    vehicle_constants,
+)
 from quadpi_core.monitor.data_quality import (
     RATE_DIFFERS,
     RATE_LOW,
@@ -91,12 +97,14 @@ class Prepared(NamedTuple):
         inputs: (U, 19) input vectors of the usable samples.
         measured: (U, 6) their measured wrench, N and Nm, body axes.
         usable_ns: (U,) their stamps.
+        derivatives: (U,) what their motion has beside the input vectors, see `inputs.Derivatives`.
     """
 
     verdicts: Records
     inputs: Array
     measured: Array
     usable_ns: Stamps
+    derivatives: Records
 
     @property
     def usable(self) -> npt.NDArray[np.bool_]:
@@ -114,7 +122,13 @@ class Prepared(NamedTuple):
         """The same with only those of the usable samples (U,) left that a mask chooses."""
         verdicts = self.verdicts.copy()
         verdicts["usable"][self.usable] = chosen
-        return Prepared(verdicts, self.inputs[chosen], self.measured[chosen], self.usable_ns[chosen])
+        return Prepared(
+            verdicts,
+            self.inputs[chosen],
+            self.measured[chosen],
+            self.usable_ns[chosen],
+            self.derivatives[chosen],
+        )
 
 
 class Preparation:
@@ -174,16 +188,23 @@ class Preparation:
         count = len(time_ns)
         verdicts = np.empty(count, VERDICT)
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
-        used = _prepare(self._memory, time_ns, values, verdicts, inputs, measured)
+        derivatives = np.empty(count, DERIVATIVES)
+        used = _prepare(self._memory, time_ns, values, verdicts, inputs, measured, derivatives)
         usable_ns = time_ns if used == count else time_ns[verdicts["usable"]]
-        return Prepared(verdicts, inputs[:used], measured[:used], usable_ns)
+        return Prepared(verdicts, inputs[:used], measured[:used], usable_ns, derivatives[:used])
 
 
 @njit(cache=True)
 def _prepare(
-    memories: Records, time_ns: Stamps, values: Array, verdicts: Records, inputs: Array, measured: Array
+    memories: Records,
+    time_ns: Stamps,
+    values: Array,
+    verdicts: Records,
+    inputs: Array,
+    measured: Array,
+    derivatives: Records,
 ) -> int:
-    """Fill the verdicts of K samples (K, 20), and inputs and wrench of the usable ones; returns their number.
+    """Fill the verdicts of K samples (K, 20), and what the usable ones give; returns their number.
 
     Args:
         memories: (1,) the :class:`Memory`, which changes.
@@ -192,11 +213,12 @@ def _prepare(
         verdicts: (K,) to fill with a :class:`Verdict` each.
         inputs: (K, 19) to fill.
         measured: (K, 6) to fill.
+        derivatives: (K,) to fill.
     """
     memory = memories[0]
     vehicle, chain = memory.vehicle, memory.chain
     used = 0
-    value, slope = np.empty((1, CHANNELS)), np.empty((1, CHANNELS))
+    value, slope, curvature = np.empty((1, CHANNELS)), np.empty((1, CHANNELS)), np.empty(ROTORS)
     for i in range(values.shape[0]):
         faults, usable, jump = judge(memory.quality, time_ns[i], values[i])
         if usable and memory.low_pass.rate_hz == 0.0:
@@ -211,7 +233,7 @@ def _prepare(
         if not chain.started:
             memory.begun_ns = time_ns[i]
         verdict.settled = time_ns[i] - memory.begun_ns >= SETTLE_NS
-        filter_sample(memory.low_pass, chain, values[i], value[0], slope[0])
+        filter_sample(memory.low_pass, chain, values[i], value[0], slope[0], curvature)
         verdict.velocity[:] = value[0, VELOCITY]
         attitude, rates, row = value[:, ATTITUDE], value[:, RATES], slice(used, used + 1)
         inputs_kernel(
@@ -227,6 +249,9 @@ def _prepare(
         measured[row] = newton_euler(
             value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
         )
+        derivatives[used].angular_acceleration[:] = slope[0, RATES]
+        derivatives[used].rotor_accelerations[:] = slope[0, ROTOR_SPEEDS]
+        derivatives[used].rotor_jerks[:] = curvature
         # A sample one of whose numbers overflows is not usable.
         verdict.usable = bool(np.isfinite(inputs[used].sum() + measured[used].sum()))
         used += verdict.usable

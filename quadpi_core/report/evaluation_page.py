@@ -108,6 +108,8 @@ def evaluation_summary(evaluation: Evaluation) -> Group:
     shown: list[RenderableType] = [
         Text(f"{evaluation.model}: {percent(confidence)} {intervals}", style="bold")
     ]
+    if evaluation.force_bandwidth_hz is not None:
+        shown.append(Text(force_bandwidth_note(evaluation.force_bandwidth_hz), style="dim"))
     for name, part in evaluation.groups.items():
         table = metrics_table({name: part}, confidence, "group")
         shown.append(terminal_table(table.without("group", *_NOT_ON_TERMINAL, title=name)))
@@ -117,6 +119,14 @@ def evaluation_summary(evaluation: Evaluation) -> Group:
     if any(metrics.covers_too_little(confidence) for part in parts for metrics in part.axes.values()):
         shown.append(Text(short_coverage_note(confidence), style="dim"))
     return Group(*shown)
+
+
+def force_bandwidth_note(bandwidth_hz: float) -> str:
+    """That predicted forces were smoothed before they were judged, and why."""
+    return (
+        f"the measured forces of the flights that it was identified on end at {bandwidth_hz:g} Hz: predicted "
+        "forces are judged smoothed alike"
+    )
 
 
 def short_coverage_note(confidence: float) -> str:
@@ -225,7 +235,8 @@ def write_evaluation_page(
             "low-pass": f"{model.cutoff_hz:g} Hz",
             "identified on": f"{len(model.flights)} flights",
             "evaluated on": f"{len(evaluation.flights)} flights",
-        },
+        }
+        | ({} if (hz := evaluation.force_bandwidth_hz) is None else {"forces": force_bandwidth_note(hz)}),
         definitions=metric_definitions(evaluation),
         figures=figures,
     ).write(

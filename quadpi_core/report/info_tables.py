@@ -27,7 +27,7 @@ from quadpi_core.logs.inspect import (
 )
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
-from quadpi_core.report.model_tables import term_tables
+from quadpi_core.report.model_tables import fact_tables, term_tables
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table
 from quadpi_core.vehicle import Vehicle
@@ -155,7 +155,8 @@ def model_summary(model: AerodynamicModel) -> list[RenderableType]:
         title="training envelope",
     )
     terms = Columns(map(terminal_table, term_tables(model)), padding=(0, 3))
-    return [heading, calibration, terms, terminal_table(flights), terminal_table(envelope)]
+    facts = map(terminal_table, fact_tables(model))
+    return [heading, calibration, terms, *facts, terminal_table(flights), terminal_table(envelope)]
 
 
 def _model_json(model: AerodynamicModel) -> dict[str, Any]:
@@ -169,6 +170,10 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
         "alarm": model.alarm_limits.to_json() | {"calibrated": model.alarm_limits.calibrated},
         "confidence": model.confidence,
         "axes": {axis: model.fitted[axis].terms for axis in model.axes},
+        "facts": {
+            facts.title: [dict(zip(facts.columns, row, strict=True)) for row in facts.rows]
+            for facts in model.kind.facts(model.fitted)
+        },
         "flights": [asdict(flight) for flight in model.flights],
         "envelope": {
             name: [float(lower), float(upper)]

@@ -94,8 +94,21 @@ def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) 
     return Table(columns, rows)
 
 
+def fact_tables(model: AerodynamicModel) -> list[Table]:
+    """What the kind of the model has to say of it."""
+    tables = []
+    for facts in model.kind.facts(model.fitted):
+        numeric = [not isinstance(cell, str) for cell in facts.rows[0]] if facts.rows else []
+        columns = [
+            Column(heading, number) if is_number else Column(heading, is_text=True, wraps=True)
+            for heading, is_number in zip(facts.columns, numeric, strict=False)
+        ]
+        tables.append(Table(columns, [list(row) for row in facts.rows], title=facts.title, note=facts.note))
+    return tables
+
+
 def term_tables(model: AerodynamicModel) -> list[Table]:
-    """Terms of each axis of a polynomial; of an ensemble, one table with the inputs of all axes."""
+    """Terms of each axis of a polynomial; of other kinds, one table with the inputs of all axes."""
     if not all(model.selection[axis] for axis in model.axes):
         columns = [Column("axis", is_text=True), Column("inputs", is_text=True, wraps=True)]
         return [Table(columns, [[axis, ", ".join(model.fitted[axis].terms)] for axis in model.axes])]

@@ -68,10 +68,13 @@ def forget(memory: ChainMemory) -> None:
 
 
 @njit(cache=True)
-def filter_sample(design: LowPass, memory: ChainMemory, sample: Array, value: Array, slope: Array) -> None:
+def filter_sample(
+    design: LowPass, memory: ChainMemory, sample: Array, value: Array, slope: Array, curvature: Array
+) -> None:
     """Pass one finite sample (20,) through the causal low-pass; the rate is taken as constant.
 
-    Fills `value` (20,), with an attitude of unit norm, and `slope` (20,), the derivative per second. The
+    Fills `value` (20,), with an attitude of unit norm, `slope` (20,), the derivative per second, and
+    `curvature` (4,), the second derivative of the rotor speeds. The
     attitude in `sample` gets the sign nearest to the previous one. The filter starts settled at its first
     sample.
     """
@@ -80,7 +83,11 @@ def filter_sample(design: LowPass, memory: ChainMemory, sample: Array, value: Ar
     if not memory.started:
         memory.delays[:] = settled_state(design, sample)
         memory.started = True
+    before = memory.delays[1, 1, ROTOR_SPEEDS].copy()
     low_pass(design, memory.delays, sample.reshape(1, -1), value.reshape(1, -1), slope.reshape(1, -1))
+    # s² H(s), as the derivative is s H(s), see `filters`: both factors (1 + z⁻¹) become 2 f (1 − z⁻¹).
+    newest, last = memory.delays[1, 0, ROTOR_SPEEDS], memory.delays[1, 1, ROTOR_SPEEDS]
+    curvature[:] = 4.0 * design.rate_hz**2 * design.second.gain * (newest - 2.0 * last + before)
     attitude = value[ATTITUDE]
     attitude /= np.sqrt(np.sum(attitude * attitude))
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alarm, hover_rotor_speed
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import AlarmLimits, allowance
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.model_kind import Evaluation
@@ -55,7 +55,8 @@ def raised(envelope: Envelope, limits: AlarmLimits, flight: LeftOut) -> dict[int
     verdicts = np.zeros(count, VERDICT)
     verdicts["time_ns"] = np.round(1e9 * flight.time)
     verdicts["usable"] = verdicts["settled"] = True
-    prepared = Prepared(verdicts, flight.inputs, np.nan_to_num(2.0 * flight.miss), verdicts["time_ns"])
+    missed, still = np.nan_to_num(2.0 * flight.miss), np.zeros(count, DERIVATIVES)
+    prepared = Prepared(verdicts, flight.inputs, missed, verdicts["time_ns"], still)
     bound = np.ones((count, 6))
     rows = alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, flight.leverage, flight.width))
     at_alarm = rows.cause_level == LEVEL_ALARM

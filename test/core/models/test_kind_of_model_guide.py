@@ -121,5 +121,7 @@ def test_options_that_the_kind_does_not_have_are_refused() -> None:
 
 
 def test_a_kind_that_is_not_installed_is_refused_with_those_known() -> None:
-    with pytest.raises(ModelError, match=r"method 'ridge' is not known .*\(bootstrap, polynomial, "):
+    with pytest.raises(
+        ModelError, match=r"method 'ridge' is not known .*\(bootstrap, physical, polynomial, "
+    ):
         kind_named("ridge")

@@ -14,6 +14,7 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.inputs import DERIVATIVES
 from quadpi_core.models.interval_rules import NormalRule, Rule, TrainedRule
 from quadpi_core.models.model_kind import IdentifyOptions, Kind, TrainingSamples, interval_factors
 from quadpi_core.vehicle import Vehicle
@@ -109,8 +110,8 @@ def test_an_axis_that_cannot_be_read_is_named() -> None:
 
 def test_the_target_of_an_axis_is_its_column() -> None:
     wrench = np.arange(12.0).reshape(2, 6)
-    samples = TrainingSamples(
-        Vehicle.load("bebop2"), np.zeros(2), np.zeros((2, 19)), wrench, np.zeros(2, dtype=np.int64)
-    )
+    vehicle, flight = Vehicle.load("bebop2"), np.zeros(2, dtype=np.int64)
+    still = np.zeros(2, DERIVATIVES)
+    samples = TrainingSamples(vehicle, np.zeros(2), np.zeros((2, 19)), still, wrench, flight, ["one"])
     for column, axis in enumerate(AXES):
         assert samples.target(axis).tolist() == wrench[:, column].tolist()

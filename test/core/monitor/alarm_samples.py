@@ -9,7 +9,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
@@ -52,7 +52,8 @@ class Samples:
             for name in ("time_ns", "usable", "faults", "settled", "velocity"):
                 verdicts[name] = getattr(self, name)[keep]
             inputs, measured = self.inputs[keep][used], self.measured[keep][used]
-            prepared = Prepared(verdicts, inputs, measured, self.time_ns[keep][used])
+            still = np.zeros(len(inputs), DERIVATIVES)
+            prepared = Prepared(verdicts, inputs, measured, self.time_ns[keep][used], still)
             bound = np.ones_like(prepared.measured)
             leverage, width = self.leverage[keep][used], self.width[keep][used]
             yield alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, leverage, width))

@@ -212,8 +212,8 @@ def test_all_samples_broken_give_alarms_and_no_predictions(monitor, samples):
 def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
     @dataclass(frozen=True)
     class Overflowing(type(model)):
-        def evaluate(self, inputs, confidence=None) -> Evaluation:
-            evaluation = super().evaluate(inputs, confidence)
+        def evaluate(self, inputs, confidence=None, derivatives=None) -> Evaluation:
+            evaluation = super().evaluate(inputs, confidence, derivatives)
             far = inputs[:, INPUT_INDEX["u"]] > 2.0
             return evaluation._replace(upper=np.where(far[:, None], np.inf, evaluation.upper))
 

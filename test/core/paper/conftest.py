@@ -12,7 +12,7 @@ import pytest
 from quadpi_core.flight import Flight
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
-from quadpi_core.inputs import flight_inputs
+from quadpi_core.inputs import flight_derivatives, flight_inputs
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paper.validation_case import ValidationCase, simulated_flights
@@ -55,6 +55,7 @@ def prepared(flight: Flight, vehicle: Vehicle) -> PreparedFlight:
         sha256="",
         time=flight.time,
         inputs=flight_inputs(flight, vehicle),
+        derivatives=flight_derivatives(flight),
         wrench=measured_wrench(flight, vehicle),
         height=-flight.position[:, 2],
     )

@@ -45,18 +45,18 @@ def random_signals(samples: int = 300, seed: int = 2):
 
 
 def filtered_one_by_one(signals, memory):
-    """Values and slopes (N, 20) of the causal chain."""
+    """Values and slopes (N, 20) of the causal chain, and curvatures (N, 4) of the rotor speeds."""
     design = design_low_pass(CUTOFF, RATE)
     samples = np.concatenate(signals, axis=1)
-    value, slope = np.empty_like(samples), np.empty_like(samples)
+    value, slope, curvature = np.empty_like(samples), np.empty_like(samples), np.empty((len(samples), 4))
     for row in range(len(samples)):
-        filter_sample(design, memory, samples[row], value[row], slope[row])
-    return value, slope
+        filter_sample(design, memory, samples[row], value[row], slope[row], curvature[row])
+    return value, slope, curvature
 
 
 def test_the_causal_chain_is_the_low_pass_of_a_continuous_attitude():
     signals = random_signals()
-    value, slope = filtered_one_by_one(signals, empty_memory())
+    value, slope, _ = filtered_one_by_one(signals, empty_memory())
     samples = np.concatenate(signals, axis=1)
     make_continuous(samples[:, ATTITUDE], np.zeros(4))
     expected = filter_settled(design_low_pass(CUTOFF, RATE), samples)
@@ -82,4 +82,13 @@ def test_a_chain_that_forgets_starts_anew():
     filtered_one_by_one(random_signals(seed=3), memory)
     forget(memory)
     again = filtered_one_by_one(random_signals(), memory)
-    assert np.array_equal(first, again)
+    for before, after in zip(first, again, strict=True):
+        assert np.array_equal(before, after)
+
+
+def test_the_curvature_of_rotor_speeds_sums_up_to_their_slope():
+    _, slope, curvature = filtered_one_by_one(random_signals(), empty_memory())
+    steps = 0.5 * (curvature[1:] + curvature[:-1]) / RATE
+    np.testing.assert_allclose(
+        slope[1:, ROTOR_SPEEDS] - slope[0, ROTOR_SPEEDS], np.cumsum(steps, axis=0), atol=1e-8
+    )

@@ -1,0 +1,276 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The fitted physical model as a model folder keeps it and as it is packed for evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.config_schema import NotNegative, Positive, Real, Text, Within, parse_config
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.inputs import DERIVATIVES
+from quadpi_core.models.fitted_polynomial import SpreadShape
+from quadpi_core.models.interval_rules import Rule, StoredRule
+from quadpi_core.models.model_kind import Evaluation
+from quadpi_core.models.physical_fit import FitStep
+from quadpi_core.models.physical_flight import Sensing
+from quadpi_core.models.physical_kernel import AXIS, PackedPhysical, evaluate_physical
+from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, control_signs
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
+from quadpi_core.models.regressors import check_inputs
+from quadpi_core.records import Records
+
+# Key of what all axes share.
+SHARED = "fit"
+
+
+@dataclass(frozen=True)
+class PhysicalParameters:
+    """The parameters, which all axes share, and what there is to say of their fit.
+
+    Attributes:
+        values: (P,) in the order of TERMS, SI; zero where a term was left out.
+        standard_errors: (P,) of them; zero where a term was left out.
+        vehicle: PHYSICAL_VEHICLE (1,).
+        inertia: (3, 3) kg m².
+        sensing: delay of the rotor speeds and bandwidth of the measured force.
+        notes: by parameter, where these flights do not tell it or a bound holds.
+        worst_pairs: parameters that are told apart worst, with their correlation.
+        log: of the fit.
+    """
+
+    values: Array
+    standard_errors: Array
+    vehicle: Records
+    inertia: Array
+    sensing: Sensing
+    notes: dict[str, str]
+    worst_pairs: tuple[tuple[str, str, float], ...]
+    log: tuple[FitStep, ...]
+
+    @property
+    def kept(self) -> npt.NDArray[np.int64]:
+        """Numbers of the terms that are in the model."""
+        return np.flatnonzero(self.standard_errors > 0.0)
+
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+        return {
+            "values": self.values,
+            "standard_errors": self.standard_errors,
+            "vehicle": self.vehicle.view(np.float64).copy(),
+            "inertia": np.ascontiguousarray(self.inertia),
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+        return {
+            "parameters": list(TERM_NAMES),
+            "rotor_delay_s": self.sensing.rotor_delay_s,
+            "force_bandwidth_hz": self.sensing.force_bandwidth_hz,
+            "notes": self.notes,
+            "worst_pairs": self.worst_pairs,
+            "log": [asdict(step) for step in self.log],
+        }
+
+    def rows(self) -> list[tuple[str, float, float, str, str, str]]:
+        """Name, value, standard error, unit, meaning and note of each parameter in the model."""
+        return [
+            (
+                (term := TERMS[k]).name,
+                float(self.values[k]),
+                float(self.standard_errors[k]),
+                term.unit,
+                term.meaning,
+                self.notes.get(term.name, ""),
+            )
+            for k in self.kept
+        ]
+
+    def csv(self) -> str:
+        """The parameters as comma-separated values."""
+        lines = ["parameter,value,standard_error,unit,meaning,note"]
+        lines += [f'{n},{v:.6g},{e:.3g},{u},"{m}","{note}"' for n, v, e, u, m, note in self.rows()]
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class FittedPhysical:
+    """One axis of the physical model.
+
+    Attributes:
+        parameters: of all axes.
+        whitening: (S, S) lower triangular Wᵀ with leverage h = |W z|², of the terms that act on the axis.
+        acting: (S,) numbers of these terms.
+        shape: of the spread over the inputs.
+        rule: gives the interval's factor on the spread.
+        rms_spread: root mean square of the spread over the training samples, the unit of relative width.
+    """
+
+    method: ClassVar[str] = "physical"
+    parameters: PhysicalParameters
+    whitening: Array
+    acting: npt.NDArray[np.int64]
+    shape: SpreadShape
+    rule: Rule
+    rms_spread: float
+
+    @property
+    def terms(self) -> list[str]:
+        """Names of the parameters that act on the axis."""
+        return [TERM_NAMES[k] for k in self.acting]
+
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+        return {**self.parameters.arrays(), "whitening": np.ascontiguousarray(self.whitening)}
+
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+        return {
+            "acting": self.terms,
+            "inflation": self.shape.inflation,
+            "growth": self.shape.growth,
+            "rule": self.rule.to_json(),
+            "rms_spread": self.rms_spread,
+            SHARED: self.parameters.to_json(),
+        }
+
+    @classmethod
+    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedPhysical:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives, and parameters that this version does not know.
+        """
+        entry = parse_config(_Entry, data, cls.method, ModelError)
+        fit = entry.fit
+        pairs = [name for pair in fit.worst_pairs for name in pair[:2]]
+        named = (*fit.parameters, *entry.acting, *fit.notes, *pairs)
+        if unknown := [name for name in named if name not in TERM_INDEX]:
+            raise ModelError(f"parameter {unknown[0]!r} is not known to this version")
+        order, size = [TERM_INDEX[name] for name in fit.parameters], len(entry.acting)
+        _require_arrays(arrays, len(order), size)
+        values, errors = np.zeros(len(TERMS)), np.zeros(len(TERMS))
+        values[order], errors[order] = arrays["values"], arrays["standard_errors"]
+        vehicle = np.ascontiguousarray(arrays["vehicle"]).view(PHYSICAL_VEHICLE)
+        _require_body(errors, vehicle, arrays["inertia"])
+        parameters = PhysicalParameters(
+            values,
+            errors,
+            vehicle,
+            arrays["inertia"],
+            Sensing(fit.rotor_delay_s, fit.force_bandwidth_hz),
+            fit.notes,
+            fit.worst_pairs,
+            fit.log,
+        )
+        return cls(
+            parameters,
+            arrays["whitening"],
+            np.array([TERM_INDEX[name] for name in entry.acting], dtype=np.int64),
+            SpreadShape(entry.inflation, entry.growth),
+            entry.rule,
+            entry.rms_spread,
+        )
+
+
+@dataclass(frozen=True)
+class _SharedEntry:
+    """What a stored model keeps of all axes beside the arrays."""
+
+    parameters: tuple[Text, ...]
+    rotor_delay_s: NotNegative
+    force_bandwidth_hz: Positive | None
+    notes: dict[str, str]
+    worst_pairs: tuple[tuple[Text, Text, Real], ...]
+    log: tuple[FitStep, ...]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What a stored model keeps of an axis beside the arrays."""
+
+    acting: tuple[Text, ...]
+    inflation: NotNegative
+    growth: NotNegative
+    rule: StoredRule
+    rms_spread: Annotated[float, Within(1.0)]
+    fit: _SharedEntry
+
+
+def _require_arrays(arrays: Mapping[str, Array], parameters: int, size: int) -> None:
+    expected = {
+        "values": (parameters,),
+        "standard_errors": (parameters,),
+        "vehicle": (PHYSICAL_VEHICLE.itemsize // 8,),
+        "inertia": (3, 3),
+        "whitening": (size, size),
+    }
+    for name, wanted in expected.items():
+        if name not in arrays:
+            raise ModelError(f"{name} is missing")
+        if arrays[name].shape != wanted or not np.all(np.isfinite(arrays[name])):
+            raise ModelError(f"{name} of shape {arrays[name].shape}, expected finite numbers {wanted}")
+
+
+def _require_body(errors: Array, vehicle: Records, inertia: Array) -> None:
+    """Refuse numbers that no vehicle has."""
+    if np.any(errors < 0.0):
+        raise ModelError("standard_errors: a negative one")
+    for name in ("mass", "reference_thrust", "disc"):
+        if not vehicle[name][0] > 0.0:
+            raise ModelError(f"vehicle: {name} must be positive, is {vehicle[name][0]:g}")
+    control_signs(vehicle)
+    if not np.allclose(inertia, inertia.T) or np.any(np.linalg.eigvalsh(inertia) <= 0.0):
+        raise ModelError("inertia: not that of a body")
+
+
+@dataclass(frozen=True)
+class CompiledPhysical:
+    """The fitted axes packed for compiled evaluation."""
+
+    fitted: Mapping[str, FittedPhysical]
+
+    @cached_property
+    def _packed(self) -> PackedPhysical:
+        longest = max(len(own.acting) for own in self.fitted.values())
+        axes = np.zeros(len(AXES), AXIS)
+        acting = np.zeros((len(AXES), longest), dtype=np.int64)
+        whitening = np.zeros((len(AXES), longest, longest))
+        for axis, own in self.fitted.items():
+            k, size = AXES.index(axis), len(own.acting)
+            axes[k] = size, own.shape.inflation, own.shape.growth, own.rms_spread
+            acting[k, :size], whitening[k, :size, :size] = own.acting, own.whitening
+        shared = next(iter(self.fitted.values())).parameters
+        return PackedPhysical(
+            shared.kept,
+            shared.values[shared.kept],
+            shared.vehicle,
+            np.ascontiguousarray(shared.inertia),
+            np.asarray(np.linalg.inv(shared.inertia), dtype=float),
+            control_signs(shared.vehicle),
+            shared.sensing.rotor_delay_s,
+            axes,
+            acting,
+            whitening,
+        )
+
+    def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
+        """Evaluate input vectors (N, 19) with half widths from :func:`.model_kind.interval_factors`.
+
+        Without derivatives (N,), rotor speeds are steady and the angular acceleration is that of the model.
+        """
+        check_inputs(inputs)
+        sensed = derivatives is not None
+        moving = np.zeros(len(inputs), DERIVATIVES) if derivatives is None else derivatives
+        out = np.zeros((5, len(inputs), len(AXES)))
+        evaluate_physical(inputs, moving, sensed, self._packed, factors, out)
+        return Evaluation(out[0], out[1], out[2], out[3], out[4])

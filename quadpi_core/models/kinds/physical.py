@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Forces and moments of rotors and airframe, one set of parameters for all axes (see `physical_terms`)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from quadpi_core.bounded_files import parse_json
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.models.fitted_physical import SHARED, CompiledPhysical, FittedPhysical, PhysicalParameters
+from quadpi_core.models.fitted_polynomial import PlacedErrors, SpreadShape, fit_shape, squared_speed
+from quadpi_core.models.interval_rules import NormalRule, calibrate, inside_range
+from quadpi_core.models.model_kind import (
+    CompiledAxes,
+    Evaluate,
+    Facts,
+    Fit,
+    FittedAxis,
+    IdentifyOptions,
+    Kind,
+    Pools,
+    StoredAxes,
+    TrainingSamples,
+)
+from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.physical_flight import flights_of, thinned_rows
+from quadpi_core.models.physical_regressors import acting_terms
+from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
+from quadpi_core.parallel import Progress, ReportProgress
+from quadpi_core.signals.force_bandwidth import as_recorded
+
+FIT_FILE, TABLE_FILE = "fit.json", "parameters.csv"
+# Stride over the samples when recording the largest leverage and spread.
+_PEAK_STEP = 8
+
+
+class Physical(Kind):
+    """All axes by one set of physical parameters."""
+
+    name = FittedPhysical.method
+    label = "physical model"
+    colour = "#0072B2"
+    normal_errors = True
+    axis_type = FittedPhysical
+
+    def fit(
+        self,
+        samples: TrainingSamples,
+        pools: Pools,
+        options: IdentifyOptions,  # noqa: ARG002 - nothing of it concerns this kind
+        progress: ReportProgress,
+    ) -> Fit:
+        """Fit all axes together, then again without each flight."""
+        flights = flights_of(samples)
+        steps = len(flights) + 1
+        progress(Progress("Identifying the physical model", 0, steps))
+        with threadpool_limits(limits=1, user_api="blas"):
+            study = PhysicalStudy.of(flights, samples.vehicle)
+            whole = study.fit(choose=True)
+            left_out = []
+            for k in range(len(flights)):
+                progress(Progress("Identifying the physical model", k + 1, steps))
+                left_out.append(study.fit(choose=True, left_out=k) if len(flights) > 1 else whole)
+        every = range(len(flights))
+        final = _axes(whole, pools)
+        trained = [_placed(final, samples, k) for k in every]
+        placed = [
+            _placed(_axes(fit, pools), samples, k, [other for other in every if other != k])
+            for k, fit in enumerate(left_out)
+        ]
+        fitted, held_out = {}, {}
+        for axis in pools:
+            shape = fit_shape([own[axis] for own in placed], most_inflation=len(samples.time))
+            held_out[axis] = [own[axis].under(shape) for own in placed]
+            own_errors = [own[axis].under(shape) for own in trained]
+            squares = np.square(np.concatenate([errors.spread for errors in own_errors]))
+            fitted[axis] = replace(
+                final[axis],
+                shape=shape,
+                rule=calibrate(held_out[axis], own_errors),
+                rms_spread=float(np.sqrt(np.mean(squares))),
+            )
+        return Fit(fitted, held_out)
+
+    def compile(self, fitted: Mapping[str, Any]) -> CompiledPhysical:
+        """Pack the axes."""
+        return CompiledPhysical(fitted)
+
+    def evaluator(self, compiled: CompiledAxes) -> Evaluate:
+        """Derivatives give the delay and inertia of the rotors, and what the accelerometer feels."""
+        assert isinstance(compiled, CompiledPhysical)
+        return compiled.evaluate
+
+    def force_bandwidth_hz(self, fitted: Mapping[str, Any]) -> float | None:
+        """As it was found."""
+        return _shared(fitted).sensing.force_bandwidth_hz
+
+    def facts(self, fitted: Mapping[str, Any]) -> list[Facts]:
+        """Parameters, the pairs told apart worst, and the log of the fit."""
+        shared = _shared(fitted)
+        return [
+            Facts(
+                "parameters",
+                ("parameter", "value", "standard error", "unit", "note"),
+                [(name, value, error, unit, note) for name, value, error, unit, _, note in shared.rows()],
+                _sensing_words(shared),
+            ),
+            Facts(
+                "parameters that are told apart worst", ("one", "other", "correlation"), shared.worst_pairs
+            ),
+            Facts(
+                "log of the fit",
+                ("step", "of", "error"),
+                [(step.step, step.of, step.error) for step in shared.log],
+            ),
+        ]
+
+    def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
+        """Parameters once, what belongs to an axis by axis, and a table of parameters for people."""
+        shared, by_axis = _shared(fitted), super().store(fitted)
+        own = {name: a for name, a in by_axis.arrays.items() if name.endswith(".whitening")}
+        entries = {
+            axis: {key: value for key, value in entry.items() if key != SHARED}
+            for axis, entry in by_axis.entries.items()
+        }
+        fit = json.dumps(shared.to_json(), indent=1, allow_nan=False) + "\n"
+        files = {FIT_FILE: fit.encode(), TABLE_FILE: shared.csv().encode()}
+        return StoredAxes(entries, {**shared.arrays(), **own}, files)
+
+    def read(self, stored: StoredAxes) -> dict[str, FittedAxis]:
+        """The fitted axes of what :meth:`store` gave."""
+        if FIT_FILE not in stored.files:
+            raise ModelError(f"{FIT_FILE}: missing")
+        fit = parse_json(stored.files[FIT_FILE].decode(errors="replace"))
+        entries = {axis: {**entry, SHARED: fit} for axis, entry in stored.entries.items()}
+        shared = {name: a for name, a in stored.arrays.items() if "." not in name}
+        arrays = {f"{axis}.{name}": a for axis in entries for name, a in shared.items()}
+        return super().read(StoredAxes(entries, {**arrays, **stored.arrays}))
+
+
+def _shared(fitted: Mapping[str, Any]) -> PhysicalParameters:
+    shared: PhysicalParameters = next(iter(fitted.values())).parameters
+    return shared
+
+
+def _sensing_words(shared: PhysicalParameters) -> str:
+    delay_s, bandwidth = shared.sensing.rotor_delay_s, shared.sensing.force_bandwidth_hz
+    words = f"rotor speeds act {delay_s * 1e3:g} ms after they were measured"
+    if delay_s >= DELAYS_S[-1]:
+        words += ", or later: no longer delay is tried"
+    if bandwidth is not None:
+        words += (
+            f"; measured forces of these flights end at {bandwidth:g} Hz, so predicted forces are judged "
+            "smoothed alike"
+        )
+    return words
+
+
+def _axes(fit: PhysicalFit, pools: Pools) -> dict[str, FittedPhysical]:
+    """The axes of a fit, their intervals not yet calibrated."""
+    parameters = PhysicalParameters(
+        fit.values,
+        fit.standard_errors,
+        fit.record,
+        fit.vehicle.inertia,
+        fit.sensing,
+        fit.notes,
+        tuple(fit.worst_pairs()),
+        fit.log,
+    )
+    acts, axes = acting_terms(), {}
+    for axis in pools:
+        column = AXES.index(axis)
+        acting = np.flatnonzero(acts[:, column] & fit.kept)
+        covariance = fit.covariance[np.ix_(acting, acting)] / fit.noise[column] ** 2
+        scale = np.sqrt(np.diag(covariance))
+        factor = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(acting)))
+        whitening = scale[:, np.newaxis] * factor
+        axes[axis] = FittedPhysical(parameters, whitening, acting, SpreadShape(1.0, 0.0), NormalRule(), 1.0)
+    return axes
+
+
+def _placed(
+    axes: Mapping[str, FittedPhysical],
+    samples: TrainingSamples,
+    flight: int,
+    fitted_to: Sequence[int] = (),
+) -> dict[str, PlacedErrors]:
+    """Errors by axis on a flight, and where they were made.
+
+    Args:
+        axes: of a fit.
+        samples: of all flights.
+        flight: number of the flight.
+        fitted_to: numbers of the flights of the fit, if the flight is none of them.
+    """
+    compiled, rows = CompiledPhysical(axes), thinned_rows(samples, flight)
+    inputs = samples.inputs[rows]
+    evidence = compiled.evaluate(inputs, np.zeros(len(AXES)), samples.derivatives[rows])
+    bandwidth = KIND.force_bandwidth_hz(axes)
+    predicted = as_recorded(samples.time[rows], inputs, evidence.predicted, bandwidth)
+    error = samples.wrench[rows] - predicted
+    peaks = []
+    for other in fitted_to:
+        thin = thinned_rows(samples, other)[::_PEAK_STEP]
+        there = compiled.evaluate(samples.inputs[thin], np.zeros(len(AXES)), samples.derivatives[thin])
+        peaks.append((there.leverage, squared_speed(samples.inputs[thin])))
+    inside = np.ones(len(rows), dtype=np.bool_)
+    if fitted_to:
+        inside = inside_range(inputs, of=samples.inputs[np.isin(samples.flight, fitted_to)])
+    return {
+        axis: PlacedErrors(
+            error[:, k],
+            evidence.leverage[:, k],
+            squared_speed(inputs),
+            inside,
+            [(leverage[:, k], speed) for leverage, speed in peaks],
+        )
+        for axis in axes
+        for k in [AXES.index(axis)]
+    }
+
+
+KIND = Physical()

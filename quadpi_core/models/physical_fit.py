@@ -1,0 +1,311 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The fitted physical model: parameters by weighted least squares of all axes, and how well they are known.
+
+The measured wrench of all flights and axes is a linear function of the parameters, given the delay of the
+rotor speeds and the bandwidth of the force measurement. The parameters are the maximum a posteriori: errors
+weigh by their deviation on each axis and by how many independent samples they are worth, the spreads of
+`physical_terms` are the prior (Jategaonkar, Flight Vehicle System Identification, 2015, 6 and 11).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import lsq_linear
+
+from quadpi_core.config_schema import Real, Text
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.models.physical_flight import Sensing
+from quadpi_core.models.physical_regressors import physical_vehicle
+from quadpi_core.models.physical_terms import TERM_NAMES, TERMS, scales
+from quadpi_core.records import Records
+from quadpi_core.vehicle import Vehicle
+
+# Time [s] over which errors may hang together.
+_LONGEST_LAG_S = 5.0
+# An axis with fewer independent errors than this [1/s] weighs as if it had them: a mean over a flight of half
+# a minute that is wrong all along would else leave the axis without weight. Standard errors know better.
+_FEWEST_INDEPENDENT_HZ = 1.0
+# A parameter whose standard error is this share of its prior spread was not told by the flights.
+_UNTOLD = 0.9
+# A bound holds within this share of the prior spread.
+_AT_BOUND = 1e-6
+# Least deviation of an axis, for flights without any error.
+LEAST = 1e-12
+
+
+@dataclass(frozen=True)
+class Information:
+    """Sums over the samples of a flight, each axis by itself: all that least squares needs.
+
+    Attributes:
+        matrix: (6, P, P) Σ z zᵀ of the regressors.
+        moment: (6, P) Σ z y.
+        square: (6,) Σ y².
+        count: number of samples.
+    """
+
+    matrix: Array
+    moment: Array
+    square: Array
+    count: int
+
+    @classmethod
+    def of(cls, z: Array, wrench: Array) -> Information:
+        """Of regressors (N, P, 6) and the measured wrench (N, 6)."""
+        by_axis = np.ascontiguousarray(np.moveaxis(z, 2, 0))
+        return cls(
+            np.matmul(by_axis.transpose(0, 2, 1), by_axis),
+            np.einsum("anp,na->ap", by_axis, wrench),
+            np.sum(np.square(wrench), axis=0),
+            len(wrench),
+        )
+
+    def __add__(self, other: Information) -> Information:
+        return Information(
+            self.matrix + other.matrix,
+            self.moment + other.moment,
+            self.square + other.square,
+            self.count + other.count,
+        )
+
+    def __sub__(self, other: Information) -> Information:
+        return Information(
+            self.matrix - other.matrix,
+            self.moment - other.moment,
+            self.square - other.square,
+            self.count - other.count,
+        )
+
+    def rmse(self, values: Array) -> Array:
+        """Root-mean-square error (6,) with parameters (P,)."""
+        explained = np.einsum("p,apq,q->a", values, self.matrix, values)
+        squares = self.square - 2.0 * self.moment @ values + explained
+        result: Array = np.sqrt(np.maximum(squares, 0.0) / self.count)
+        return result
+
+
+@dataclass(frozen=True)
+class FitStep:
+    """A step of the fit.
+
+    Attributes:
+        step: what was tried or done.
+        of: with what: a delay, a bandwidth, a group of terms.
+        error: that it gave, or what it changed.
+    """
+
+    step: Text
+    of: str
+    error: Real
+
+
+@dataclass(frozen=True)
+class PhysicalFit:
+    """The parameters, and how well they are known.
+
+    Attributes:
+        vehicle: that flew.
+        reference_thrust: N s², of the induced velocity and of the scales.
+        values: (P,) in the order of TERMS, SI; zero where a term was left out.
+        covariance: (P, P) of the posterior; zero where a term was left out.
+        kept: (P,) terms that are in the model.
+        noise: (6,) standard deviation of the errors on the flights.
+        independent_hz: (6,) independent errors per second.
+        sensing: delay and bandwidth found.
+        log: what was tried and chosen, step by step.
+    """
+
+    vehicle: Vehicle
+    reference_thrust: float
+    values: Array
+    covariance: Array
+    kept: npt.NDArray[np.bool_]
+    noise: Array
+    independent_hz: Array
+    sensing: Sensing
+    log: tuple[FitStep, ...]
+
+    @cached_property
+    def record(self) -> Records:
+        """PHYSICAL_VEHICLE (1,) that the regressors were those of."""
+        return physical_vehicle(self.vehicle, self.reference_thrust)
+
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Standard error (P,) of each parameter, by as many errors as are independent."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @cached_property
+    def spreads(self) -> Array:
+        """Prior standard deviation (P,) of each parameter, SI."""
+        return np.array([term.spread for term in TERMS]) * scales(self.vehicle, self.reference_thrust)
+
+    @property
+    def untold(self) -> list[str]:
+        """Parameters that these flights do not tell from the prior."""
+        share = self.standard_errors / self.spreads
+        return [
+            term.name for term, s, kept in zip(TERMS, share, self.kept, strict=True) if kept and s > _UNTOLD
+        ]
+
+    @property
+    def at_bound(self) -> list[str]:
+        """Parameters that physics keeps from becoming negative."""
+        return [
+            term.name
+            for term, value, spread, kept in zip(TERMS, self.values, self.spreads, self.kept, strict=True)
+            if kept and term.positive and value <= _AT_BOUND * spread
+        ]
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """By parameter, what there is to say of it."""
+        manoeuvres = {term.name: term.manoeuvre for term in TERMS}
+        untold = {name: f"not told by these flights: fly {manoeuvres[name]}" for name in self.untold}
+        return untold | dict.fromkeys(self.at_bound, "at its lower bound, 0")
+
+    def worst_pairs(self, count: int = 5) -> list[tuple[str, str, float]]:
+        """The pairs of parameters that are told apart worst, with their correlation."""
+        kept = np.flatnonzero(self.kept)
+        errors = self.standard_errors[kept]
+        correlation = self.covariance[np.ix_(kept, kept)] / np.outer(errors, errors)
+        rows, columns = np.triu_indices(len(kept), 1)
+        worst = np.argsort(-np.abs(correlation[rows, columns]))[:count]
+        return [
+            (TERM_NAMES[kept[rows[i]]], TERM_NAMES[kept[columns[i]]], float(correlation[rows[i], columns[i]]))
+            for i in worst
+        ]
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """What an error counts for.
+
+    Attributes:
+        deviation: (6,) of the errors.
+        independent: (6,) share of the samples that are independent.
+        fewest: share that an axis weighs by at least.
+    """
+
+    deviation: Array
+    independent: Array
+    fewest: float
+
+    @classmethod
+    def start(cls, information: Sequence[Information]) -> Weighing:
+        """From the measured wrench, before there are errors: a tenth of its size."""
+        sums = total(information)
+        deviation = np.maximum(0.1 * np.sqrt(sums.square / sums.count), LEAST)
+        return cls(deviation, np.full(len(AXES), 0.01), 0.0)
+
+    @classmethod
+    def of_errors(cls, errors: Sequence[Array], rate_hz: float) -> Weighing:
+        """From the errors (N, 6) of flights, at so many samples a second."""
+        together = np.concatenate(errors)
+        deviation = np.sqrt(np.mean(np.square(together), axis=0))
+        lags = round(_LONGEST_LAG_S * rate_hz)
+        share = np.array(
+            [_independent_share([e[:, axis] for e in errors], lags) for axis in range(len(AXES))]
+        )
+        return cls(np.maximum(deviation, LEAST), share, _FEWEST_INDEPENDENT_HZ / rate_hz)
+
+    @property
+    def share(self) -> Array:
+        """Share (6,) of the samples that each axis weighs by."""
+        return np.maximum(self.independent, self.fewest)
+
+    @property
+    def weight(self) -> Array:
+        """Of a squared error of each axis (6,)."""
+        return self.share / np.square(self.deviation)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Prior and bounds: mean, spread and lower bound (P,) of the parameters, SI."""
+
+    mean: Array
+    spread: Array
+    lower: Array
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, reference: float) -> Problem:
+        """Of a vehicle whose rotors have a thrust per ω² of about `reference` [N s²]."""
+        scale = scales(vehicle, reference)
+        return cls(
+            np.array([term.mean for term in TERMS]) * scale,
+            np.array([term.spread for term in TERMS]) * scale,
+            np.array([0.0 if term.positive else -np.inf for term in TERMS]),
+        )
+
+    def solve(
+        self, information: Sequence[Information], weighing: Weighing, kept: npt.NDArray[np.bool_]
+    ) -> Array:
+        """Parameters (P,); zero where not kept."""
+        matrix, right = self._normal(total(information), weighing, kept)
+        change = cho_solve(cho_factor(matrix), right)
+        lower = (self.lower[kept] - self.mean[kept]) / self.spread[kept]
+        if np.any(change < lower):
+            factor = np.linalg.cholesky(matrix)
+            change = lsq_linear(factor.T, np.linalg.solve(factor, right), bounds=(lower, np.inf)).x
+        values = np.zeros(len(TERMS))
+        values[kept] = self.mean[kept] + self.spread[kept] * change
+        return values
+
+    def covariance(
+        self, information: Sequence[Information], weighing: Weighing, kept: npt.NDArray[np.bool_]
+    ) -> Array:
+        """Covariance (P, P) of what :meth:`solve` gives, with as many errors as are independent.
+
+        H⁻¹ (J + 1) H⁻¹ in units of the prior, H the normal matrix and J the covariance of its right side.
+        """
+        sums, spread = total(information), self.spread[kept]
+        matrix, _ = self._normal(sums, weighing, kept)
+        counted = weighing.weight * weighing.share / weighing.independent
+        noise = np.einsum("a,apq->pq", counted, sums.matrix)[np.ix_(kept, kept)] * np.outer(spread, spread)
+        inverse = np.linalg.inv(matrix)
+        covariance = np.zeros((len(TERMS), len(TERMS)))
+        covariance[np.ix_(kept, kept)] = (
+            inverse @ (noise + np.eye(len(spread))) @ inverse * np.outer(spread, spread)
+        )
+        return covariance
+
+    def _normal(
+        self, sums: Information, weighing: Weighing, kept: npt.NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Normal equations of the terms kept: matrix (s, s), right side (s,), for (value - mean) / spread."""
+        matrix = np.einsum("a,apq->pq", weighing.weight, sums.matrix)[np.ix_(kept, kept)]
+        moment = np.einsum("a,ap->p", weighing.weight, sums.moment)[kept]
+        spread, mean = self.spread[kept], self.mean[kept]
+        right = spread * (moment - matrix @ mean)
+        return matrix * np.outer(spread, spread) + np.eye(len(spread)), right
+
+
+def total(information: Sequence[Information]) -> Information:
+    """The sums over all flights."""
+    sums = information[0]
+    for flight in information[1:]:
+        sums = sums + flight
+    return sums
+
+
+def _independent_share(errors: Sequence[Array], lags: int) -> float:
+    """Share of samples that are independent: 1 over the integrated autocorrelation (Sokal's window)."""
+    sums = np.zeros(lags)
+    for series in errors:
+        spectrum = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
+        covariance = np.fft.irfft(spectrum)[: min(lags, len(series))]
+        sums[: len(covariance)] += covariance
+    if sums[0] <= 0.0:
+        return 1.0
+    time = 2.0 * np.cumsum(sums / sums[0]) - 1.0
+    window = int(np.argmax(np.arange(len(time)) >= 5.0 * time)) or len(time) - 1
+    return float(1.0 / max(time[window], 1.0))

@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Flights as the physical model is fitted to them, and what lies between a wrench and its measurement."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.model_kind import TrainingSamples
+from quadpi_core.models.physical_kernel import delayed, motions
+from quadpi_core.models.physical_regressors import regressors, wrenches
+from quadpi_core.models.physical_terms import TERMS
+from quadpi_core.records import Records
+from quadpi_core.signals.force_bandwidth import band_limited
+
+# Samples that are fitted [Hz], about: signals have passed a low-pass at 30 Hz.
+_FIT_HZ = 100.0
+# Time in the air below which a flight tells no delay or bandwidth [s].
+_SHORTEST_S = 1.0
+# Samples whose regressors are held at a time: 28 MB.
+_PART = 6000
+FORCE, MOMENT = slice(0, 3), slice(3, 6)
+# Terms with a force.
+_PUSHING = np.array([not term.unit.startswith(("Nm", "kg")) for term in TERMS])
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """What lies between the wrench on the vehicle and its measurement.
+
+    Attributes:
+        rotor_delay_s: that rotor speeds act after they were measured.
+        force_bandwidth_hz: of the measured force, where it ends below that of the other signals.
+    """
+
+    rotor_delay_s: float = 0.0
+    force_bandwidth_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class PhysicalFlight:
+    """Samples of a flight that the physical model is fitted to.
+
+    Attributes:
+        name: of the flight.
+        time: (N,) s.
+        motion: MOTION (N,), rotor speeds not delayed.
+        rotor_jerks: (N, 4) rad/s³.
+        wrench: (N, 6) measured, N and Nm.
+    """
+
+    name: str
+    time: Array
+    motion: Records
+    rotor_jerks: Array
+    wrench: Array
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean sample rate."""
+        return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
+
+    def cut(self, keep: slice) -> PhysicalFlight:
+        """Some of the samples."""
+        arrays = {name: getattr(self, name)[keep] for name in ("time", "motion", "rotor_jerks", "wrench")}
+        return replace(self, **arrays)
+
+    def parts(self) -> Iterator[PhysicalFlight]:
+        """The flight in parts whose regressors fit into memory."""
+        count = -(-len(self.time) // _PART)
+        ends = np.linspace(0, len(self.time), count + 1).astype(int)
+        return (self.cut(slice(start, end)) for start, end in itertools.pairwise(ends))
+
+    def delayed(self, delay_s: float) -> PhysicalFlight:
+        """The flight with rotor speeds as they were so much earlier."""
+        motion = self.motion.copy()
+        motion["rotor_speeds"], motion["rotor_accelerations"] = delayed(
+            self.motion["rotor_speeds"], self.motion["rotor_accelerations"], self.rotor_jerks, delay_s
+        )
+        return replace(self, motion=motion)
+
+    def recorded(self, forces: Array, sensing: Sensing) -> Array:
+        """Forces (N, 3, K) in body axes as they would have been recorded."""
+        return band_limited(self.time, self.motion["rates"], forces, sensing.force_bandwidth_hz)
+
+    def regressors(self, vehicle: Records, sensing: Sensing) -> Array:
+        """Regressors (N, P, 6) of the wrench as it would have been recorded, for a PHYSICAL_VEHICLE (1,)."""
+        z = regressors(self.delayed(sensing.rotor_delay_s).motion, vehicle)
+        if sensing.force_bandwidth_hz is not None:
+            forces = np.ascontiguousarray(z[:, _PUSHING, FORCE].transpose(0, 2, 1))
+            z[:, _PUSHING, FORCE] = self.recorded(forces, sensing).transpose(0, 2, 1)
+        return z
+
+    def errors(self, values: Array, vehicle: Records, sensing: Sensing) -> Array:
+        """Measured less predicted wrench (N, 6), as recorded, for parameters (P,)."""
+        predicted = wrenches(self.delayed(sensing.rotor_delay_s).motion, vehicle, values)
+        predicted[:, FORCE] = self.recorded(predicted[:, FORCE, np.newaxis], sensing)[:, :, 0]
+        return self.wrench - predicted
+
+
+def thinned_rows(samples: TrainingSamples, flight: int) -> npt.NDArray[np.int64]:
+    """Samples of a flight that leave about 100 Hz.
+
+    Raises:
+        ModelError: naming the flight, for one that is too short.
+    """
+    rows = np.flatnonzero(samples.flight == flight)
+    time = samples.time[rows]
+    if len(rows) < 2 or time[-1] - time[0] < _SHORTEST_S:
+        name = samples.names[flight]
+        raise ModelError(f"{name}: the physical model needs {_SHORTEST_S:g} s or more in the air")
+    rate_hz = (len(rows) - 1) / (time[-1] - time[0])
+    return rows[:: max(1, round(rate_hz / _FIT_HZ))]
+
+
+def flights_of(samples: TrainingSamples) -> list[PhysicalFlight]:
+    """The flights of training samples, thinned to about 100 Hz.
+
+    Raises:
+        ModelError: naming the flight, for one that is too short.
+    """
+    flights = []
+    for k, name in enumerate(samples.names):
+        rows = thinned_rows(samples, k)
+        derivatives = samples.derivatives[rows]
+        motion = motions(samples.inputs[rows], derivatives, samples.vehicle)
+        flights.append(
+            PhysicalFlight(name, samples.time[rows], motion, derivatives["rotor_jerks"], samples.wrench[rows])
+        )
+    return flights
+
+
+def reference_thrust(flights: Sequence[PhysicalFlight]) -> float:
+    """Thrust of a rotor over the square of its speed [N s²], by least squares of the measured thrust.
+
+    Raises:
+        ModelError: where thrust does not grow with the rotor speeds.
+    """
+    squares = np.concatenate([np.sum(np.square(f.motion["rotor_speeds"]), axis=1) for f in flights])
+    thrust = np.concatenate([-f.wrench[:, 2] for f in flights])
+    coefficient = float(squares @ thrust / max(float(squares @ squares), 1.0))
+    if not coefficient > 0.0:
+        raise ModelError(f"{flights[0].name}: the measured force does not point up while the rotors turn")
+    return coefficient

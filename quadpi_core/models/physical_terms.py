@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The terms of the physical model: forces and moments of rotors and airframe, one parameter each.
+
+A wrench is Σ parameter · regressor, a regressor being six numbers (force and moment) that follow from the
+motion through the air and the rotor speeds. Rotor i at r_i with spin s_i and speed ω sees V + Ω × r_i =
+(u, v, w) with h = √(u² + v²) in its plane. Its forces go with ω² R² f(μ, λ) (blade-element theory), so the
+regressors are of degree two in ω and V_i, with two of degree three over ω for large advance ratios. v_i is
+the induced velocity of momentum theory at the rotor's own thrust.
+
+Sources: Leishman, Principles of Helicopter Aerodynamics (2006), 2.14 (inflow in climb, descent and forward
+flight) and 3.5 (thrust, in-plane force and torque of a rotor in forward flight); Mahony, Kumar and Corke,
+Multirotor aerial vehicles (2012), on blade flapping and the force in the rotor plane; Bangura and Mahony,
+Nonlinear dynamic modeling for high performance control of a quadrotor (2012), on translational lift; Svacha,
+Mohta and Kumar, Improving quadrotor trajectory tracking by compensating for aerodynamic effects (2017), on
+forces linear in speed; Bauersfeld et al., NeuroBEM (2021), on what blade elements leave out, the wakes of
+other rotors above all; Jategaonkar, Flight Vehicle System Identification (2015), on sensor positions and
+delays.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from quadpi_core.frames import Array
+from quadpi_core.vehicle import Vehicle
+
+# What a spread is measured in: k R^n with the reference thrust coefficient k [N s²] and rotor radius R, ½ρS
+# R^n with the rectangle S of the rotors, weight W, W R, length R, inertia about the vertical.
+Scale: TypeAlias = Literal["k/R3", "k/R2", "k/R", "k", "kR", "air", "air R", "air R2", "W", "W R", "R", "I"]
+# The flying that tells a parameter from the others.
+Manoeuvre: TypeAlias = Literal[
+    "hover",
+    "climbs and descents",
+    "forward and backward flight",
+    "sideways flight",
+    "fast flight in all directions",
+    "fast climbs and descents",
+    "yaw turns",
+    "fast rolls and pitches",
+    "quick changes of rotor speed",
+    "fast turns",
+]
+
+
+class Term(NamedTuple):
+    """A parameter of the physical model.
+
+    Attributes:
+        name: of the parameter.
+        meaning: of the parameter, in a few words.
+        unit: SI.
+        group: terms that are chosen or left out together; "" for those that are always there.
+        spread: prior standard deviation, in units of `scale`. Set on the NeuroBEM and Crazyflie flights of
+            the tests, the fastest included, so that most estimates lie within two of it.
+        scale: what it is measured in.
+        manoeuvre: that tells it.
+        mean: prior mean, in units of `scale`.
+        positive: physics does not allow a negative value.
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    group: str
+    spread: float
+    scale: Scale
+    manoeuvre: Manoeuvre
+    mean: float = 0.0
+    positive: bool = False
+
+
+_CLIMB: Manoeuvre = "climbs and descents"
+_FAST: Manoeuvre = "fast flight in all directions"
+_FAST_CLIMB: Manoeuvre = "fast climbs and descents"
+_FORWARD: Manoeuvre = "forward and backward flight"
+_SIDEWAYS: Manoeuvre = "sideways flight"
+_AGILE: Manoeuvre = "fast rolls and pitches"
+_YAW: Manoeuvre = "yaw turns"
+_TURNS: Manoeuvre = "fast turns"
+_QUICK: Manoeuvre = "quick changes of rotor speed"
+_N0, _N1, _N2, _N3, _M0 = "N s²", "N s²/m", "N s²/m²", "N s²/m³", "Nm s²"
+
+TERMS: tuple[Term, ...] = (
+    # Thrust along -z of each rotor, and its moments by the arms.
+    Term("thrust", "thrust per ω²", _N0, "", 1.0, "k", "hover", 1.0, True),
+    Term("thrust_axial", "thrust per ω w: less in climb", _N1, "", 5.0, "k/R", _CLIMB),
+    Term("thrust_induced", "thrust lost per ω v_i", _N1, "", 5.0, "k/R", _FAST),
+    Term("thrust_axial_square", "thrust per w|w|", _N2, "", 5.0, "k/R2", _FAST_CLIMB),
+    Term("thrust_in_plane", "translational lift per h²", _N2, "", 5.0, "k/R2", _FAST),
+    Term("thrust_advance", "thrust per ω h", _N1, "", 1.0, "k/R", _FAST),
+    Term("thrust_axial_in_plane", "thrust per w h", _N2, "", 15.0, "k/R2", _FAST_CLIMB),
+    Term("thrust_axial_induced", "thrust per w v_i", _N2, "", 15.0, "k/R2", _FAST_CLIMB),
+    Term("thrust_axial_even", "thrust per w²", _N2, "", 5.0, "k/R2", _FAST_CLIMB),
+    Term("thrust_in_plane_cubed", "thrust per h³/ω", _N3, "high advance", 30.0, "k/R3", _FAST),
+    Term("thrust_mixed_cubed", "thrust per h w²/ω", _N3, "high advance", 30.0, "k/R3", _FAST_CLIMB),
+    Term("thrust_incline_x", "per ω u: rotor planes inclined", _N1, "incline", 0.05, "k/R", _FORWARD),
+    Term("thrust_incline_y", "per ω v: rotor planes inclined", _N1, "incline", 0.05, "k/R", _SIDEWAYS),
+    Term("thrust_rotor_1", "thrust of rotor 1 over that of 4, per ω²", _N0, "rotors", 0.05, "k", "hover"),
+    Term("thrust_rotor_2", "thrust of rotor 2 over that of 4, per ω²", _N0, "rotors", 0.05, "k", "hover"),
+    Term("thrust_rotor_3", "thrust of rotor 3 over that of 4, per ω²", _N0, "rotors", 0.05, "k", "hover"),
+    # Moments of thrust by the arms differ: the flow is not uniform, and arms are not those of the file.
+    Term("arm_thrust", "moment of thrust per ω² beside the arms", _N0, "", 0.3, "k", _AGILE),
+    Term("arm_x", "moment about y per ω² beside the arms", _N0, "", 0.3, "k", _AGILE),
+    Term("arm_axial", "moment of thrust per ω w", _N1, "arms", 3.0, "k/R", _CLIMB),
+    Term("arm_induced", "moment of thrust per ω v_i", _N1, "arms", 3.0, "k/R", _FAST),
+    Term("arm_in_plane", "moment of thrust per h²", _N2, "arms", 5.0, "k/R2", _FAST),
+    Term("arm_advance", "moment of thrust per ω h", _N1, "arms", 1.0, "k/R", _FAST),
+    Term("arm_axial_in_plane", "moment of thrust per w h", _N2, "arms", 5.0, "k/R2", _FAST_CLIMB),
+    # Rotors in the wake of others lose thrust; the airframe takes up the moment.
+    Term("wake_x", "thrust per ω u, front less rear", _N1, "wakes", 5.0, "k/R", _FORWARD),
+    Term("wake_y", "thrust per ω v, right less left", _N1, "wakes", 5.0, "k/R", _SIDEWAYS),
+    Term("wake_axial_x", "thrust per w u, front less rear", _N2, "wakes", 20.0, "k/R2", _AGILE),
+    Term("wake_axial_y", "thrust per w v, right less left", _N2, "wakes", 20.0, "k/R2", _AGILE),
+    Term("thrust_forward", "thrust per ω|u|, beside its moments", _N1, "wakes", 1.0, "k/R", _FORWARD),
+    Term("thrust_sideways", "thrust per ω|v|, beside its moments", _N1, "wakes", 1.0, "k/R", _SIDEWAYS),
+    Term("wake_moment_x", "moment of it per ω u, front less rear", _N1, "wakes", 0.5, "k/R", _FORWARD),
+    Term("wake_moment_y", "moment of it per ω v, right less left", _N1, "wakes", 0.5, "k/R", _SIDEWAYS),
+    # Torque of each rotor.
+    Term("torque", "torque per ω²", _M0, "", 0.3, "kR", _YAW, 0.2, True),
+    Term("torque_axial", "torque per ω w", _N0, "torque", 0.5, "k", _CLIMB),
+    Term("torque_induced", "torque per ω v_i", _N0, "torque", 0.5, "k", _FAST),
+    Term("torque_advance", "torque per ω h", _N0, "torque", 0.5, "k", _FAST),
+    Term("torque_rotor_1", "torque of rotor 1 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", "hover"),
+    Term("torque_rotor_2", "torque of rotor 2 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", "hover"),
+    Term("torque_rotor_3", "torque of rotor 3 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", "hover"),
+    # Force in the rotor plane, along and across its motion, with the yaw moment by the arms.
+    Term("rotor_drag", "force along -(u, v) per ω", _N1, "", 1.0, "k/R", _FORWARD),
+    Term("rotor_drag_advance", "force along -(u, v) per h", _N2, "rotor drag", 10.0, "k/R2", _FAST),
+    Term("rotor_drag_axial", "force along -(u, v) per w", _N2, "rotor drag", 2.0, "k/R2", _FAST_CLIMB),
+    Term("rotor_drag_induced", "force along -(u, v) per v_i", _N2, "rotor drag", 2.0, "k/R2", _FAST),
+    Term("rotor_side", "force across (u, v) per ω", _N1, "rotor side", 0.5, "k/R", _YAW),
+    Term("rotor_side_advance", "force across (u, v) per h", _N2, "rotor side", 1.0, "k/R2", _FAST),
+    Term("rotor_side_axial", "force across (u, v) per w", _N2, "rotor side", 1.0, "k/R2", _FAST_CLIMB),
+    Term("rotor_side_induced", "force across (u, v) per v_i", _N2, "rotor side", 1.0, "k/R2", _FAST),
+    # Moments at the hub: flapping and the height of the rotor plane above the centre of gravity.
+    Term("hub_height", "moment of the force along, per ω", _N0, "", 1.5, "k", _FORWARD),
+    Term("hub_height_advance", "moment of the force along, per h", _N1, "hub", 1.0, "k/R", _FAST),
+    Term("hub_height_induced", "moment of the force along, per v_i", _N1, "hub", 1.0, "k/R", _FAST),
+    Term("hub_roll", "moment along (u, v) times spin, per ω", _N0, "hub", 0.5, "k", _FAST),
+    Term("hub_roll_induced", "moment along (u, v) times spin, per v_i", _N1, "hub", 1.0, "k/R", _FAST),
+    # The airframe in the flow of the rotors, and in its own.
+    Term("body_x_speed", "force x per mean ω u", _N1, "body in wake", 4.0, "k/R", _FORWARD),
+    Term("body_y_speed", "force y per mean ω v", _N1, "body in wake", 4.0, "k/R", _SIDEWAYS),
+    Term("body_x_induced", "force x per v_i u", _N2, "body in wake", 1.0, "air", _FORWARD),
+    Term("body_y_induced", "force y per v_i v", _N2, "body in wake", 1.0, "air", _SIDEWAYS),
+    Term("body_x_cross", "force x per mean ω v", _N1, "cross flow", 1.0, "k/R", _SIDEWAYS),
+    Term("body_y_cross", "force y per mean ω u", _N1, "cross flow", 1.0, "k/R", _FORWARD),
+    Term("body_x_downwash", "force x per v_i w", _N2, "downwash", 0.2, "air", _CLIMB),
+    Term("body_y_downwash", "force y per v_i w", _N2, "downwash", 0.2, "air", _CLIMB),
+    Term("body_roll_downwash", "moment x per v_i w", _N1, "downwash", 0.4, "air R", _CLIMB),
+    Term("body_pitch_downwash", "moment y per v_i w", _N1, "downwash", 0.4, "air R", _CLIMB),
+    Term("drag_x", "force along -x per u|u|", _N2, "drag", 2.0, "air", _FORWARD),
+    Term("drag_y", "force along -y per v|v|", _N2, "drag", 2.0, "air", _SIDEWAYS),
+    Term("drag_z", "force along -z per w|w|", _N2, "drag", 2.0, "air", _FAST_CLIMB),
+    Term("drag_x_speed", "force along -x per u|V|", _N2, "drag", 2.0, "air", _FORWARD),
+    Term("drag_y_speed", "force along -y per v|V|", _N2, "drag", 2.0, "air", _SIDEWAYS),
+    Term("drag_z_speed", "force along -z per w|V|", _N2, "drag", 2.0, "air", _FAST_CLIMB),
+    Term("lift_w_u", "force along -z per w|u|", _N2, "lift", 2.0, "air", _FORWARD),
+    Term("lift_w_v", "force along -z per w|v|", _N2, "lift", 2.0, "air", _SIDEWAYS),
+    Term("lift_x", "force x per u w", _N2, "lift", 4.0, "air", _FORWARD),
+    Term("lift_y", "force y per v w", _N2, "lift", 4.0, "air", _SIDEWAYS),
+    Term("pitch_u", "moment y per u|V|", _N1, "body moment", 1.5, "air R", _FORWARD),
+    Term("pitch_uw", "moment y per u w", _N1, "body moment", 1.5, "air R", _FORWARD),
+    Term("roll_v", "moment x per v|V|", _N1, "body moment", 1.5, "air R", _SIDEWAYS),
+    Term("roll_vw", "moment x per v w", _N1, "body moment", 1.5, "air R", _SIDEWAYS),
+    Term("yaw_uv", "moment z per u v", _N1, "body moment", 1.5, "air R", _FAST),
+    Term("yaw_v", "moment z per v|V|", _N1, "body moment", 1.5, "air R", _SIDEWAYS),
+    # Damping, inertia of the rotors, products of inertia.
+    Term("damping_p", "moment along -p per |V|", _N0, "damping", 5.0, "air R2", _AGILE),
+    Term("damping_q", "moment along -q per |V|", _N0, "damping", 5.0, "air R2", _AGILE),
+    Term("damping_r", "moment along -r per |V|", _N0, "damping", 5.0, "air R2", _YAW),
+    Term("rotor_inertia_gyro", "rotor inertia by its gyroscopic moment", "kg m²", "spin", 3e-3, "I", _AGILE),
+    Term("rotor_inertia_spin", "rotor inertia while it speeds up", "kg m²", "spin", 3e-3, "I", _QUICK),
+    Term("inertia_x", "error of (I_z - I_y), by q r", "kg m²", "inertia", 0.1, "I", _TURNS),
+    Term("inertia_y", "error of (I_x - I_z), by r p", "kg m²", "inertia", 0.1, "I", _TURNS),
+    Term("inertia_z", "error of (I_y - I_x), by p q", "kg m²", "inertia", 0.1, "I", _TURNS),
+    # Sensors and mounting.
+    Term("bias_x", "force x at rest", "N", "", 0.005, "W", "hover"),
+    Term("bias_y", "force y at rest", "N", "", 0.005, "W", "hover"),
+    Term("bias_z", "force z at rest", "N", "", 0.005, "W", "hover"),
+    Term("bias_roll", "moment x at rest", "Nm", "", 0.02, "W R", "hover"),
+    Term("bias_pitch", "moment y at rest", "Nm", "", 0.02, "W R", "hover"),
+    Term("bias_yaw", "moment z at rest", "Nm", "", 0.02, "W R", "hover"),
+    Term("incline_x", "force x per ω²: IMU inclined", _N0, "", 0.03, "k", "hover"),
+    Term("incline_y", "force y per ω²: IMU inclined", _N0, "", 0.03, "k", "hover"),
+    Term("gravity_centre_x", "moment y per ω²: CG off x", _M0, "", 0.05, "kR", "hover"),
+    Term("gravity_centre_y", "moment x per ω²: CG off y", _M0, "", 0.05, "kR", "hover"),
+    Term("imu_x", "x of the accelerometer from the CG", "m", "imu position", 0.3, "R", _AGILE),
+    Term("imu_y", "y of the accelerometer from the CG", "m", "imu position", 0.3, "R", _AGILE),
+    Term("imu_z", "z of the accelerometer from the CG", "m", "imu position", 0.3, "R", _AGILE),
+)  # fmt: skip
+TERM_NAMES = tuple(term.name for term in TERMS)
+TERM_INDEX = {name: index for index, name in enumerate(TERM_NAMES)}
+
+
+def scales(vehicle: Vehicle, reference_thrust: float) -> Array:
+    """Value (P,) in SI units of the scale of each term."""
+    k, radius = reference_thrust, vehicle.rotor_radius_m
+    half_length, half_width, _ = np.abs(vehicle.rotor_positions).mean(axis=0)
+    air = 2.0 * vehicle.air_density_kg_m3 * half_length * half_width
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    values: dict[Scale, float] = {
+        "k/R3": k / radius**3,
+        "k/R2": k / radius**2,
+        "k/R": k / radius,
+        "k": k,
+        "kR": k * radius,
+        "air": air,
+        "air R": air * radius,
+        "air R2": air * radius**2,
+        "W": weight,
+        "W R": weight * radius,
+        "R": radius,
+        "I": float(vehicle.inertia[2, 2]),
+    }
+    return np.array([values[term.scale] for term in TERMS])

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.models.fitted_physical import CompiledPhysical, FittedPhysical, PhysicalParameters
+from quadpi_core.models.fitted_polynomial import SpreadShape
+from quadpi_core.models.interval_rules import NormalRule
+from quadpi_core.models.physical_fit import FitStep
+from quadpi_core.models.physical_flight import Sensing
+from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, acting_terms, physical_vehicle
+from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from test.core.models.physical_flights import (
+    REFERENCE,
+    VEHICLE,
+    derivatives_of,
+    inputs_of,
+    known_parameters,
+    swept,
+)
+
+
+def fitted(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> FittedPhysical:
+    """An axis of the known model, whose terms all have the same leverage."""
+    parameters = known_parameters()
+    for name, value in values.items():
+        parameters[TERM_INDEX[name]] = value
+    acting = np.flatnonzero(acting_terms()[:, AXES.index(axis)])
+    shared = PhysicalParameters(
+        parameters,
+        np.ones(len(TERMS)),
+        physical_vehicle(VEHICLE, REFERENCE),
+        VEHICLE.inertia,
+        Sensing(delay_s),
+        {"drag_x": "not told"},
+        (("thrust", "thrust_induced", 0.99),),
+        (FitStep("rotor delay", "0 ms", 1.0),),
+    )
+    shape = SpreadShape(1.0, 0.01)
+    return FittedPhysical(shared, 1e-6 * np.eye(len(acting)), acting, shape, NormalRule(), 1.0)
+
+
+def test_the_prediction_is_that_of_the_terms() -> None:
+    flight = swept(1.0, 0, delay_s=0.005, noise=0.0)
+    axes = {axis: fitted(axis, delay_s=0.005, rotor_inertia_spin=1e-6) for axis in AXES}
+    result = CompiledPhysical(axes).evaluate(inputs_of(flight), np.ones(6), derivatives_of(flight))
+    scale = np.std(flight.wrench, axis=0)
+    assert np.all(np.abs(result.predicted - flight.wrench).max(axis=0) < 0.1 * scale)
+    assert np.all(result.leverage > 0.0)
+    np.testing.assert_allclose(result.upper - result.predicted, result.predicted - result.lower, rtol=1e-9)
+
+
+def test_a_sample_has_the_same_bits_alone_and_in_a_block() -> None:
+    flight = swept(1.0, 0)
+    compiled = CompiledPhysical({axis: fitted(axis) for axis in AXES})
+    inputs, derivatives = inputs_of(flight), derivatives_of(flight)
+    block = compiled.evaluate(inputs, np.ones(6), derivatives)
+    for k in (0, 17, 99):
+        alone = compiled.evaluate(inputs[k : k + 1], np.ones(6), derivatives[k : k + 1])
+        for whole, one in zip(block, alone, strict=True):
+            np.testing.assert_array_equal(whole[k], one[0])
+
+
+def test_an_accelerometer_off_the_centre_feels_the_angular_acceleration() -> None:
+    """The measured one where it is known, else that of the predicted moments."""
+    flight = swept(1.0, 0)
+    inputs, derivatives = inputs_of(flight), derivatives_of(flight)
+    here, there = (CompiledPhysical({"Fz": fitted("Fz", imu_x=x)}) for x in (0.0, 0.02))
+    change = (
+        there.evaluate(inputs, np.ones(6), derivatives).predicted
+        - here.evaluate(inputs, np.ones(6), derivatives).predicted
+    )[:, 2]
+    p, _, r = flight.motion["rates"].T
+    expected = 0.02 * VEHICLE.mass_kg * (p * r - flight.motion["angular_acceleration"][:, 1])
+    np.testing.assert_allclose(change, expected, atol=1e-9)
+    without, with_lever = (one.evaluate(inputs, np.ones(6)).predicted[:, 2] for one in (here, there))
+    assert np.std(with_lever - without - expected) > 1e-3
+
+
+def test_an_axis_reads_what_it_stored() -> None:
+    own = fitted()
+    read = FittedPhysical.stored(own.to_json(), own.arrays())
+    np.testing.assert_array_equal(read.parameters.values, own.parameters.values)
+    assert (read.terms, read.shape, read.parameters.sensing) == (own.terms, own.shape, own.parameters.sensing)
+    assert read.parameters.notes == own.parameters.notes
+    assert read.parameters.worst_pairs == own.parameters.worst_pairs
+    assert read.parameters.log == own.parameters.log
+
+
+def _vehicle(**changed: Any) -> dict[str, Any]:
+    record = physical_vehicle(VEHICLE, REFERENCE)
+    for name, value in changed.items():
+        record[name] = value
+    return {"vehicle": record.view(np.float64)}
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"whitening": np.zeros(3)}, "whitening of shape"),
+        ({"vehicle": np.zeros(3)}, "vehicle of shape"),
+        ({"values": np.zeros(3)}, "values of shape"),
+        ({"standard_errors": -np.ones(len(TERMS))}, "standard_errors: a negative one"),
+        ({"inertia": -np.eye(3)}, "inertia: not that of a body"),
+        ({"inertia": np.eye(3) + np.eye(3, k=1)}, "inertia: not that of a body"),
+        (_vehicle(mass=0.0), "vehicle: mass must be positive, is 0"),
+        (_vehicle(disc=-1.0), "vehicle: disc must be positive"),
+        (_vehicle(reference_thrust=0.0), "vehicle: reference_thrust must be positive"),
+        (_vehicle(spins=[2.0, -2.0, 2.0, -2.0]), "a rotor in each quadrant"),
+        (_vehicle(positions=np.ones((4, 3))), "a rotor in each quadrant"),
+    ],
+)
+def test_arrays_that_no_fit_gives_are_refused(damage: dict[str, Any], message: str) -> None:
+    own = fitted()
+    with pytest.raises(ModelError, match=message):
+        FittedPhysical.stored(own.to_json(), {**own.arrays(), **damage})
+
+
+def test_parameters_of_another_version_are_refused() -> None:
+    own = fitted()
+    with pytest.raises(ModelError, match="parameter 'warp' is not known to this version"):
+        FittedPhysical.stored({**own.to_json(), "acting": ["warp"]}, own.arrays())
+    assert PHYSICAL_VEHICLE.itemsize == 8 * 19

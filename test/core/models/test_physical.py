@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
+from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.kind_registry import kind_named
+from quadpi_core.models.model_kind import Evaluation, Fit, IdentifyOptions, interval_factors
+from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_terms import TERM_INDEX
+from quadpi_core.parallel import ignore_progress
+from test.core.models.physical_flights import (
+    NOISE,
+    derivatives_of,
+    flown,
+    inputs_of,
+    known_parameters,
+    samples_of,
+    swept,
+)
+
+KIND = kind_named("physical")
+OPTIONS = IdentifyOptions(method="physical")
+
+
+def evaluated(fit: Fit, flight: PhysicalFlight) -> Evaluation:
+    evaluate = KIND.evaluator(KIND.compile(fit.axes))
+    return evaluate(inputs_of(flight), interval_factors(fit.axes, 0.95), derivatives_of(flight))
+
+
+def pools(*axes: str) -> dict[str, CandidatePool]:
+    return {axis: CandidatePool((), ()) for axis in axes}
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    samples = samples_of([flown(20.0, seed) for seed in (1, 2, 3)])
+    return KIND.fit(samples, pools(*AXES), OPTIONS, ignore_progress)
+
+
+def test_flights_unseen_and_faster_are_predicted_and_covered(fit: Fit) -> None:
+    faster = flown(20.0, 9, speed=6.0)
+    result = evaluated(fit, faster)
+    errors = np.sqrt(np.mean(np.square(faster.wrench - result.predicted), axis=0))
+    assert np.all(errors < 1.5 * NOISE)
+    inside = (result.lower <= faster.wrench) & (faster.wrench <= result.upper)
+    assert np.all(np.mean(inside, axis=0) > 0.9)
+    assert np.all(result.leverage > 0.0)
+
+
+def test_parameters_are_those_that_flew_in_every_axis(fit: Fit) -> None:
+    k = TERM_INDEX["torque"]
+    values = {axis: own.parameters.values[k] for axis, own in fit.axes.items()}  # type: ignore[attr-defined]
+    assert len(set(values.values())) == 1
+    assert values["Mz"] == pytest.approx(known_parameters()[k], rel=0.1)
+    assert "torque" in fit.axes["Mz"].terms
+    assert "torque" not in fit.axes["Fx"].terms
+
+
+def test_a_stored_model_is_read_with_the_same_bits(fit: Fit) -> None:
+    stored = KIND.store(fit.axes)
+    read = Fit(KIND.read(stored))
+    for before, after in zip(evaluated(fit, flown(1.0, 4)), evaluated(read, flown(1.0, 4)), strict=True):
+        np.testing.assert_array_equal(before, after)
+    lines = stored.files["parameters.csv"].decode().splitlines()
+    assert lines[0] == "parameter,value,standard_error,unit,meaning,note"
+    assert lines[1].startswith("thrust,")
+    # What the axes share is stored once.
+    assert sorted(name for name in stored.arrays if "." not in name) == [
+        "inertia",
+        "standard_errors",
+        "values",
+        "vehicle",
+    ]
+
+
+def test_a_folder_without_its_fit_is_refused(fit: Fit) -> None:
+    with pytest.raises(ModelError, match=r"fit\.json: missing"):
+        KIND.read(replace(KIND.store(fit.axes), files={}))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"rotor_delay_s": -1.0}, "Fx: .*rotor_delay_s"),
+        ({"force_bandwidth_hz": 0.0}, "Fx: .*force_bandwidth_hz"),
+        ({"parameters": ["warp"]}, "parameter 'warp' is not known to this version"),
+        ({"worst_pairs": [["thrust", "warp", 0.9]]}, "parameter 'warp' is not known"),
+        ({"log": [{"step": "", "of": "", "error": 1.0}]}, "Fx: .*log"),
+    ],
+)
+def test_a_fit_file_that_no_fit_gives_is_refused(fit: Fit, damage: dict[str, Any], message: str) -> None:
+    stored = KIND.store(fit.axes)
+    content = {**json.loads(stored.files["fit.json"]), **damage}
+    with pytest.raises(ModelError, match=message):
+        KIND.read(replace(stored, files={"fit.json": json.dumps(content).encode()}))
+
+
+def test_facts_are_parameters_pairs_and_log(fit: Fit) -> None:
+    parameters, pairs, log = KIND.facts(fit.axes)
+    assert parameters.note == "rotor speeds act 0 ms after they were measured"
+    assert parameters.rows[0][0] == "thrust"
+    assert abs(float(pairs.rows[0][2])) > 0.9
+    assert {row[0] for row in log.rows} >= {"rotor delay", "force bandwidth", "gain of a group kept"}
+
+
+def test_errors_are_judged_by_forces_as_they_were_recorded() -> None:
+    """Errors of flights left out are those of forces smoothed alike."""
+    flights = []
+    for flight in (swept(20.0, seed, noise=0.1, fastest_hz=20.0) for seed in (1, 2)):
+        wrench = flight.wrench.copy()
+        wrench[:, :3] = flight.recorded(wrench[:, :3, np.newaxis], Sensing(0.0, 7.0))[:, :, 0]
+        flights.append(replace(flight, wrench=wrench))
+    smoothed = KIND.fit(samples_of(flights), pools("Fz"), OPTIONS, ignore_progress)
+    bandwidth = KIND.force_bandwidth_hz(smoothed.axes)
+    assert bandwidth is not None
+    assert "smoothed alike" in KIND.facts(smoothed.axes)[0].note
+    raw = evaluated(smoothed, flights[0]).predicted[:, 2]
+    unsmoothed = np.std(flights[0].wrench[:, 2] - raw)
+    assert np.std(smoothed.held_out["Fz"][0].error) < 0.3 * unsmoothed
+
+
+def test_some_axes_alone_give_the_same_parameters(fit: Fit) -> None:
+    samples = samples_of([flown(20.0, seed) for seed in (1, 2, 3)])
+    alone = KIND.fit(samples, pools("Fz"), OPTIONS, ignore_progress)
+    assert list(alone.axes) == ["Fz"]
+    np.testing.assert_allclose(alone.axes["Fz"].parameters.values, fit.axes["Fz"].parameters.values)  # type: ignore[attr-defined]
+    result = KIND.compile(alone.axes).evaluate(samples.inputs[:5], interval_factors(alone.axes, 0.95))
+    assert np.all(result.predicted[:, 2] < 0.0)
+    assert np.all(result.predicted[:, :2] == 0.0)

@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
+from test.core.models.physical_flights import NOISE, VEHICLE, flown, known_parameters
+
+
+def fitted(flights: list[PhysicalFlight]) -> PhysicalFit:
+    return PhysicalStudy.of(flights, VEHICLE, sensing=Sensing()).fit(choose=False)
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[PhysicalFlight]:
+    return [flown(20.0, seed) for seed in (1, 2, 3)]
+
+
+def test_the_parameters_that_flew_lie_in_their_intervals(flights: list[PhysicalFlight]) -> None:
+    fit = fitted(flights)
+    score = np.abs(fit.values - known_parameters()) / fit.standard_errors
+    assert np.mean(score < 1.96) >= 0.9
+    thrust = TERM_INDEX["torque"]
+    assert fit.values[thrust] == pytest.approx(known_parameters()[thrust], rel=0.1)
+    np.testing.assert_allclose(fit.noise, NOISE, rtol=0.1)
+    # Errors of white noise are all independent.
+    assert np.all(fit.independent_hz > 50.0)
+
+
+def test_standard_errors_hold_where_errors_change_slowly() -> None:
+    """Errors that stay for two seconds are fewer than an axis weighs by at least."""
+    rng, truth = np.random.default_rng(5), known_parameters()
+    scores = []
+    for seed in (11, 12):
+        slow = []
+        for flight in (flown(30.0, seed, noise=0.0), flown(30.0, seed + 20, noise=0.0)):
+            held = rng.normal(size=(len(flight.time) // 200 + 1, 6)).repeat(200, axis=0)[: len(flight.time)]
+            slow.append(replace(flight, wrench=flight.wrench + NOISE * held))
+        fit = fitted(slow)
+        assert np.median(fit.independent_hz) < 1.0
+        told = fit.standard_errors < 0.5 * fit.spreads
+        scores.append((np.abs(fit.values - truth) / fit.standard_errors)[told])
+    assert np.mean(np.concatenate(scores) < 1.96) > 0.9
+
+
+def test_errors_that_hang_together_widen_standard_errors(flights: list[PhysicalFlight]) -> None:
+    white = fitted(flights)
+    rng = np.random.default_rng(0)
+    slow = []
+    for flight in flights:
+        steps = NOISE * rng.normal(size=(len(flight.time) // 50 + 2, 6))
+        slow.append(
+            replace(
+                flight,
+                wrench=flight.wrench
+                + np.stack(
+                    [np.interp(flight.time / 0.5, range(len(steps)), column) for column in steps.T], 1
+                ),
+            )
+        )
+    coloured = fitted(slow)
+    assert np.all(coloured.independent_hz < 0.2 * white.independent_hz)
+    told = white.standard_errors < 0.1 * white.spreads
+    assert np.median(coloured.standard_errors[told] / white.standard_errors[told]) > 2.0
+
+
+def test_hover_tells_little_and_says_what_to_fly() -> None:
+    fit = fitted([flown(10.0, 1, speed=0.0)])
+    assert {"drag_x", "rotor_side", "inertia_z", "damping_r"} <= set(fit.untold)
+    assert fit.notes["drag_x"] == "not told by these flights: fly forward and backward flight"
+    assert "thrust" not in fit.untold
+
+
+def test_a_negative_torque_is_held_at_its_bound() -> None:
+    flight = flown(10.0, 1)
+    wrench = flight.wrench.copy()
+    turning = np.square(flight.motion["rotor_speeds"]) @ VEHICLE.rotor_spins
+    wrench[:, 5] += 5.0 * known_parameters()[TERM_INDEX["torque"]] * turning
+    fit = fitted([replace(flight, wrench=wrench)])
+    assert fit.at_bound == ["torque"]
+    assert fit.notes["torque"] == "at its lower bound, 0"
+
+
+def test_pairs_that_are_told_apart_worst_come_first(flights: list[PhysicalFlight]) -> None:
+    pairs = fitted(flights).worst_pairs(4)
+    sizes = [abs(correlation) for _, _, correlation in pairs]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > 0.9
+    assert {name for first, second, _ in pairs for name in (first, second)} <= set(TERM_NAMES)

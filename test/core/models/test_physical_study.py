@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.physical_terms import TERM_INDEX
+from test.core.models.physical_flights import NOISE, VEHICLE, flown, swept
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.0075])
+@pytest.mark.parametrize("noise", [0.1, 2.0])
+def test_the_delay_of_rotor_speeds_is_found(delay_s: float, noise: float) -> None:
+    flights = [swept(10.0, seed, delay_s=delay_s, noise=noise) for seed in (1, 2)]
+    study = PhysicalStudy.of(flights, VEHICLE)
+    assert study.sensing == Sensing(delay_s, None)
+    assert [step.of for step in study.log[:2]] == ["0 ms", "2.5 ms"]
+
+
+def test_the_bandwidth_of_a_smoothed_force_is_found() -> None:
+    smooth = []
+    for flight in (swept(20.0, seed, noise=0.1, fastest_hz=20.0) for seed in (1, 2)):
+        wrench = flight.wrench.copy()
+        wrench[:, :3] = flight.recorded(wrench[:, :3, np.newaxis], Sensing(0.0, 7.0))[:, :, 0]
+        smooth.append(replace(flight, wrench=wrench))
+    found = PhysicalStudy.of(smooth, VEHICLE).sensing.force_bandwidth_hz
+    assert found is not None
+    assert 6.0 <= found <= 8.0
+
+
+def test_flights_left_out_are_predicted_as_well_as_noise_allows() -> None:
+    flights = [flown(20.0, seed) for seed in (1, 2, 3)]
+    study = PhysicalStudy.of(flights, VEHICLE, sensing=Sensing())
+    fit = study.fit(choose=True, left_out=0)
+    faster = flown(20.0, 9, speed=6.0)
+    for flight in (flights[0], faster):
+        squares = np.square(flight.errors(fit.values, fit.record, fit.sensing))
+        assert np.all(np.sqrt(np.mean(squares, axis=0)) < 1.5 * NOISE)
+    gains = {step.of: step.error for step in fit.log if step.step == "gain of a group kept"}
+    assert gains["rotor drag"] > -0.05
+
+
+def test_a_group_that_harms_flights_left_out_leaves() -> None:
+    """Products of rates that act one way on one flight and the other way on the next."""
+
+    def with_products(flight: PhysicalFlight, sign: float) -> PhysicalFlight:
+        wrench, rates = flight.wrench.copy(), flight.motion["rates"]
+        wrench[:, 5] += sign * 2e-3 * rates[:, 0] * rates[:, 1]
+        return replace(flight, wrench=wrench)
+
+    flights = [with_products(swept(20.0, seed, noise=0.1), sign) for seed, sign in ((1, 1.0), (2, -1.0))]
+    fit = PhysicalStudy.of(flights, VEHICLE, sensing=Sensing()).fit(choose=True)
+    assert "without inertia" in {step.of for step in fit.log}
+    assert not fit.kept[TERM_INDEX["inertia_z"]]
+    assert fit.kept[TERM_INDEX["thrust"]]
+
+
+def test_no_flights_are_refused() -> None:
+    with pytest.raises(ModelError, match="no flights"):
+        PhysicalStudy.of([], VEHICLE)
