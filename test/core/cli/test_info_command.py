@@ -19,6 +19,7 @@ MODEL = {
     "axes",
     "flights",
     "envelope",
+    "facts",
 }
 
 
