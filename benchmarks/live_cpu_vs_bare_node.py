@@ -25,6 +25,8 @@ NAMES = ("live_cpu_vs_bare_node", "live_dropped")
 
 BARE = "benchmarks.bare_node"
 PLAYED_S = 20.0
+# Until the last messages have come, long after them.
+AFTERWARDS_S = 1.0
 TOPICS = ("imu", "rotor_speeds", "mocap/pose")
 
 
@@ -76,6 +78,7 @@ def measure(module: str, parameters: tuple[str, ...], bag: Path) -> Run:
             before_s = nodes.cpu_seconds()
             managed = () if module == BARE else ("estimator", "monitor")
             imu_sent = play(bag, TOPICS, 1.0, folder, nodes, collector, managed)["imu"]
+            collector.spin(AFTERWARDS_S)
             cpu_s = nodes.cpu_seconds() - before_s
         predicted_ns, arrived_ns = collector.predictions().time_ns, collector.arrived_ns
     stamps_ns, sent_ns = imu_sent.T

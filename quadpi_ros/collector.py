@@ -146,9 +146,13 @@ class Collector(Listener):
     Args:
         start_ns: stamp from which the seconds of an alarm change count.
         on_alarm: called at once for every change of the alarm.
+
+    Attributes:
+        silent_ns: stamp of the newest alarm that reports silence; None if a sample was judged since.
     """
 
     def __init__(self, start_ns: int, on_alarm: Callable[[AlarmChange], None] | None = None) -> None:
+        self.silent_ns: int | None = None
         self._follower = AlarmFollower(start_ns)
         self._on_alarm = on_alarm
         self._odometry: list[bytes] = []
@@ -169,10 +173,6 @@ class Collector(Listener):
         """(P,) arrival of each prediction, monotonic clock."""
         return np.array(self._arrived_ns, dtype=np.int64)
 
-    def silent_for(self, seconds: float) -> bool:
-        """Whether no prediction has arrived for that long."""
-        return not self._arrived_ns or time.monotonic_ns() - self._arrived_ns[-1] > 1e9 * seconds
-
     def odometry(self) -> Payloads:
         """Messages of all states so far."""
         return Payloads.join(self._odometry)
@@ -188,11 +188,14 @@ class Collector(Listener):
     def _take_prediction(self, payload: bytes) -> None:
         self._arrived_ns.append(time.monotonic_ns())
         self._predictions.append(payload)
+        self.silent_ns = None
 
     def _take_alarm(self, payload: bytes) -> None:
         alarm = result_messages.unpack_alarms(payload)
         if not alarm.of_samples.all():
+            self.silent_ns = int(alarm.time_ns[0])
             return
+        self.silent_ns = None
         self._alarms.append(payload)
         change = self._follower.follow(alarm)
         if change is not None and self._on_alarm is not None:

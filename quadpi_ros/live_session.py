@@ -18,18 +18,18 @@ from quadpi_core.frames import Array
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.monitor.alarm import alarm_time
+from quadpi_core.monitor.health import SILENT_S
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Predictions, ReportedAlarms
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.player import START_TIMEOUT_S, Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain
 
-# On a busy machine, time until the first prediction, and silence after which no more are expected.
-_FIRST_TIMEOUT_S = 20.0
-_SILENCE_S = 1.0
+# A busy machine may hold the nodes up for seconds; one that needs longer to judge what it has loses samples.
+REST_TIMEOUT_S = 60.0
 
 
 class SessionError(QuadpiError):
-    """The live nodes do not run or publish nothing."""
+    """The live nodes do not run, publish nothing or do not come to rest."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def run_session(
     parameters: Mapping[str, object] | None = None,
     on_alarm: Callable[[AlarmChange], None] | None = None,
 ) -> SessionResult:
-    """Start the live nodes, play the bag through them and collect their output until they fall silent.
+    """Start the live nodes, play the bag through them and collect their output until all of it is judged.
 
     Nodes and player are child processes in a reserved ROS domain on this machine; they end with the call.
 
@@ -101,7 +101,7 @@ def run_session(
 
     Raises:
         PlayerError: if the bag lacks a topic.
-        SessionError: if no prediction comes.
+        SessionError: if no prediction comes, or the nodes do not come to rest.
         ChildError: if a process fails.
         LogError: if the bag cannot be read.
     """
@@ -123,6 +123,7 @@ def run_session(
         ) as live:
             await_start(live, collector)
             sent = play(bag, inputs.topics, rate, folder, live, collector)
+            await_rest(live, collector, int(sent["imu"][-1, 0]))
         return _result(bag, collector, sent["imu"], stamps[inputs.rotor_topic])
 
 
@@ -147,7 +148,7 @@ def play(
     collector: Collector,
     managed: Sequence[str] = ("estimator", "monitor"),
 ) -> dict[str, Stamps]:
-    """Play topics of a bag through running nodes and collect their output until they fall silent.
+    """Play topics of a bag through running nodes, and collect what they publish meanwhile.
 
     The player waits until the `managed` nodes are active.
 
@@ -166,12 +167,40 @@ def play(
     arguments += ("--nodes", *managed) if managed else ()
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())
-    collector.spin_until(lambda: nodes.finished() or len(collector.arrived_ns) > 0, _FIRST_TIMEOUT_S)
-    collector.spin_until(lambda: nodes.finished() or collector.silent_for(_SILENCE_S))
-    if nodes.finished():
-        raise SessionError("the live nodes ended before the flight did")
+    _require_running(nodes)
     with np.load(sent_file) as sent:
         return dict(sent)
+
+
+def await_rest(nodes: Child, collector: Collector, last_ns: int) -> None:
+    """Collect what nodes publish until nothing is under way, after the end of a flight.
+
+    The monitor says so: its clock goes on while nothing comes, and stamps an alarm :data:`SILENT_S` after the
+    newest sample that it has judged.
+
+    Args:
+        nodes: with a monitor.
+        collector: of their output.
+        last_ns: stamp of the last IMU sample that was sent.
+
+    Raises:
+        SessionError: if they end, or do not come to rest within :data:`REST_TIMEOUT_S`.
+        ChildError: if they fail.
+    """
+    rest_ns = last_ns + round(1e9 * SILENT_S)
+
+    def at_rest() -> bool:
+        return collector.silent_ns is not None and collector.silent_ns >= rest_ns
+
+    collector.spin_until(lambda: nodes.finished() or at_rest(), REST_TIMEOUT_S)
+    _require_running(nodes)
+    if not at_rest():
+        raise SessionError(f"the live nodes did not come to rest within {REST_TIMEOUT_S:g} s")
+
+
+def _require_running(nodes: Child) -> None:
+    if nodes.finished():
+        raise SessionError("the live nodes ended before the flight did")
 
 
 def _result(bag: Path, collector: Collector, imu_sent: Stamps, rotor_stamps_ns: Stamps) -> SessionResult:

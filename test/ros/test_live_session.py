@@ -13,21 +13,31 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
+from quadpi.msg import ExtrapolationAlarm
 
 from quadpi_core.flight import AXES, OdometryStream, Recording, TwistStream, WindStream
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
-from quadpi_core.messages import sensor_messages
+from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor import MonitorSettings
+from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import config_directory
 from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.vehicle import Vehicle
+from quadpi_ros import live_session
 from quadpi_ros.collector import AlarmChange, Collector
-from quadpi_ros.live_session import SessionResult, run_session
+from quadpi_ros.dds_profile import OUTPUT_QOS
+from quadpi_ros.live_session import SessionError, SessionResult, await_rest, await_start, play, run_session
 from quadpi_ros.player import START_TIMEOUT_S, PlayerError
 from quadpi_ros.processes import ChildError
+
+from .rig import PATIENCE_S, wait_until
 
 VEHICLE = "neurobem"
 OUTSIDE_FROM_S = 2.3
@@ -153,8 +163,11 @@ def test_live_equals_replay_with_erpm_odometry_wind_and_adaptive_intervals(
 
 
 def test_live_equals_replay_with_velocities_alone(folder: Path, hover: Recording, tmp_path: Path) -> None:
+    """In the world's axes, and from half of the flight on in those of the body: the frame of each says so."""
     bag = tmp_path / "velocities.mcap"
-    write_bag(bag, replace(hover, pose=None, twist=moving(hover, in_body=False)))
+    twist = moving(hover, in_body=False)
+    in_body = np.arange(len(twist)) > len(twist) // 2
+    write_bag(bag, replace(hover, pose=None, twist=replace(twist, in_body=in_body)))
     session = run_session(bag, folder / "model", vehicle=VEHICLE)
     assert session.dropped == 0
     assert_live_equals_replay(session, folder / "model", VEHICLE, bag)
@@ -212,3 +225,80 @@ def test_a_missing_model_is_one_line_and_leaves_nothing_behind(folder: Path) -> 
 def test_a_bag_without_mocap_is_refused(folder: Path) -> None:
     with pytest.raises(PlayerError, match=r"blind\.mcap: topic mocap/pose"):
         run_session(folder / "blind.mcap", folder / "model", vehicle=VEHICLE)
+
+
+def test_a_flight_too_short_for_the_estimator_gives_no_prediction_and_says_so(
+    folder: Path, hover: Recording, tmp_path: Path
+) -> None:
+    end_ns = hover.imu.time_ns[0] + 800_000_000
+    streams = {name: getattr(hover, name) for name in ("imu", "rotor_speeds", "pose")}
+    cut = {name: stream.take(stream.time_ns < end_ns) for name, stream in streams.items()}
+    bag = tmp_path / "short.mcap"
+    write_bag(bag, replace(hover, **cut))
+    with pytest.raises(SessionError, match=r"short\.mcap: no prediction came; the estimator needs a second"):
+        run_session(bag, folder / "model", vehicle=VEHICLE)
+
+
+class Ended:
+    """Nodes that have ended, or run on."""
+
+    def __init__(self, *, ended: bool) -> None:
+        self.ended = ended
+
+    def finished(self) -> bool:
+        return self.ended
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_nodes_that_do_not_start_or_end_too_early_are_an_error(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_session, "START_TIMEOUT_S", 0.2)
+    bag, topics = folder / "hover.mcap", ("imu", "rotor_speeds", "mocap/pose")
+    with Collector(0) as collector:
+        for ended in (False, True):
+            with pytest.raises(SessionError, match=r"did not start within 0\.2 s"):
+                await_start(Ended(ended=ended), collector)
+        with pytest.raises(SessionError, match="ended before the flight did"):
+            play(bag, topics, 1.0, tmp_path, Ended(ended=True), collector)
+        with pytest.raises(SessionError, match="ended before the flight did"):
+            await_rest(Ended(ended=True), collector, 0)
+
+
+@pytest.mark.usefixtures("ros")
+def test_nodes_are_at_rest_once_the_monitor_says_that_nothing_came_after_the_last_sample(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Not while it reports a pause before, nor while samples are judged."""
+    last_ns = 10_000_000_000
+    count = len(INPUT_NAMES)
+    unit, six = np.ones(count), np.ones(6)
+    alarm = Alarm(Envelope(-unit, unit, unit, six, six, six, six), AlarmLimits(), MonitorSettings())
+    silent = alarm.without_sample(0)
+
+    def said(time_ns: int, *, of_sample: bool) -> bytes:
+        health = 0 * silent.cause_health if of_sample else silent.cause_health
+        at = replace(silent, time_ns=np.array([time_ns]), cause_health=health)
+        return bytes(result_messages.pack_alarms(at, [()])[0])
+
+    sender = rclpy.create_node("sender")
+    publisher = sender.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
+    nodes = Ended(ended=False)
+    with Collector(0) as collector:
+        wait_until(lambda: publisher.get_subscription_count() > 0)
+        for messages, rests in (
+            ([(last_ns, False), (last_ns + 299_999_999, False)], False),
+            ([(last_ns + 300_000_000, False), (last_ns + 310_000_000, True)], False),
+            ([(last_ns + 400_000_000, False)], True),
+        ):
+            for time_ns, of_sample in messages:
+                publisher.publish(said(time_ns, of_sample=of_sample))
+            monkeypatch.setattr(live_session, "REST_TIMEOUT_S", PATIENCE_S if rests else 0.3)
+            if rests:
+                await_rest(nodes, collector, last_ns)
+            else:
+                with pytest.raises(SessionError, match=r"did not come to rest within 0\.3 s"):
+                    await_rest(nodes, collector, last_ns)
+        assert collector.silent_ns == last_ns + 400_000_000
+        assert len(collector.alarms().time_ns) == 1
+    sender.destroy_node()
