@@ -1,12 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator node: what it refuses."""
+"""The estimator node: what it refuses, when it compiles, and the stamps of its odometry."""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
+
+from quadpi_core.flight import ImuStream, PoseStream
+from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.payloads import Payloads
+from quadpi_ros.estimator_node import EstimatorNode
+from quadpi_ros.runtime import start
+
+from .rig import started
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -40,3 +53,45 @@ def test_estimator_refuses_wrong_parameters(
     (line,) = errors.splitlines()
     assert line.startswith("quadpi: ")
     assert message in line
+
+
+def test_no_kernel_is_loaded_in_flight() -> None:
+    """Whichever motion capture comes, and of a monitor with and without an estimator beside it."""
+    child = Path(__file__).with_name("compiling_child.py")
+    ended = subprocess.run([sys.executable, str(child)], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    flown = json.loads(ended.stdout)
+    assert set(flown) == {"mocap/pose", "mocap/odometry", "mocap/twist", "monitor", "both"}
+    for name, found in flown.items():
+        assert found["loaded"] == [], name
+        assert found["exceptions"] == 0
+        for topic in {"monitor": ["prediction"], "both": ["odometry", "prediction"]}.get(name, ["odometry"]):
+            assert found["published"][topic] > 100
+
+
+def test_an_odometry_bears_the_stamp_of_its_estimate(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which is older than the IMU sample at the start, if the IMU's rate has changed since the last pose.
+
+    The vehicle moves at 1 m/s, so that its place tells the instant.
+    """
+    imu_s = np.concatenate((np.arange(0.0, 0.62, 0.002), np.arange(0.62, 1.01, 0.01)))
+    published: list[bytes] = []
+    with started(ros_domain, "-p", "vehicle:=neurobem"):
+        node = EstimatorNode()
+        monkeypatch.setattr(node, "announce", lambda *_: published.append)
+        start([node])
+        take = {one.topic_name: one.callback for one in node.subscriptions}
+        for seconds in imu_s:
+            stamp = np.array([round(1e9 * seconds)])
+            if seconds < 0.62 and stamp[0] % 10_000_000 == 0:
+                pose = PoseStream(stamp, np.array([[seconds, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0, 0.0]]))
+                take["/mocap/pose"](sensor_messages.pack_pose(pose)[0])
+            imu = ImuStream(stamp, np.zeros((1, 3)), np.array([[0.0, 0.0, -9.81]]))
+            take["/imu"](sensor_messages.pack_imu(imu)[0])
+        node.destroy_node()
+    odometry = sensor_messages.unpack_odometry(Payloads.join(published))
+    assert len(odometry) == 1
+    assert odometry.position[0, 0] == pytest.approx(1e-9 * odometry.time_ns[0], abs=0.01)
+    assert 0.8 < odometry.position[0, 0] < 0.96
