@@ -219,7 +219,7 @@ def _warm_up(vehicle: Vehicle) -> None:
             ekf.update_velocity(time_ns, still, poses)
             sample = ekf.step(time_ns, still, hover).fused
         assert sample is not None  # the filter has started
-    fill_odometry(sample.rows, np.empty((1, ODOMETRY_VALUES)))
+        fill_odometry(sample.rows, np.empty((1, ODOMETRY_VALUES)))
 
 
 def main() -> int:

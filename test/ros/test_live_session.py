@@ -17,15 +17,11 @@ import rclpy
 from quadpi.msg import ExtrapolationAlarm
 
 from quadpi_core.flight import AXES, OdometryStream, Recording, TwistStream, WindStream
-from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
-from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages import sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor import MonitorSettings
-from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import config_directory
 from quadpi_core.results import LEVEL_ALARM
@@ -38,6 +34,7 @@ from quadpi_ros.player import START_TIMEOUT_S, PlayerError
 from quadpi_ros.processes import ChildError
 
 from .rig import PATIENCE_S, wait_until
+from .test_collector import alarm_message
 
 VEHICLE = "neurobem"
 OUTSIDE_FROM_S = 2.3
@@ -271,16 +268,6 @@ def test_nodes_are_at_rest_once_the_monitor_says_that_nothing_came_after_the_las
 ) -> None:
     """Not while it reports a pause before, nor while samples are judged."""
     last_ns = 10_000_000_000
-    count = len(INPUT_NAMES)
-    unit, six = np.ones(count), np.ones(6)
-    alarm = Alarm(Envelope(-unit, unit, unit, six, six, six, six), AlarmLimits(), MonitorSettings())
-    silent = alarm.without_sample(0)
-
-    def said(time_ns: int, *, of_sample: bool) -> bytes:
-        health = 0 * silent.cause_health if of_sample else silent.cause_health
-        at = replace(silent, time_ns=np.array([time_ns]), cause_health=health)
-        return bytes(result_messages.pack_alarms(at, [()])[0])
-
     sender = rclpy.create_node("sender")
     publisher = sender.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
     nodes = Ended(ended=False)
@@ -292,7 +279,7 @@ def test_nodes_are_at_rest_once_the_monitor_says_that_nothing_came_after_the_las
             ([(last_ns + 400_000_000, False)], True),
         ):
             for time_ns, of_sample in messages:
-                publisher.publish(said(time_ns, of_sample=of_sample))
+                publisher.publish(alarm_message(time_ns, of_sample=of_sample))
             monkeypatch.setattr(live_session, "REST_TIMEOUT_S", PATIENCE_S if rests else 0.3)
             if rests:
                 await_rest(nodes, collector, last_ns)

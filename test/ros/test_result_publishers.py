@@ -1,18 +1,144 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of the results of one model, and of several."""
+"""The topics of the results of one model, and of several, and what goes out on each."""
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
+from quadpi.srv import LoadModel
 from rclpy.lifecycle import TransitionCallbackReturn
 
+from quadpi_core.errors import ModelError
+from quadpi_core.messages import result_messages
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.monitor import Monitor
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.results import BAD_DATA, LEVEL_ALARM, LEVEL_OK
+from quadpi_core.vehicle import Vehicle
+from quadpi_ros import diagnostics
 from quadpi_ros.monitor_node import MonitorNode
+from quadpi_ros.result_publishers import Results, named, topic_name
 
-pytestmark = pytest.mark.usefixtures("ros_domain")
+RATE_HZ = 500.0
+VEHICLE = Vehicle.load("neurobem")
+
+
+class Outputs:
+    """A node's publishers, each a list."""
+
+    def __init__(self) -> None:
+        self.sent: dict[str, list[bytes]] = defaultdict(list)
+
+    def announce(self, _: type, topic: str, *__: Any) -> Callable[[bytes], None]:
+        return self.sent[topic].append
+
+    def resolve_topic_name(self, topic: str) -> str:
+        return f"/uav/{topic}"
+
+
+@pytest.fixture(scope="module")
+def models(folder: Path) -> dict[str, AerodynamicModel]:
+    return {name: AerodynamicModel.load(folder / name) for name in ("model", "other")}
+
+
+def hover(count: int) -> PairedSamples:
+    rng = np.random.default_rng(6)
+    noise = rng.standard_normal((3, count, 3))
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    return PairedSamples.join(
+        2_000_000 * np.arange(1, count + 1),
+        velocity=0.05 * noise[0],
+        attitude=level,
+        rates=0.02 * noise[1],
+        specific_force=np.array([0.0, 0.0, -VEHICLE.gravity_m_s2]) + 0.3 * noise[2],
+        rotor_speeds=1100.0 + 5.0 * rng.standard_normal((count, 4)),
+        wind=np.zeros((count, 3)),
+    )
+
+
+def monitor_of(model: AerodynamicModel) -> Monitor:
+    return Monitor(model, VEHICLE, RATE_HZ)
+
+
+@pytest.mark.parametrize(
+    ("given", "topic"),
+    [("hover", "hover"), ("my model-2", "my_model_2"), ("2nd", "model_2nd"), ("_x_", "x"), ("ö", "model_")],
+)
+def test_a_topic_is_named_after_its_model(models, given, topic):
+    assert topic_name(replace(models["model"], name=given)) == topic
+
+
+def test_two_models_of_one_topic_are_refused(models):
+    with pytest.raises(ModelError, match="two models are named model; both would publish as that"):
+        named([monitor_of(models["model"]), monitor_of(replace(models["other"], name="model"))])
+
+
+def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
+    outputs, samples = Outputs(), hover(300)
+    results = Results(outputs, named(monitor_of(model) for model in models.values()), "body")
+    for k in range(300):
+        one = PairedSamples(samples.time_ns[k : k + 1], samples.values[k : k + 1])
+        assert results.publish(one).tolist() == one.time_ns.tolist()
+    assert set(outputs.sent) == {*("prediction", "/uav/prediction/other", "extrapolation_alarm", "alarm_log")}
+    for topic, model in (("prediction", models["model"]), ("/uav/prediction/other", models["other"])):
+        expected, alarms, _ = monitor_of(model).step(*samples)
+        packed = result_messages.pack_predictions(
+            expected, model=model.identity, confidence=model.confidence, axes=model.axes, frame_id="body"
+        )
+        assert outputs.sent[topic] == list(packed)
+    told = result_messages.unpack_alarms(Payloads.join(outputs.sent["extrapolation_alarm"]))
+    np.testing.assert_array_equal(told.time_ns, alarms.time_ns)
+    level, word, values = results.alarm_status()
+    assert (level, word, values["level"]) == (diagnostics.OK, "ok", LEVEL_OK)
+    assert values["model model"] == models["model"].identity
+
+
+def test_silence_and_alarms_are_published_and_logged(models):
+    outputs, samples = Outputs(), hover(600)
+    results = Results(outputs, named([monitor_of(models["model"])]), "body")
+    broken = PairedSamples(samples.time_ns[300:500], np.full((200, 20), np.nan))
+    for part in (PairedSamples(samples.time_ns[:300], samples.values[:300]), broken):
+        results.publish(part)
+    assert results.alarm_status()[:2] == (diagnostics.WARN, "alarm")
+    (event,) = result_messages.unpack_events(Payloads.join(outputs.sent["alarm_log"]))
+    assert event.cause == BAD_DATA
+    before = len(outputs.sent["extrapolation_alarm"])
+    results.publish_silence(5_000_000_000, ("no imu for 0.3 s",))
+    (silent,) = outputs.sent["extrapolation_alarm"][before:]
+    alarm = result_messages.unpack_alarms(silent)
+    assert (alarm.time_ns[0], alarm.level[0]) == (5_000_000_000, LEVEL_ALARM)
+    assert alarm.reasons == [("no imu for 0.3 s",)]
+    assert not alarm.of_samples[0]
+
+
+def test_a_model_that_is_replaced_publishes_as_the_one_before(models):
+    outputs, samples = Outputs(), hover(20)
+    results = Results(outputs, named([monitor_of(models["model"])]), "body")
+    response = LoadModel.Response()
+    results.swap("model", monitor_of(models["other"]), None, response)
+    assert (response.success, response.model) == (True, models["other"].identity)
+    results.publish(samples)
+    assert set(outputs.sent) >= {"prediction"}
+    assert models["other"].identity.encode() in outputs.sent["prediction"][0]
+    for name, error, message in (
+        ("model", "m: cannot be read", "m: cannot be read"),
+        ("none", None, "no model flies as `none`"),
+    ):
+        refused = LoadModel.Response()
+        monitor = None if error else monitor_of(models["model"])
+        results.swap(name, monitor, error, refused)
+        assert not refused.success
+        assert message in refused.message
+        assert refused.model == (models["other"].identity if name == "model" else "")
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 
@@ -39,6 +40,11 @@ def test_wrong_ros_argument_is_one_line() -> None:
 @dataclass(frozen=True)
 class NoParameters:
     autostart: bool = parameter(False, "as the nodes have it")
+
+
+@dataclass(frozen=True)
+class Starting:
+    autostart: bool = parameter(True, "as the nodes have it")
 
 
 @pytest.mark.usefixtures("ros")
@@ -100,3 +106,72 @@ def test_an_exception_of_the_executor_itself_ends_no_node(
     assert node.exceptions.counts == {"executor": 3}
     assert capfd.readouterr().err.count("RuntimeError: cannot take the request") == 2
     executor.remove_node(node)
+
+
+@pytest.mark.usefixtures("ros")
+def test_all_nodes_are_configured_before_one_is_active() -> None:
+    """A node that takes seconds to configure would be behind the samples of another one."""
+    made: list[str] = []
+
+    class Node(runtime.ManagedNode[Any]):
+        def configure(self) -> None:
+            made.append(f"{self.get_name()} configured")
+
+        def activate(self) -> None:
+            made.append(f"{self.get_name()} active")
+
+    nodes = [Node("one", Starting), Node("asleep", NoParameters), Node("two", Starting)]
+    runtime.start(nodes)
+    assert made == ["one configured", "two configured", "one active", "two active"]
+    assert [node.state for node in nodes] == ["active", "unconfigured", "active"]
+    for node in nodes:
+        node.destroy_node()
+
+
+@pytest.mark.usefixtures("ros")
+def test_what_a_failed_start_has_made_is_undone() -> None:
+    undone: list[str] = []
+
+    class Failing(runtime.ManagedNode[Any]):
+        def activate(self) -> None:
+            raise ModelError("m: gone")
+
+        def deactivate(self) -> None:
+            undone.append("deactivated")
+
+    node = Failing("failing", Starting)
+    with pytest.raises(ModelError, match="m: gone"):
+        runtime.start([node])
+    assert undone == ["deactivated"]
+    assert node.state == "inactive"
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "said"),
+    [
+        (None, 0, ""),
+        (KeyboardInterrupt(), 0, ""),
+        (ExternalShutdownException(), 0, ""),
+        (ModelError("m: no such model"), 2, "quadpi: m: no such model\n"),
+    ],
+)
+def test_the_exit_status_tells_what_a_user_can_correct(
+    raised: BaseException | None,
+    status: int,
+    said: str,
+    ros_domain: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    del ros_domain
+    monkeypatch.setattr(sys, "argv", ["program"])
+
+    def work() -> None:
+        assert rclpy.ok()
+        if raised is not None:
+            raise raised
+
+    assert runtime.run(work) == status
+    assert capfd.readouterr().err == said
+    assert not rclpy.ok()
