@@ -23,6 +23,7 @@ from quadpi_core.cli.evaluate_command import evaluate
 from quadpi_core.cli.identify_command import identify
 from quadpi_core.cli.import_command import import_logs
 from quadpi_core.cli.info_command import info
+from quadpi_core.cli.kind_options import KindCommand
 from quadpi_core.cli.replay_command import replay
 from quadpi_core.cli.simulate_command import simulate
 from quadpi_core.cli.validate_command import validate
@@ -64,7 +65,7 @@ app = typer.Typer(
 app.command("import")(import_logs)
 # In the order in which `--help` lists them.
 for command in (info, identify, evaluate, replay, view, simulate, validate, discrepancy, demo):
-    app.command()(command)
+    app.command(cls=KindCommand if command is identify else None)(command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -34,6 +34,7 @@ def _known_kind(name: str) -> str:
 
 
 def identify(
+    context: typer.Context,
     bags: Bags,
     vehicle: VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
@@ -41,7 +42,8 @@ def identify(
         str,
         typer.Option(
             callback=_known_kind,
-            help=f"Kind of model: {', '.join(names_in(kinds))}, or one of an installed package.",
+            help=f"Kind of model: {', '.join(names_in(kinds))}, or one of an installed package. "
+            "Each has options of its own: --method NAME --help.",
         ),
     ] = "polynomial",
     candidates: Annotated[
@@ -53,10 +55,6 @@ def identify(
     settings: Annotated[
         Literal["default", "paper"], typer.Option(help="Calibrated on held-out flights, or as in the paper.")
     ] = "default",
-    stop: Annotated[
-        Literal["pse", "r2", "bic", "leave-one-flight-out"] | None,
-        typer.Option(help="When to stop adding terms; default: the settings' rule."),
-    ] = None,
     cutoff_hz: Annotated[
         float | None, typer.Option(help="Cut-off of the low-pass over all signals; default: 30, paper: 100.")
     ] = None,
@@ -64,11 +62,6 @@ def identify(
     false_alarms_per_hour: Annotated[
         float, typer.Option(help="False alarms per hour that the limits of the alarm are calibrated to.")
     ] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the networks of an ensemble.")] = 0,
-    device: Annotated[
-        Literal["cpu", "cuda"],
-        typer.Option(help="Device to train an ensemble on; it flies on the processor."),
-    ] = "cpu",
     workers: FileProcessCount = None,
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
@@ -95,12 +88,9 @@ def identify(
     pools = select_axes(load_pools(candidates), axes)
     options = IdentifyOptions(
         cutoff_hz=cutoff,
-        method=method,
+        method=context.obj,
         settings=settings,
-        stop=stop,
         confidence=confidence,
-        seed=seed,
-        device=device,
         false_alarms_per_hour=false_alarms_per_hour,
     )
     check_options(options, pools)

@@ -21,7 +21,7 @@ from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
-from quadpi_core.models.kind_registry import kind_named
+from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions, Pools, Settings, TrainingSamples, interval_factors
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.vehicle import Vehicle
@@ -43,7 +43,7 @@ def identify(
         flights: to identify on; errors of flights left out in turn calibrate the intervals.
         vehicle: the vehicle that flew.
         pools: by axis: candidates of a polynomial, inputs of an ensemble.
-        options: kind of model, settings and what they take.
+        options: kind of model with its own options, and settings.
         progress: called as the fit goes on.
 
     Raises:
@@ -52,7 +52,7 @@ def identify(
     """
     check_options(options, pools)
     _require_samples(flights, options.settings)
-    kind = kind_named(options.method)
+    kind = kind_of(options.method)
     samples = _joined(flights, vehicle)
     axes = [axis for axis in AXES if axis in pools]
     fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
@@ -116,7 +116,7 @@ def check_options(options: IdentifyOptions, pools: Pools) -> None:
             kind does not have.
     """
     require_confidence(options.confidence, calibrated=options.settings == "default")
-    kind_named(options.method).check(options, pools)
+    kind_of(options.method).check(options, pools)
 
 
 def _joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSamples:

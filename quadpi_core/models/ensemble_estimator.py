@@ -7,11 +7,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.config_schema import Within
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -19,7 +20,7 @@ from quadpi_core.models.axis_estimator import AxisEstimator, fit_of
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, FittedEnsemble
 from quadpi_core.models.interval_rules import FlightErrors, Rule, calibrate, flights_peak
-from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples
+from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples, option
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.training_table import Indices, Plan, Split, Table
 from quadpi_core.parallel import Progress, ReportProgress
@@ -322,13 +323,20 @@ def mean_over(predictions: npt.NDArray[np.float32], chosen: npt.NDArray[np.bool_
     return mean
 
 
+@dataclass(frozen=True)
 class EnsembleKind(Kind):
     """What both kinds of ensemble have in common: the networks of all axes are trained together.
 
     Attributes:
         estimator: of one axis.
+        seed: of initial weights and of the parts that members are trained on.
+        device: that trains the networks.
     """
 
+    seed: Annotated[int, Within(0)] = option(0, "Seed of the networks of an ensemble.")
+    device: Literal["cpu", "cuda"] = option(
+        "cpu", "Device to train an ensemble on; it flies on the processor."
+    )
     estimator: ClassVar[type[Ensemble]]
     has_paper_settings = True
 
@@ -342,12 +350,12 @@ class EnsembleKind(Kind):
         for axis in AXES:
             if axis in pools and not pools[axis].inputs:
                 raise ModelError(f"{axis}: the candidate file lists no `inputs` for networks")
-        require_training(options.device)
+        require_training(self.device)
 
     def configured(self, inputs: Sequence[Regressor], options: IdentifyOptions) -> Ensemble:
         """The estimator of one axis, not yet fitted."""
         make = self.estimator.paper if options.settings == "paper" else self.estimator
-        return make(inputs).set_params(seed=options.seed, device=options.device)
+        return make(inputs).set_params(seed=self.seed, device=self.device)
 
     def fit(
         self, samples: TrainingSamples, pools: Pools, options: IdentifyOptions, progress: ReportProgress

@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
 
 from quadpi_core.compiled import njit
 from quadpi_core.config_schema import NotNegative, Text, Within, parse_config
@@ -115,6 +114,8 @@ def fit_shape(flights: Sequence[PlacedErrors], most_inflation: float) -> SpreadS
     low, high = bounds.T
     # From either cause alone, as the likelihood may have a maximum near each.
     starts = [(0.5 * (low[0] + high[0]), low[1]), (low[0], np.log(1.0 / typical))]
+    from scipy.optimize import minimize  # here, as no model in flight needs it
+
     fits = [minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts]
     inflation, growth = np.exp(min(fits, key=lambda fit: fit.fun).x)
     return SpreadShape(float(inflation), float(growth))

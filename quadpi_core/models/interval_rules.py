@@ -19,8 +19,7 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 from pydantic import PlainValidator
-from scipy.stats import norm
-from scipy.stats import t as student_t
+from scipy.special import ndtri, stdtrit
 
 from quadpi_core.config_schema import NotNegative, Numbers, Positive, Real, Within, parse_config
 from quadpi_core.errors import ModelError
@@ -67,7 +66,7 @@ class ResidualRule(Rule):
     def factor(self, confidence: float) -> float:
         """Standard deviation times the quantile of Student's distribution."""
         _check_confidence(confidence, 0.0, 1.0)
-        return self.std * float(student_t.ppf(0.5 + confidence / 2.0, self.freedom))
+        return self.std * float(stdtrit(self.freedom, 0.5 + confidence / 2.0))
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ class NormalRule(Rule):
     def factor(self, confidence: float) -> float:
         """Quantile of the standard normal distribution."""
         _check_confidence(confidence, 0.0, 1.0)
-        return float(norm.ppf(0.5 + confidence / 2.0))
+        return float(ndtri(0.5 + confidence / 2.0))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,15 @@ from quadpi_core.plugins import Plugins
 KINDS = Plugins("method", kinds, "quadpi.model_kinds", Kind, ModelError)  # type: ignore[type-abstract]
 
 
+def kind_of(method: str | Kind) -> Kind:
+    """The kind that options name, or are given as it is.
+
+    Raises:
+        ModelError: see :func:`kind_named`.
+    """
+    return kind_named(method) if isinstance(method, str) else method
+
+
 def kind_named(name: str) -> Kind:
     """The kind of a name.
 

@@ -10,19 +10,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import Self
 
+from quadpi_core.config_schema import Section, parse_config
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.interval_rules import FlightErrors, Rule
-from quadpi_core.models.selection import StopRule
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
@@ -116,22 +117,16 @@ class IdentifyOptions:
 
     Attributes:
         cutoff_hz: of the low-pass that the flights passed; kept with the model.
-        method: name of the kind of model.
+        method: the kind of model, such as `Polynomial(stop="pse")`; or its name, for its default options.
         settings: "paper" for the paper's rules.
-        stop: rule that ends the selection of terms, other than that of the settings.
         confidence: nominal coverage that the monitor will use.
-        seed: of random numbers, where the kind takes any.
-        device: that trains networks, "cpu" or "cuda".
         false_alarms_per_hour: rate that the limits of the alarm are calibrated to, on held-out flights.
     """
 
     cutoff_hz: float = CUTOFF_HZ["default"]
-    method: str = "polynomial"
+    method: str | Kind = "polynomial"
     settings: Settings = "default"
-    stop: StopRule | None = None
     confidence: float = 0.95
-    seed: int = 0
-    device: str = "cpu"
     false_alarms_per_hour: float = RATE_PER_HOUR
 
 
@@ -209,15 +204,26 @@ class Facts(NamedTuple):
     note: str = ""
 
 
-class Kind(ABC):
-    """A kind of model.
+def option(default: Any, words: str) -> Any:
+    """A field of a kind of model that `quadpi identify` has an option for.
+
+    Args:
+        default: of an annotated type that :func:`quadpi_core.config_schema.parse_config` checks, and the
+            command line knows: text, a number, true or false, one of some words (Literal), or None.
+        words: in the command's help.
+    """
+    return field(default=default, metadata={"help": words})
+
+
+@dataclass(frozen=True)
+class Kind(Section, ABC):
+    """A kind of model, a frozen dataclass: its fields are the options that it is fitted with.
 
     Attributes:
         name: as in `--method` and in a stored model.
         label: in headings of pages, such as "bootstrap ensemble".
         colour: in figures, #rrggbb; empty for one that is left.
         normal_errors: whether an interval is that of a normal distribution, so that CRPS is defined.
-        has_stop_rules: whether it selects terms until a rule says stop.
         has_paper_settings: whether it can be fitted by the paper's rules.
         axis_type: of the fitted axes.
     """
@@ -226,18 +232,22 @@ class Kind(ABC):
     label: ClassVar[str]
     colour: ClassVar[str] = ""
     normal_errors: ClassVar[bool] = False
-    has_stop_rules: ClassVar[bool] = False
     has_paper_settings: ClassVar[bool] = False
     axis_type: ClassVar[type[FittedAxis]]
+
+    def having(self, **options: Any) -> Self:
+        """This kind with those of some options that it has."""
+        own = {option.name for option in fields(self)}
+        return replace(self, **{name: value for name, value in options.items() if name in own})
 
     def check(self, options: IdentifyOptions, pools: Pools) -> None:  # noqa: ARG002 - for kinds that need more of them
         """Refuse options that no flights can satisfy; cheap, so that it can come before flights are read.
 
         Raises:
-            ModelError: saying what this kind does not have.
+            ModelError: saying what this kind does not have, or naming the option that is impossible.
         """
-        if options.stop is not None and not self.has_stop_rules:
-            raise ModelError(f"a stop rule is for polynomials: the {self.name} method has none")
+        own = {option.name: getattr(self, option.name) for option in fields(self)}
+        parse_config(type(self), own, f"method {self.name}", ModelError)
         if options.settings == "paper" and not self.has_paper_settings:
             raise ModelError(f"the paper knows no {self.name} method: it has no settings paper")
 

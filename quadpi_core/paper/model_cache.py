@@ -16,6 +16,7 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.paths import write_json
@@ -53,10 +54,12 @@ class ModelCache:
             ModelError: if the model cannot be identified, naming the axis.
             OutputError: if it cannot be stored.
         """
+        kind = kind_of(options.method)
         origin: dict[str, object] = {
             "quadpi": __version__,
             "code": code_fingerprint(),
             **asdict(options),
+            "method": [kind.name, asdict(kind)],
             "vehicle": self.vehicle.fingerprint,
             "candidates": hashlib.sha256(repr(self.pools).encode()).hexdigest(),
             "flights": {flight.name: flight.sha256 for flight in flights},

@@ -21,6 +21,7 @@ from quadpi_core.flight import Flight
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions, Settings
 from quadpi_core.paper.model_cache import ModelCache
 from quadpi_core.paper.realisations import noise_seed
@@ -167,12 +168,10 @@ def published_case(
     models: dict[str, AerodynamicModel] = {}
     for method in methods:
         options = IdentifyOptions(
-            method=method,
+            method=kind_named(method).having(seed=seed, device=device),
             settings=settings,
             cutoff_hz=UNFILTERED_HZ,
             confidence=confidence,
-            seed=seed,
-            device=device,
         )
         models[method] = cache.model(method, training, options)
     flights = simulated_flights(load_scenario(VALIDATION).flights, progress)
@@ -229,7 +228,10 @@ def wind_tunnel(
         for settings in TUNNEL_SETTINGS:
             name, cutoff_hz = f"{method}-{settings}", CUTOFF_HZ[settings]
             options = IdentifyOptions(
-                method=method, settings=settings, cutoff_hz=cutoff_hz, confidence=confidence, device=device
+                method=kind_named(method).having(device=device),
+                settings=settings,
+                cutoff_hz=cutoff_hz,
+                confidence=confidence,
             )
             own = [flight for flight in flights[cutoff_hz] if flight.name in training]
             models[name] = cache.model(name, own, options)

@@ -90,7 +90,7 @@ def test_samples_that_are_not_finite_are_counted(bags, method):
 @pytest.mark.parametrize("method", ENSEMBLES)
 def test_stop_rule_of_an_ensemble(refused, unread, tmp_path, method):
     options = ("--vehicle", "neurobem", "--method", method, "--stop", "pse", "-o", tmp_path / "model")
-    refused(f"a stop rule is for polynomials: the {method} method has none", "identify", unread, *options)
+    refused(f"--stop: an option of --method polynomial, not of {method}", "identify", unread, *options)
 
 
 @pytest.mark.parametrize("method", ENSEMBLES)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
-from scipy.stats import t as student_t
+from scipy.special import ndtri, stdtrit
 
 from quadpi_core.config_schema import Positive, parse_config
 from quadpi_core.errors import ModelError
@@ -125,7 +124,7 @@ class BootstrapEnsemble(Ensemble):
         """Weight of the members' variance."""
         if not self.few_members:
             return 1.0
-        quantiles = student_t.ppf(0.975, self.members - 1) / norm.ppf(0.975)
+        quantiles = stdtrit(self.members - 1, 0.975) / ndtri(0.975)
         return float((1.0 + 1.0 / self.members) * quantiles**2)
 
     def _train(self, table: Table, plan: Plan, report: Report | None) -> Trained:

@@ -47,7 +47,7 @@ class Physical(Kind):
 
     name = FittedPhysical.method
     label = "physical model"
-    colour = "#0072B2"
+    colour = "#E69F00"
     normal_errors = True
     axis_type = FittedPhysical
 

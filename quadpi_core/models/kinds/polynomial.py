@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -33,7 +33,7 @@ from quadpi_core.models.interval_rules import (
     inside_range,
 )
 from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber, sum_grams
-from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples
+from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples, option
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, select
 from quadpi_core.parallel import Progress, ReportProgress
@@ -247,14 +247,20 @@ def _fit_columns(step: SelectionStep) -> dict[str, float]:
     return {"r2": step.r2, "sse": step.sse, "criterion": step.score}
 
 
+@dataclass(frozen=True)
 class Polynomial(Kind):
-    """Each axis a polynomial in the terms of its pool."""
+    """Each axis a polynomial in the terms of its pool.
+
+    Attributes:
+        stop: rule that ends the selection of terms, other than that of the settings.
+    """
+
+    stop: StopRule | None = option(None, "When to stop adding terms; default: the settings' rule.")
 
     name = FittedPolynomial.method
     label = "polynomial"
     colour = "#D55E00"  # as in the paper
     normal_errors = True
-    has_stop_rules = True
     has_paper_settings = True
     axis_type = FittedPolynomial
 
@@ -266,8 +272,8 @@ class Polynomial(Kind):
         polynomials = {axis: kind(pool) for axis, pool in pools.items()}
         for done, (axis, polynomial) in enumerate(polynomials.items()):
             progress(Progress(f"Identifying {axis}", done, len(polynomials)))
-            if options.stop is not None:
-                polynomial.set_params(stop=options.stop)
+            if self.stop is not None:
+                polynomial.set_params(stop=self.stop)
             # Products this small are over before threads have shared one out: ten flights of a minute take
             # 15 s with one thread of BLAS, 26 s with two.
             with named_in(axis), threadpool_limits(limits=1, user_api="blas"):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from quadpi_core.config_schema import NotNegative, parse_config
 from quadpi_core.errors import ModelError
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Aggregation: TypeAlias = Literal["sd", "sem"]
 # Of the normal distribution, for bounds of 95 %.
-_QUANTILE = float(norm.ppf(0.975))
+_QUANTILE = float(ndtri(0.975))
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ def test_every_command_is_known():
         "replay",
         "simulate",
         "validate",
+        "view",
     ]
 
 

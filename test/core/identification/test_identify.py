@@ -12,6 +12,7 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.identification.identify import identify
+from quadpi_core.models.kinds.polynomial import Polynomial
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.vehicle import Vehicle
 
@@ -85,7 +86,8 @@ def test_settings_of_the_paper(dragged_flights, vehicle):
 def test_stop_rule_can_be_chosen(dragged_flights, vehicle):
     log = {}
     for stop in ("r2", "bic"):
-        model = identify(dragged_flights[:3], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, stop=stop))
+        options = IdentifyOptions(cutoff_hz=CUTOFF_HZ, method=Polynomial(stop))
+        model = identify(dragged_flights[:3], vehicle, POOLS, options)
         log[stop] = [row["criterion"] for row in model.selection["Fx"] if row["r2"] is not None]
     assert log["r2"][0] != log["bic"][0]
 
@@ -96,17 +98,10 @@ def test_progress_names_each_axis(dragged_flights, vehicle):
     assert [progress.task for progress in words] == ["Identifying Fx", "Identifying Fz"]
 
 
-def test_an_ensemble_needs_inputs_and_has_no_stop_rule(dragged_flights, vehicle):
+def test_an_ensemble_needs_inputs(dragged_flights, vehicle):
     for method in ("bootstrap", "quality-driven"):
         with pytest.raises(ModelError, match="Fx: the candidate file lists no `inputs` for networks"):
             identify(dragged_flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, method=method))
-        with pytest.raises(ModelError, match=f"the {method} method has none"):
-            identify(
-                dragged_flights[:2],
-                vehicle,
-                POOLS,
-                IdentifyOptions(cutoff_hz=CUTOFF_HZ, method=method, stop="pse"),
-            )
 
 
 def test_errors_name_the_axis(dragged_flights, vehicle):
@@ -115,7 +110,7 @@ def test_errors_name_the_axis(dragged_flights, vehicle):
             dragged_flights[:1],
             vehicle,
             POOLS,
-            IdentifyOptions(cutoff_hz=CUTOFF_HZ, settings="paper", stop="leave-one-flight-out"),
+            IdentifyOptions(cutoff_hz=CUTOFF_HZ, settings="paper", method=Polynomial("leave-one-flight-out")),
         )
     with pytest.raises(ModelError, match=r"^confidence 1\.5"):
         identify(dragged_flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, confidence=1.5))

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +17,17 @@ from typer.testing import CliRunner
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.cli import app
 from quadpi_core.errors import ModelError
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.models import kinds
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.kind_registry import KINDS, kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paths import bags_directory
+from quadpi_core.vehicle import Vehicle
 
 GUIDE = (Path(__file__).parents[3] / "docs" / "add-a-kind-of-model.md").read_text()
 KIND = re.search(r"```py\n(.*?)```", GUIDE, flags=re.DOTALL)[1]
@@ -114,10 +119,36 @@ def test_a_package_with_a_kind_that_cannot_be_used(package: Path, content: str, 
 
 
 @pytest.mark.usefixtures("in_folder")
-def test_options_that_the_kind_does_not_have_are_refused() -> None:
-    for options in (IdentifyOptions(stop="pse"), IdentifyOptions(settings="paper")):
-        with pytest.raises(ModelError, match="ridge method"):
-            kind_named("ridge").check(options, {})
+def test_options_that_the_kind_does_not_have_are_refused(quadpi: Callable[..., Any]) -> None:
+    with pytest.raises(ModelError, match="ridge method"):
+        kind_named("ridge").check(IdentifyOptions(settings="paper"), {})
+    arguments = ("identify", "absent", "--vehicle", "bebop2", "-o", "model", "--stop", "pse")
+    outcome = quadpi(*arguments, "--method", "ridge")
+    assert outcome.errors == "quadpi: --stop: an option of --method polynomial, not of ridge\n"
+
+
+@pytest.mark.parametrize("where", ["in_folder", "package"])
+def test_its_option_is_one_of_the_command_and_of_python(
+    where: str, request: pytest.FixtureRequest, quadpi: Callable[..., Any], tmp_path: Path
+) -> None:
+    request.getfixturevalue(where)
+    shown = quadpi("identify", "--method", "ridge", "--help").output
+    assert "Options of --method ridge" in shown
+    assert "--penalty" in shown
+    bags = [bags_directory() / f"train_{number}.mcap" for number in (1, 2)]
+    arguments = ("identify", *bags, "--vehicle", "bebop2", "--axes", "Fz", "--method", "ridge")
+    outcome = quadpi(*arguments, "--penalty", "-1", "-o", tmp_path / "refused")
+    assert outcome.status == 2
+    assert outcome.errors == "quadpi: method ridge: `penalty` must be a positive number, found -1.0\n"
+
+    vehicle, kind = Vehicle.load("bebop2"), type(kind_named("ridge"))
+    pools = {"Fz": load_pools("quadrotor")["Fz"]}
+    flights = prepare_flights(bags, vehicle)
+    quadpi(*arguments, "--penalty", "0.5", "-o", tmp_path / "model")
+    for penalty, same in ((0.5, True), (0.6, False)):
+        model = identify(flights, vehicle, pools, IdentifyOptions(method=kind(penalty=penalty)))
+        stored = AerodynamicModel.load(tmp_path / "model").fitted["Fz"]
+        assert np.array_equal(model.fitted["Fz"].coefficients, stored.coefficients) == same
 
 
 def test_a_kind_that_is_not_installed_is_refused_with_those_known() -> None:

@@ -23,7 +23,7 @@ PACKAGES = [Path(quadpi_core.__file__).parents[1] / name for name in ("quadpi_co
 
 
 def test_a_kind_has_the_name_of_its_file() -> None:
-    assert names_in(kinds) == ("bootstrap", "polynomial", "quality-driven")
+    assert names_in(kinds) == ("bootstrap", "physical", "polynomial", "quality-driven")
     for name in names_in(kinds):
         kind = kind_named(name)
         assert kind.name == kind.axis_type.method == name
@@ -38,7 +38,7 @@ def test_no_two_kinds_share_a_colour() -> None:
 @pytest.mark.parametrize("name", ["magic", "", "../kinds/polynomial", "quality_driven"])
 def test_another_name_is_refused(name: str) -> None:
     with pytest.raises(
-        ModelError, match=r"is not known to this version \(bootstrap, polynomial, quality-driven\)"
+        ModelError, match=r"is not known to this version \(bootstrap, physical, polynomial, quality-driven\)"
     ):
         kind_named(name)
 

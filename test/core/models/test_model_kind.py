@@ -6,17 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
 
+from quadpi_core.config_schema import Positive
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES
 from quadpi_core.models.interval_rules import NormalRule, Rule, TrainedRule
-from quadpi_core.models.model_kind import IdentifyOptions, Kind, TrainingSamples, interval_factors
+from quadpi_core.models.model_kind import IdentifyOptions, Kind, TrainingSamples, interval_factors, option
 from quadpi_core.vehicle import Vehicle
 
 
@@ -43,7 +44,7 @@ class Constant:
 
 
 class Constants(Kind):
-    """A kind of model without stop rules and without settings of the paper."""
+    """A kind of model without options and without settings of the paper."""
 
     name = Constant.method
     label = "constants"
@@ -56,10 +57,12 @@ class Constants(Kind):
         raise NotImplementedError
 
 
-class ByThePaper(Constants):
-    """The same with both."""
+@dataclass(frozen=True)
+class Adjustable(Constants):
+    """The same with options, and settings of the paper."""
 
-    has_stop_rules = True
+    size: Positive = option(2.0, "Size of the number.")
+    sign: Literal["plus", "minus"] = option("plus", "Sign of the number.")
     has_paper_settings = True
 
 
@@ -78,19 +81,31 @@ def test_factors_are_those_of_the_rules_and_zero_for_axes_not_held() -> None:
         interval_factors(fitted, 0.9)
 
 
+def test_settings_of_the_paper_are_refused_by_a_kind_without_them() -> None:
+    chosen = IdentifyOptions(settings="paper")
+    with pytest.raises(ModelError, match="the paper knows no constant method"):
+        KIND.check(chosen, {})
+    Adjustable().check(chosen, {})
+    KIND.check(IdentifyOptions(), {})
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"stop": "bic"}, "a stop rule is for polynomials: the constant method has none"),
-        ({"settings": "paper"}, "the paper knows no constant method"),
+        ({"size": -1.0}, r"`size` must be a positive number, found -1\.0"),
+        ({"size": float("nan")}, "`size` must be a positive number, found nan"),
+        ({"sign": "both"}, "`sign` .*'plus' or 'minus', found 'both'"),
     ],
 )
-def test_options_that_a_kind_does_not_have_are_refused(options: dict[str, Any], message: str) -> None:
-    chosen = IdentifyOptions(method="constant", **options)
-    with pytest.raises(ModelError, match=message):
-        KIND.check(chosen, {})
-    ByThePaper().check(chosen, {})
-    KIND.check(IdentifyOptions(method="constant"), {})
+def test_a_kind_checks_its_own_options(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError, match=f"^method constant: {message}$"):
+        Adjustable(**options).check(IdentifyOptions(), {})
+    Adjustable(size=0.1, sign="minus").check(IdentifyOptions(), {})
+
+
+def test_a_kind_takes_those_of_some_options_that_it_has() -> None:
+    assert Adjustable().having(size=3.0, seed=1) == Adjustable(size=3.0)
+    assert KIND.having(size=3.0) == KIND
 
 
 def test_each_axis_is_stored_by_itself_and_read_again() -> None:
