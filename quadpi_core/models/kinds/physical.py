@@ -47,7 +47,7 @@ class Physical(Kind):
 
     name = FittedPhysical.method
     label = "physical model"
-    colour = "#E69F00"
+    colour = "#332288"
     normal_errors = True
     axis_type = FittedPhysical
 
