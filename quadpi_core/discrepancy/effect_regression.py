@@ -13,7 +13,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Block, Fit, fit, residual_weights
 from quadpi_core.discrepancy.linearisation import NO_COLUMNS, Linearisation, table_starts
-from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise, spectrum
+from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -36,7 +36,7 @@ class NoiseWeighting:
     """Columns weighted by the noise, and their Gram matrices.
 
     Attributes:
-        noise: (6, BANDS) variance.
+        noise: (6, C) variance in C bands of frequency.
         per_flight: (F, K, K) Gram matrices of the whitened columns.
         gram: (K, K) their sum.
     """
@@ -48,7 +48,7 @@ class NoiseWeighting:
 
     @classmethod
     def of(cls, columns: Linearisation, noise: Array) -> NoiseWeighting:
-        """Weighting of all columns by a noise (6, BANDS)."""
+        """Weighting of all columns by a noise (6, C)."""
         flights = len(columns.flights)
         none = np.zeros((flights, 0, 0))
         return cls(noise, none, none.sum(axis=0), ((),) * flights).extended(columns)
@@ -113,7 +113,7 @@ class Regression:
 
     @property
     def noise(self) -> Array:
-        """Variance (6, BANDS) of the noise."""
+        """Variance (6, C) of the noise."""
         return self.weighting.noise
 
     @property
@@ -131,7 +131,7 @@ class Regression:
         return Regression(columns, self.weighting.extended(columns))
 
     def weighted(self, noise: Array) -> Regression:
-        """The regression with another noise (6, BANDS)."""
+        """The regression with another noise (6, C)."""
         return replace(self, weighting=NoiseWeighting.of(self.columns, noise))
 
     def beside(self, chosen: Sequence[int], found: Fit) -> Regression:
@@ -246,7 +246,7 @@ def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[
 
 
 def _estimated_noise(columns: Linearisation, chosen: Sequence[int]) -> Array:
-    """Noise (6, BANDS) of the residual after tolerances, every linear candidate, and those chosen."""
+    """Noise (6, C) of the residual after tolerances, every linear candidate, and those chosen."""
     blocks = [columns.blocks[index] for index in chosen]
     residual = residual_weights(columns.width, blocks)
     parts = [columns.linear_columns]
@@ -265,4 +265,4 @@ def _estimated_noise(columns: Linearisation, chosen: Sequence[int]) -> Array:
 
 def _rows(flight: Compared, wrench: Array) -> Array:
     """Rows (6, B) of a wrench (M, 6)."""
-    return spectrum(wrench[:, :, None], flight.thinned.rate_hz).rows[:, :, 0]
+    return flight.spectrum(wrench[:, :, None]).rows[:, :, 0]

@@ -23,6 +23,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
+from quadpi_core.discrepancy.whitening import BAND_HZ, Spectrum, spectrum
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
 from quadpi_core.signals.resample import interpolate_columns
@@ -58,10 +59,12 @@ class Compared:
     Attributes:
         flight: input of the simulation, at its own rate, or thinned where that makes no difference.
         thinned: the flight at about `RATE_HZ`.
+        highest_hz: highest frequency at which the two are compared.
     """
 
-    def __init__(self, flight: Flight, simulation: Simulation) -> None:
+    def __init__(self, flight: Flight, simulation: Simulation, highest_hz: float = BAND_HZ.value) -> None:
         self.simulation = simulation
+        self.highest_hz = highest_hz
         self._imu_rate_hz = flight.rate_hz
         step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
         self.thinned = _every(flight, step)
@@ -121,6 +124,10 @@ class Compared:
     def bias_response(self) -> BiasResponse:
         """Biases that the estimator attributes to errors of the IMU in this flight."""
         return BiasResponse(self.flight, self.simulation.vehicle, self._imu_rate_hz)
+
+    def spectrum(self, columns: Array) -> Spectrum:
+        """Spectrum of columns (M, ·, K) of this flight, as far as it is compared."""
+        return spectrum(columns, self.thinned.rate_hz, self.highest_hz)
 
     def uncertain(self) -> list[Column]:
         """Columns (M, 6) of the tolerances, one each."""

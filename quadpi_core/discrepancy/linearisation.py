@@ -12,7 +12,6 @@ import numpy as np
 from quadpi_core.discrepancy.candidates import Candidate, linearise
 from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Indices
-from quadpi_core.discrepancy.whitening import spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import state_modulators
@@ -90,10 +89,7 @@ class Linearisation:
         uncertain = [flight.uncertain() for flight in flights]
         names = tuple(column.name for column in uncertain[0])
         first = [
-            spectrum(
-                np.stack((flight.residual, *(column.wrench for column in columns)), axis=2),
-                flight.thinned.rate_hz,
-            )
+            flight.spectrum(np.stack((flight.residual, *(column.wrench for column in columns)), axis=2))
             for flight, columns in zip(flights, uncertain, strict=True)
         ]
         value = cls(
@@ -241,7 +237,7 @@ class Linearisation:
     def _appended(self, columns: Iterable[Array]) -> Linearisation:
         """The linearisation with further columns, (M, 6, K) in time of each flight."""
         tables = tuple(
-            (*own, spectrum(added, flight.thinned.rate_hz).rows)
+            (*own, flight.spectrum(added).rows)
             for own, added, flight in zip(self.tables, columns, self.flights, strict=True)
         )
         return replace(self, tables=tables)

@@ -24,7 +24,6 @@ from scipy.stats import gamma, norm
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Indices, residual_weights
 from quadpi_core.discrepancy.search import Found
-from quadpi_core.discrepancy.whitening import BANDS
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -345,8 +344,9 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     def noise(place: int) -> Array:
         rng, band = np.random.default_rng((seed, place)), columns.bands[place]
         # Noise differs from flight to flight: its variance is known as well as its squares in a band allow.
-        count = np.maximum(np.bincount(band, minlength=BANDS), 1)[:, None]
-        share = rng.chisquare(count, (len(AXES), BANDS, draws)) / count
+        bands = spectrum.shape[1]
+        count = np.maximum(np.bincount(band, minlength=bands), 1)[:, None]
+        share = rng.chisquare(count, (len(AXES), bands, draws)) / count
         deviation = np.sqrt(spectrum[:, :, None] / share)
         return deviation[:, band] * rng.standard_normal((len(AXES), len(band), draws))
 

@@ -20,6 +20,7 @@ from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.search import Found, search
 from quadpi_core.discrepancy.simulations import Simulation
+from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
@@ -135,6 +136,7 @@ def discover(
     *,
     names: Sequence[str] | None = None,
     seed: int = 0,
+    highest_hz: float = BAND_HZ.value,
 ) -> Discovery:
     """Find the effects that explain where a simulation and flights disagree.
 
@@ -143,6 +145,7 @@ def discover(
         flights: at least two flights of the simulation's vehicle, fused and in the air.
         names: names of effects to look for; unless given, all.
         seed: seed of the calibration.
+        highest_hz: highest frequency at which simulation and flights are compared.
 
     Raises:
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
@@ -154,7 +157,7 @@ def discover(
                 f"{flight.source}: flown by vehicle {flight.vehicle}, "
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
-    compared = [Compared(flight, simulation) for flight in flights]
+    compared = [Compared(flight, simulation, highest_hz) for flight in flights]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, candidates(simulation.vehicle, names), seed)

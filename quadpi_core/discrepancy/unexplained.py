@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
 from scipy.signal import lfilter
 
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.whitening import Spectrum, band_means, expected_squares, spectrum
+from quadpi_core.discrepancy.whitening import Spectrum, band_means, settled_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotation_matrix
@@ -60,8 +59,6 @@ RIDGES = Threshold(
     CONVENTION,
 )
 _CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
-# Rounds of the estimate of the noise, see `whitening`.
-_ROUNDS = 4
 
 
 class Left(NamedTuple):
@@ -70,7 +67,7 @@ class Left(NamedTuple):
     Attributes:
         gain: (6,) squares by which prediction reduces flights left out, in variances of `noise`.
         functions: per axis, names of the functions that predict most, best first.
-        noise: (6, BANDS) variance of the residual after the functions.
+        noise: (6, C) variance, in C bands of frequency, of the residual after the functions.
     """
 
     gain: Array
@@ -189,9 +186,8 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
     for flight, place in zip(flights, place_values, strict=True):
         names, values = functions(flight)
         course_names, course = functions_of_course(flight)
-        rate = flight.thinned.rate_hz
-        alike = spectrum(values[:, None, :], rate)
-        local = spectrum(np.concatenate((course, place), axis=2), rate)
+        alike = flight.spectrum(values[:, None, :])
+        local = flight.spectrum(np.concatenate((course, place), axis=2))
         rows = (np.tile(alike.rows, (len(AXES), 1, 1)), np.tile(local.rows, (2, 1, 1)))
         spectra.append(Spectrum(np.concatenate(rows, axis=2), alike.band))
     return [*names, *course_names, *place_names], spectra
@@ -215,8 +211,7 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
             Spectrum(np.column_stack((rows[axis], flight.rows[axis]))[None], flight.band)
             for rows, flight in zip(left, spectra, strict=True)
         ]
-        for _ in range(_ROUNDS):
-            noise[axis] = _noise_left(own, noise[axis])
+        noise[axis] = settled_noise(own, noise[axis : axis + 1], _least_penalty)[0]
         grams, projections = _projections(own, noise[axis])
         gain[axis], coefficients = left_out_gain(grams, projections)
         size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams))
@@ -224,24 +219,12 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
     return Left(gain, best, noise)
 
 
-def _noise_left(spectra: Sequence[Spectrum], noise: Array) -> Array:
-    """Variance (BANDS,) of one axis after the functions, the variance of their fit included."""
-    grams, projections = _projections(spectra, noise)
-    total = grams.sum(axis=0)
-    lower = cholesky(total + _penalty(total, RIDGES.value[0]), lower=True)
-    coefficients = cho_solve((lower, True), projections.sum(axis=0))
-    squares = [expected_squares(flight.rows, coefficients, lower) for flight in spectra]
-    means = band_means(squares, [flight.band for flight in spectra])[0]
-    noise_left: Array = np.maximum(means, np.finfo(float).tiny)
-    return noise_left
-
-
 def _projections(spectra: Sequence[Spectrum], noise: Array) -> tuple[Array, Array]:
     """Whitened Gram matrices (F, J, J) of the functions, and projections (F, J) of the residual on them.
 
     Args:
         spectra: per flight (1, B, 1 + J): the residual of an axis, and the functions.
-        noise: (BANDS,) variance of the axis.
+        noise: (C,) variance of the axis.
     """
     grams, projections = [], []
     for flight in spectra:
@@ -276,3 +259,7 @@ def _penalty(total: Array, ridge: float) -> Array:
     scale = np.sqrt(np.diag(total))
     penalty: Array = np.diag(ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
     return penalty
+
+
+def _least_penalty(total: Array) -> Array:
+    return _penalty(total, RIDGES.value[0])

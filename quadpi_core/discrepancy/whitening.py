@@ -10,7 +10,7 @@ estimated axis by axis from what the fit of all columns leaves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -59,21 +59,22 @@ class Spectrum(NamedTuple):
     band: npt.NDArray[np.intp]
 
 
-BANDS = len(EDGES_HZ.value) - 1
+def spectrum(columns: Array, rate_hz: float, highest_hz: float = BAND_HZ.value) -> Spectrum:
+    """Spectrum of columns (M, 6, K) of a flight, up to a highest frequency.
 
-
-def spectrum(columns: Array, rate_hz: float) -> Spectrum:
-    """Spectrum of columns (M, 6, K) of a flight, up to `BAND_HZ`."""
+    The bands are those between the edges of `EDGES_HZ` below it, and the rest up to it.
+    """
     samples = len(columns)
     frequency = np.fft.rfftfreq(samples, 1.0 / rate_hz)
-    kept = frequency <= BAND_HZ.value
+    kept = frequency <= highest_hz
     faded = taper(samples, rate_hz)
     transformed = np.fft.rfft(columns * (faded / np.linalg.norm(faded))[:, None, None], axis=0)[kept]
     real, imaginary = transformed.real, transformed.imag[1:]
     real[1:] *= np.sqrt(2.0)
     rows = np.concatenate((real, np.sqrt(2.0) * imaginary))
     bins = np.concatenate((frequency[kept], frequency[kept][1:]))
-    band = np.searchsorted(EDGES_HZ.value[1:-1], bins, side="right")
+    edges = [edge for edge in EDGES_HZ.value[1:] if edge < highest_hz]
+    band = np.searchsorted(edges, bins, side="right")
     return Spectrum(np.ascontiguousarray(np.moveaxis(rows, 1, 0)), band)
 
 
@@ -93,39 +94,51 @@ def cross_gram(first: Array, second: Array) -> Array:
 
 
 def estimate_noise(spectra: Sequence[Spectrum]) -> Array:
-    """Variance (6, BANDS) of the noise: that of the residual after a fit of all columns.
+    """Variance (6, C) of the noise in C bands: that of the residual after a fit of all columns.
+
+    Args:
+        spectra: per flight the residual, and the columns that may explain it with a prior deviation of 1.
+    """
+    last = max(int(flight.band.max()) for flight in spectra)
+    alone = []
+    for axis in range(len(AXES)):
+        own = [Spectrum(flight.rows[axis : axis + 1], flight.band) for flight in spectra]
+        # Starting from too little noise, where the fit is that of least squares, the rounds converge quickly.
+        highest = np.concatenate([flight.rows[0, flight.band == last, 0] for flight in own])
+        alone.append(settled_noise(own, np.full((1, last + 1), np.mean(np.square(highest))), _prior))
+    # Fitted together from the start, an axis with too little noise would bend the fit, and the error that
+    # this leaves in another axis would count as its noise for good.
+    return settled_noise(spectra, np.concatenate(alone), _prior)
+
+
+def _prior(gram: Array) -> Array:
+    return np.eye(len(gram))
+
+
+def settled_noise(spectra: Sequence[Spectrum], noise: Array, penalty: Callable[[Array], Array]) -> Array:
+    """Variance (A, C) of the residual of A axes after a fit of the columns, which it weighs in turn.
 
     By expectation and maximisation: the variance of a band is its mean square after the fit plus the variance
     of the fit itself, so that many columns do not make the noise look small.
 
     Args:
-        spectra: per flight the residual, and the columns that may explain it with a prior deviation of 1.
+        spectra: per flight the residual, and the columns that may explain it.
+        noise: (A, C) variance to start from.
+        penalty: (K, K) matrix to add to the Gram matrix (K, K) of the whitened columns, such as the precision
+            of their prior.
     """
-    alone = []
-    for axis in range(len(AXES)):
-        own = [Spectrum(flight.rows[axis : axis + 1], flight.band) for flight in spectra]
-        # Starting from too little noise, where the fit is that of least squares, the rounds converge quickly.
-        highest = np.concatenate([flight.rows[0, flight.band == BANDS - 1, 0] for flight in own])
-        lowest = max(np.mean(np.square(highest)), np.finfo(float).tiny)
-        alone.append(_settled(own, np.full((1, BANDS), lowest)))
-    # Fitted together from the start, an axis with too little noise would bend the fit, and the error that
-    # this leaves in another axis would count as its noise for good.
-    return _settled(spectra, np.concatenate(alone))
-
-
-def _settled(spectra: Sequence[Spectrum], noise: Array) -> Array:
-    """Variance (A, BANDS) after some rounds on flights with A axes."""
     bands = [flight.band for flight in spectra]
     # A band that no flight is long enough for has the noise of the next.
-    filled = np.flatnonzero(np.bincount(np.concatenate(bands), minlength=BANDS))
+    filled = np.unique(np.concatenate(bands))
     for _ in range(_ROUNDS):
+        noise = np.maximum(noise, np.finfo(float).tiny)
         weighted = [flight.rows / np.sqrt(noise[:, flight.band])[:, :, None] for flight in spectra]
         gram = np.sum([cross_gram(rows, rows) for rows in weighted], axis=0)
-        lower = cholesky(gram[1:, 1:] + np.eye(len(gram) - 1), lower=True)
+        lower = cholesky(gram[1:, 1:] + penalty(gram[1:, 1:]), lower=True)
         fit = cho_solve((lower, True), gram[1:, 0])
         means = band_means([expected_squares(flight.rows, fit, lower) for flight in spectra], bands)
-        noise = np.stack([np.interp(np.arange(BANDS), filled, own[filled]) for own in means])
-    return noise
+        noise = np.stack([np.interp(np.arange(len(own)), filled, own[filled]) for own in means])
+    return np.maximum(noise, np.finfo(float).tiny)
 
 
 def expected_squares(rows: Array, coefficients: Array, lower: Array) -> Array:
@@ -144,9 +157,9 @@ def expected_squares(rows: Array, coefficients: Array, lower: Array) -> Array:
 
 
 def band_means(values: Sequence[Array], bands: Sequence[npt.NDArray[np.intp]]) -> Array:
-    """Mean (A, BANDS) within each band of values (A, B) of each flight; 0 where no flight has rows."""
-    counts = np.bincount(np.concatenate(bands), minlength=BANDS)
+    """Mean (A, C) within each band of values (A, B) of each flight; 0 where no flight has rows."""
     together, band = np.concatenate(values, axis=1), np.concatenate(bands)
-    sums = np.stack([np.bincount(band, own, BANDS) for own in together])
+    counts = np.bincount(band)
+    sums = np.stack([np.bincount(band, own) for own in together])
     mean: Array = sums / np.maximum(counts, 1)
     return mean
