@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.models.model_kind import CUTOFF_HZ
@@ -18,6 +19,13 @@ from quadpi_core.simulation.scenario import load_scenario, parse_effects
 from quadpi_core.simulation.sensor_noise import SensorSuite
 
 FLOWN = ("forward", "climb", "throttle", "turns")
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As in a search: products are so small that two threads take twice the time of one."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 @pytest.fixture(scope="session")

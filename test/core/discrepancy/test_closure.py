@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far effects close the gap on flights left out of the fit, and the shape that flights give a law."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.closure import Closing
+from quadpi_core.discrepancy.effect_regression import Regression, settled
+from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.simulation.applied_effects import effect_wrench
+
+DRAG = {"x_n_s2_m2": 0.006, "y_n_s2_m2": 0.006, "z_n_s2_m2": 0.006}
+
+
+@pytest.fixture(scope="module")
+def closing(found):
+    return found.discovery.found.closing
+
+
+def rms(rows, samples):
+    return np.sqrt(sum(np.square(own).sum(axis=1) for own in rows) / samples)
+
+
+def test_the_gap_is_that_of_the_residual_and_of_what_flights_left_out_leave(closing):
+    regression, gap = closing.regression, closing.gap()
+    samples = sum(len(flight.thinned) for flight in regression.flights)
+    residual = [flight.spectrum(flight.residual[:, :, None]).rows[:, :, 0] for flight in regression.flights]
+    np.testing.assert_allclose(gap.before, rms(residual, samples), rtol=1e-9)
+    left = [regression.columns.combined(place, fit.left) for place, fit in enumerate(closing.left_out)]
+    np.testing.assert_allclose(gap.after, rms(left, samples), rtol=1e-9)
+    noise = [np.sqrt(regression.noise[:, band]) for band in regression.columns.bands]
+    np.testing.assert_allclose(gap.floor, rms(noise, samples), rtol=1e-9)
+    excess = [np.maximum(own**2 - gap.floor**2, 0.0) / gap.floor**2 for own in (gap.before, gap.after)]
+    assert gap.reduction == pytest.approx(1.0 - excess[1].sum() / excess[0].sum())
+    assert gap.reduction > 0.98
+
+
+def test_a_flight_is_left_after_the_fit_of_all_others(closing):
+    """Each fit is that of a regression that never had the flight."""
+    regression = closing.regression
+    for place in range(2):
+        gram = sum(own for k, own in enumerate(regression.weighting.per_flight) if k != place)
+        law, _ = closing.fits(without=place)
+        alone = regression.fit(closing.chosen, gram, form=False)
+        np.testing.assert_allclose(law.coefficients, alone.coefficients, rtol=1e-5, atol=1e-8)
+
+
+def test_squares_left_are_in_variances_of_the_noise(closing):
+    regression, squares = closing.regression, np.zeros(6)
+    for place, (fit, band) in enumerate(zip(closing.left_out, regression.columns.bands, strict=True)):
+        left = regression.columns.combined(place, fit.left)
+        squares += np.sum(left**2 / regression.noise[:, band], axis=1)
+    np.testing.assert_allclose(closing.left_out_squares(), squares)
+
+
+def test_without_effects_the_gap_stays(found):
+    bare = Closing.of(found.discovery.found.regression, ())
+    gap = bare.gap()
+    np.testing.assert_array_equal(gap.after, gap.before)
+    assert gap.reduction == 0.0
+    law, whole = bare.fits()
+    assert law is whole
+
+
+def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
+    """Drag that grows less than the law says: found with its shape, it is the drag that acted."""
+    true = {**DRAG, "shape_speed": -0.25}
+
+    def drag(flight, parameters):
+        return effect_wrench("body_drag", parameters, simulation.states(flight), simulation.record())
+
+    made = [pushed(flight, simulation.vehicle, drag(flight, true)) for flight in flights]
+    compared = [Compared(flight, simulation) for flight in made]
+    closing = Closing.of(
+        settled(Regression.of(compared, candidates(simulation.vehicle, ["body_drag"]))), (0,)
+    )
+    assert closing.shaped == (0,)
+    law, whole = closing.fits()
+    values = closing.regression.parameters(0, law)
+    parameters = dict(zip(DRAG, values, strict=True))
+    shape = closing.shape(0, law, whole)
+    assert shape["shape_speed"] < -0.1
+
+    def missed(found):
+        error = np.concatenate([drag(flight, found) - drag(flight, true) for flight in flights])
+        return np.sqrt(np.square(error[:, :3]).mean())
+
+    acted = np.sqrt(np.square(np.concatenate([drag(f, true)[:, :3] for f in flights])).mean())
+    assert missed(parameters | shape) < 0.5 * missed(parameters)
+    assert missed(parameters | shape) < 0.05 * acted
+    exact = closing.by_laws(closing.regression, (0,))
+    assert closing.gap().reduction > exact.gap().reduction
+
+
+def test_a_law_that_holds_needs_no_shape(closing):
+    law, whole = closing.fits()
+    (index,) = closing.chosen
+    shape = closing.shape(index, law, whole)
+    assert closing.gap().reduction > 0.98
+    assert all(abs(value) < 0.2 for value in shape.values())

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The regression of a search: its fits beside dense least squares, its noise, its linearisation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.effect_regression import NoiseWeighting, Regression, refined, settled
+from quadpi_core.discrepancy.effect_response import Compared
+
+WIND = np.array([0.8, -0.5, 0.0])
+
+
+@pytest.fixture(scope="module")
+def regression(found):
+    """Of flights with drag of the airframe."""
+    return found.discovery.found.regression
+
+
+@pytest.fixture(scope="module")
+def drag(regression):
+    """Index of the effect that is there."""
+    return [own.name for own in regression.candidates].index("body_drag")
+
+
+def whitened(regression, columns):
+    """Rows (R, k) of some columns of all flights, in standard deviations of the noise."""
+    parts = []
+    for place, band in enumerate(regression.columns.bands):
+        rows = regression.columns.rows(place, columns) / np.sqrt(regression.noise[:, band])[:, :, None]
+        parts.append(rows.reshape(-1, rows.shape[2]))
+    return np.concatenate(parts)
+
+
+def test_a_fit_is_least_squares_with_a_unit_prior(regression, drag):
+    block = regression.block(drag)
+    columns = np.concatenate((regression.columns.tolerances, block.parameters))
+    rows, residual = whitened(regression, columns), whitened(regression, np.zeros(1, dtype=int))[:, 0]
+    bounded = np.vstack((rows, np.eye(len(columns))))
+    best, *_ = np.linalg.lstsq(bounded, np.concatenate((residual, np.zeros(len(columns)))), rcond=None)
+    fit = regression.fit((drag,), form=False)
+    np.testing.assert_allclose(fit.of(columns), best, rtol=1e-6, atol=1e-9)
+    scale = regression.candidates[drag].scale
+    np.testing.assert_allclose(regression.parameters(drag, fit), best[-3:] * scale, rtol=1e-6)
+    assert regression.size(drag, fit) == pytest.approx(np.abs(best[-3:]).max())
+    # What is left is the residual less the fit.
+    deviation = np.sqrt(regression.noise[:, regression.columns.bands[0]])
+    left = residual - rows @ best
+    own = regression.left(fit)[0] / deviation
+    np.testing.assert_allclose(own.ravel(), left[: own.size], atol=1e-6)
+
+
+def test_energy_and_loudness_are_those_of_the_contribution(regression, drag):
+    fit = regression.fit((drag,), form=False)
+    block = regression.block(drag)
+    squares, noise = np.zeros(6), np.zeros(6)
+    energy = 0.0
+    for place, band in enumerate(regression.columns.bands):
+        added = regression.columns.rows(place, block.parameters) @ fit.of(block.parameters)
+        energy += 0.5 * np.sum(added**2 / regression.noise[:, band])
+        squares += np.sum(added**2, axis=1)
+        noise += regression.noise[:, band].sum(axis=1)
+    assert regression.energy((drag,), fit) == pytest.approx(energy)
+    assert regression.loudness(drag, fit) == pytest.approx(np.sqrt(np.max(squares / noise)))
+
+
+def test_twice_the_noise_is_half_the_weight(regression):
+    louder = regression.weighted(2.0 * regression.noise)
+    np.testing.assert_allclose(louder.gram, 0.5 * regression.gram, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(louder.weighting.per_flight.sum(axis=0), louder.gram)
+
+
+def test_a_gram_matrix_grows_with_the_columns(regression, drag):
+    """As if it had been made of all columns at once."""
+    moved = regression.moved({drag: np.array([0.005, 0.009, 0.006])})
+    assert moved.columns.width > regression.columns.width
+    whole = NoiseWeighting.of(moved.columns, regression.noise)
+    scale = np.abs(whole.gram).max()
+    np.testing.assert_allclose(moved.gram, whole.gram, atol=1e-9 * scale)
+
+
+def test_noise_beside_an_effect_is_no_less_than_what_it_leaves(regression, drag):
+    fit = regression.fit((drag,))
+    beside = regression.beside((drag,), fit)
+    left, bands = beside.left(fit), beside.columns.bands
+    for index in range(regression.noise.shape[1]):
+        squares = np.concatenate(
+            [np.square(rows[:, band == index]) for rows, band in zip(left, bands, strict=True)], axis=1
+        )
+        assert np.all(beside.noise[:, index] >= (1.0 - 1e-9) * squares.mean(axis=1))
+
+
+@pytest.fixture(scope="module")
+def windy(simulation, flights):
+    """Flights in a wind that nothing measured: the simulation thinks it flies through still air."""
+    unaware = [replace(own, wind=own.wind - WIND).slice(slice(0, 1500)) for own in flights[:2]]
+    compared = [Compared(flight, simulation) for flight in unaware]
+    return Regression.of(compared, candidates(simulation.vehicle, ["wind", "payload"]))
+
+
+def test_a_curved_effect_is_linearised_where_it_fits_best(windy):
+    names = [own.name for own in windy.candidates]
+    index = names.index("wind")
+    assert not windy.columns.points[index].any()
+    at = settled(windy).columns.points[index]
+    np.testing.assert_allclose(at, WIND, atol=0.1)
+    # A linear candidate stays as it is.
+    assert settled(windy).block(names.index("payload")).offset is None
+
+
+def test_the_chosen_are_refined_together(windy):
+    index = [own.name for own in windy.candidates].index("wind")
+    regression = settled(windy)
+    better, fit = refined(regression, (index,), regression.fit((index,)))
+    np.testing.assert_allclose(better.parameters(index, fit), WIND, atol=0.1)
+    np.testing.assert_allclose(better.columns.points[index], better.parameters(index, fit), atol=0.02)
+    assert fit.log_evidence >= regression.fit((index,)).log_evidence - 5.0
+
+
+def test_frequencies_that_are_not_compared_have_no_noise(simulation, flights):
+    compared = [Compared(own.slice(slice(0, 1000)), simulation, highest_hz=5.0) for own in flights[:2]]
+    regression = Regression.of(compared, candidates(simulation.vehicle, ["payload"]))
+    assert regression.noise.shape == (6, 6)
+    assert np.all(regression.noise > 0.0)

@@ -1,0 +1,145 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect adds to the residual, whatever part of vehicle, air or sensors it changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy.effect_response import (
+    Compared,
+    body_tolerances,
+    predicted_flight,
+    residual,
+    share_of_wrench,
+)
+from quadpi_core.discrepancy.simulations import Tolerances
+from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.simulation.applied_effects import effect_wrench
+from quadpi_core.simulation.effect_registry import EFFECTS
+
+
+@pytest.fixture(scope="module")
+def flight(flights):
+    """Four seconds."""
+    return flights[0].slice(slice(500, 1000))
+
+
+@pytest.fixture(scope="module")
+def compared(flight, simulation):
+    return Compared(flight, simulation)
+
+
+def values(name, **parameters):
+    return np.array([parameters.get(p.name, 0.0) for p in EFFECTS[name].parameters])
+
+
+def test_a_force_that_acted_is_what_the_residual_gained(compared, flight, simulation, pushed):
+    drag = {"x_n_s2_m2": 0.006, "y_n_s2_m2": 0.009, "z_n_s2_m2": 0.006}
+    acted = effect_wrench("body_drag", drag, simulation.states(flight), simulation.record())
+    gained = residual(pushed(flight, simulation.vehicle, acted), simulation) - residual(flight, simulation)
+    added = compared.added(EFFECTS["body_drag"], values("body_drag", **drag))
+    np.testing.assert_allclose(added, gained, atol=1e-9)
+
+
+def test_a_mass_that_the_file_lacks_pulls_against_the_acceleration(compared, simulation):
+    """Measured with the file's mass, the force of a heavier vehicle is too small by the payload's share."""
+    added = compared.added(EFFECTS["payload"], values("payload", mass_kg=0.05))
+    np.testing.assert_allclose(added[:, :3], -0.05 * compared.expected_thinned.specific_force, rtol=1e-9)
+    np.testing.assert_allclose(added[:, 3:], 0.0, atol=1e-12)
+    # With accelerations that the simulation predicts, not with their measured noise.
+    force = simulation.vehicle.mass_kg * compared.expected_thinned.specific_force
+    np.testing.assert_allclose(force, compared.simulated[:, :3], rtol=1e-9)
+
+
+def test_a_share_of_the_wrench_is_what_mass_and_inertia_add_without_rates(flight, simulation):
+    still = Compared(replace(flight, rates=np.zeros_like(flight.rates)), simulation)
+    for name, changed in (
+        ("payload", {"mass_kg": 0.05}),
+        ("inertia", {"x_change": 0.1, "y_change": -0.2, "z_change": 0.3}),
+    ):
+        parameters = values(name, **changed)
+        share = share_of_wrench(EFFECTS[name], simulation.vehicle, parameters)
+        added = still.added(EFFECTS[name], parameters)
+        np.testing.assert_allclose(added, still.expected_measured @ share.T, atol=1e-9)
+
+
+def test_rotors_that_turn_slower_than_they_say_lift_less(compared, simulation):
+    """Sensors that read 3 % too much: the simulation, told the true speeds, gives another wrench."""
+    added = compared.added(EFFECTS["rotor_speed_scale"], values("rotor_speed_scale", change=0.03))
+    expected = compared.expected
+    truly = replace(expected, rotor_speeds=expected.rotor_speeds / 1.03)
+    np.testing.assert_allclose(added, simulation.wrench(truly) - simulation.wrench(expected), atol=1e-9)
+
+
+def test_rotor_speeds_that_come_late_are_moved_back(compared, simulation):
+    """What the simulation should have had 40 ms earlier; constant at the end."""
+    added = compared.added(EFFECTS["sensor_delay"], values("sensor_delay", rotor_speeds_s=0.04))
+    expected = compared.expected
+    time = expected.time
+    earlier = np.stack([np.interp(time + 0.04, time, own) for own in expected.rotor_speeds.T], axis=1)
+    moved = simulation.wrench(replace(expected, rotor_speeds=earlier))
+    np.testing.assert_allclose(added, moved - simulation.wrench(expected), atol=1e-6)
+
+
+def test_a_constant_bias_of_the_accelerometer_is_what_the_estimator_takes_away(compared):
+    """It adds nearly nothing to the residual, once the estimate of the bias has settled."""
+    added = compared.added(EFFECTS["accelerometer_bias"], values("accelerometer_bias", x_m_s2=0.2))
+    at_once = 0.2 * compared.simulation.vehicle.mass_kg
+    assert np.abs(added[250:, 0]).max() < 0.2 * at_once
+
+
+def test_predicted_accelerations_are_those_of_the_simulation_but_slow_turns_as_measured(flight, simulation):
+    predicted = predicted_flight(flight, simulation)
+    wrench = measured_wrench(predicted, simulation.vehicle)
+    np.testing.assert_allclose(wrench[:, :3], simulation.wrench(flight)[:, :3], atol=1e-9)
+    constant = np.array([5.0, 0.0, -2.0])
+    shifted = replace(flight, angular_acceleration=flight.angular_acceleration + constant)
+    moved = predicted_flight(shifted, simulation).angular_acceleration - predicted.angular_acceleration
+    np.testing.assert_allclose(moved, np.tile(constant, (len(flight), 1)), atol=1e-9)
+
+
+def test_tolerances_of_the_body_are_effects_with_their_deviation():
+    found = {effect.name: deviation for effect, deviation in body_tolerances(Tolerances(cg_m=0.002))}
+    assert found == {"rotor_thrusts": 0.01, "inertia": 0.02, "cg_offset": 0.002, "imu_lever_arm": 0.002}
+
+
+def test_every_tolerance_is_a_column(compared):
+    columns = compared.uncertain()
+    names = [column.name for column in columns]
+    assert len(set(names)) == len(names)
+    assert {"inertia.x_change", "cg_offset.z_m", "rotor_thrusts.first_change"} <= set(names)
+    one = columns[names.index("cg_offset.x_m")].wrench
+    np.testing.assert_array_equal(one, compared.added(EFFECTS["cg_offset"], values("cg_offset", x_m=3e-4)))
+
+
+def test_a_simulation_with_memory_sees_every_sample(flights, simulation):
+    """Thinned is only what is compared, and the mean of that is as before."""
+
+    class Remembering:
+        memoryless = False
+        vehicle = simulation.vehicle
+        seen = 0
+
+        def wrench(self, flight):
+            self.seen = len(flight)
+            return simulation.wrench(flight)
+
+    fast = flights[0].slice(slice(0, 400))
+    fast = replace(fast, time=fast.time[0] + (fast.time - fast.time[0]) / 4.0)
+    remembering = Remembering()
+    compared = Compared(fast, remembering)
+    assert compared.thinned.rate_hz == pytest.approx(fast.rate_hz / 4.0)
+    np.testing.assert_array_equal(compared.simulated, simulation.wrench(fast)[::4])
+    assert remembering.seen == 400
+    assert len(compared.residual) == 100
+
+
+def test_a_flight_is_compared_up_to_its_highest_frequency(flight, simulation):
+    columns = np.ones((len(flight), 6, 1))
+    whole, slow = Compared(flight, simulation), Compared(flight, simulation, highest_hz=5.0)
+    assert whole.spectrum(columns).rows.shape[1] == pytest.approx(2 * 20.0 * 4.0, abs=2)
+    assert slow.spectrum(columns).rows.shape[1] == pytest.approx(2 * 5.0 * 4.0, abs=2)

@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of the regression: what they hold, and what a move of a candidate changes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
+from quadpi_core.discrepancy.linearisation import Linearisation, Modulators, table_starts
+
+NAMES = ["body_drag", "payload", "wind"]
+DRAG, PAYLOAD, WIND = range(3)
+
+
+@pytest.fixture(scope="module")
+def columns(simulation, flights):
+    compared = [Compared(flight.slice(slice(0, 1000)), simulation) for flight in flights[:2]]
+    chosen = {own.name: own for own in candidates(simulation.vehicle, NAMES)}
+    return Linearisation.of(compared, [chosen[name] for name in NAMES])
+
+
+def rows_of(columns, place, wrench):
+    """Rows (6, B) of a wrench (M, 6) of a flight."""
+    return columns.flights[place].spectrum(wrench[:, :, None]).rows[:, :, 0]
+
+
+def test_the_first_column_is_the_residual_and_tolerances_follow(columns):
+    for place, flight in enumerate(columns.flights):
+        residual, *tolerances = np.moveaxis(columns.rows(place, np.arange(1 + len(columns.tolerances))), 2, 0)
+        np.testing.assert_allclose(residual, rows_of(columns, place, flight.residual))
+        for found, column in zip(tolerances, flight.uncertain(), strict=True):
+            np.testing.assert_allclose(found, rows_of(columns, place, column.wrench), atol=1e-12)
+    assert columns.tolerance_names == tuple(column.name for column in columns.flights[0].uncertain())
+
+
+def test_blocks_follow_each_other_and_only_curved_candidates_have_an_offset(columns):
+    drag, payload, wind = columns.blocks
+    first = 1 + len(columns.tolerances)
+    assert drag.parameters.tolist() == [first, first + 1, first + 2]
+    assert payload.parameters.tolist() == [first + 3]
+    assert wind.parameters.tolist() == [first + 4, first + 5, first + 6]
+    assert (drag.offset, payload.offset, wind.offset) == (None, None, first + 7)
+    assert columns.width == first + 8
+    assert columns.linear_columns.tolist() == list(range(1, first + 4))
+    # Bounds are in units of the prior.
+    np.testing.assert_allclose(drag.highest * columns.candidates[DRAG].scale, 0.1)
+
+
+def test_a_sum_of_columns_takes_them_by_their_weights(columns):
+    weights = np.random.default_rng(0).standard_normal(columns.width)
+    weights[5:9] = 0.0
+    for place in range(2):
+        whole = columns.rows(place, np.arange(columns.width)) @ weights
+        np.testing.assert_allclose(columns.combined(place, weights), whole, atol=1e-9)
+    # Weights that end early: further columns have none.
+    np.testing.assert_allclose(
+        columns.combined(0, weights[:3]), columns.rows(0, np.arange(3)) @ weights[:3], atol=1e-12
+    )
+
+
+def test_a_candidate_that_moves_gets_a_new_block_and_leaves_the_others(columns):
+    at = np.array([1.0, -0.5, 0.2])
+    moved = columns.moved({WIND: at})
+    assert [block.parameters.tolist() for block in moved.blocks[:2]] == [
+        block.parameters.tolist() for block in columns.blocks[:2]
+    ]
+    assert moved.blocks[WIND].parameters[0] == columns.width
+    assert columns.points[WIND].tolist() == [0.0, 0.0, 0.0]
+    before = np.arange(columns.width)
+    np.testing.assert_array_equal(moved.rows(0, before), columns.rows(0, before))
+
+
+def test_about_its_point_a_curved_candidate_contributes_what_it_does(columns):
+    """Columns at the parameters less the offset."""
+    at = np.array([1.0, -0.5, 0.2])
+    moved = columns.moved({WIND: at})
+    block, wind = moved.blocks[WIND], columns.candidates[WIND]
+    for place, flight in enumerate(columns.flights):
+        weights = np.zeros(moved.width)
+        weights[block.parameters], weights[block.offset] = at / wind.scale, -1.0
+        contribution = rows_of(columns, place, flight.added(wind.effect, wind.values(at)))
+        np.testing.assert_allclose(moved.combined(place, weights), contribution, atol=1e-9)
+
+
+def test_columns_of_the_form_are_shares_of_the_contribution(columns):
+    """One for each axis of the law, then one for each modulator; none for an exact law or no effect."""
+    at = np.array([0.004, 0.01, 0.002])
+    moved = columns.moved({DRAG: at, PAYLOAD: np.array([0.05])})
+    block, drag = moved.blocks[DRAG], columns.candidates[DRAG]
+    assert len(moved.blocks[PAYLOAD].form) == len(columns.moved({DRAG: 0.0 * at}).blocks[DRAG].form) == 0
+    assert block.formed_at == pytest.approx(np.linalg.norm(at / drag.scale))
+    assert len(block.form) == len(drag.effect.axes) + len(moved.modulators.mean)
+    flight = columns.flights[0]
+    contribution = flight.added(drag.effect, drag.values(at))
+    last = 0.15 * contribution * moved.modulators.values[0][:, [-1]]
+    np.testing.assert_allclose(moved.rows(0, block.form[-1:])[:, :, 0], rows_of(columns, 0, last), atol=1e-9)
+
+
+def test_other_accelerations_change_the_columns_of_mass_and_inertia_alone(columns, simulation):
+    changes = [0.1 * columns.rows(place, np.zeros(1, dtype=int))[:, :, 0] for place in range(2)]
+    moved = columns.accelerated(changes)
+    (payload,) = columns.blocks[PAYLOAD].parameters
+    everything = np.arange(columns.width)
+    for place, change in enumerate(changes):
+        difference = moved.rows(place, everything) - columns.rows(place, everything)
+        changed = {int(k) for k in np.flatnonzero(np.abs(difference).max(axis=(0, 1)))}
+        inertia = {1 + columns.tolerance_names.index(f"inertia.{axis}_change") for axis in "xyz"}
+        assert changed == inertia | {payload}
+        effect, scale = columns.candidates[PAYLOAD].effect, columns.candidates[PAYLOAD].scale
+        share = share_of_wrench(effect, simulation.vehicle, scale)
+        np.testing.assert_allclose(difference[:, :, payload], share @ change, rtol=1e-6, atol=1e-12)
+
+
+def test_modulators_are_standardised_over_all_flights(columns):
+    everything = np.concatenate(Modulators.of(columns.flights).values)
+    np.testing.assert_allclose(everything.mean(axis=0), 0.0, atol=1e-9)
+    np.testing.assert_allclose(everything.std(axis=0), 1.0, rtol=1e-9)
+
+
+def test_tables_start_where_the_one_before_ends():
+    assert table_starts([np.zeros((6, 2, width)) for width in (3, 1, 4)]) == [0, 3, 4]
+    assert table_starts([]) == []
