@@ -55,7 +55,6 @@ def is_config_path(name_or_path: str | Path) -> bool:
 # Beyond any physical quantity; powers and products of such numbers stay finite.
 _LARGEST = 1e30
 _OF_SIZE = f"numbers must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, or 0"
-_DIGITS_MAX = 100
 # Entries with every alias expanded: nested aliases grow exponentially ("billion laughs").
 _NODES_MAX = 100_000
 _TAG = "tag:yaml.org,2002:"
@@ -83,9 +82,9 @@ class _Loader(yaml.SafeLoader):
     def construct_int(self, node: yaml.ScalarNode) -> int:
         """A whole decimal number."""
         self._require(_INT, node, "a whole number")
-        if len(node.value) > _DIGITS_MAX:  # Python refuses to convert thousands of digits
+        if math.isinf(value := float(node.value)):
             raise _refused(_OF_SIZE, node)
-        self._sized(float(node.value), node)
+        self._sized(value, node)
         return int(node.value)
 
     def construct_float(self, node: yaml.ScalarNode) -> float:

@@ -24,7 +24,7 @@ def imu():
 @pytest.fixture
 def recording(imu):
     level = np.tile([1.0, 0.0, 0.0, 0.0], (N // 4, 1))
-    pose = PoseStream(TIME_NS[::4] + 1_000_000, np.zeros((N // 4, 3)), level)
+    pose = PoseStream(TIME_NS[::4], np.zeros((N // 4, 3)), level)
     wind = WindStream(TIME_NS[:1], np.zeros((1, 3)))
     return Recording("flight", "bebop2", "flight.mcap", imu, pose=pose, wind=wind)
 

@@ -2,18 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of a bag by name: in a namespace, of a simulation, of any type."""
 
+import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.logs.bag_topics import bag_topics, has_topic
+from quadpi_core.flight import WindStream
+from quadpi_core.logs.bag_topics import bag_topics, bag_vehicle, has_topic
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.payloads import Topic
+from quadpi_core.messages.payloads import Payloads, Topic
 
 from .bag_examples import assert_same_streams, imu_topic, write_ros1
 
@@ -74,3 +76,40 @@ def test_topics_of_a_ros1_bag_have_their_header_stamps(tmp_path, sensor_topics):
     for own, of in zip(bag_topics(path), bag_topics(tmp_path / "flight.mcap"), strict=True):
         assert (own.name, own.type_name, own.has_header) == (of.name, of.type_name, True)
         np.testing.assert_array_equal(own.stamps_ns, of.stamps_ns)
+
+
+def test_a_stamp_that_is_none_is_named_by_its_place_in_the_topic(tmp_path):
+    """A bag is looked through in blocks of 12 000 messages."""
+    path, count = tmp_path / "long.mcap", 12_100
+    wind = WindStream(np.arange(1, count + 1), np.zeros((count, 3)))
+    payloads = list(sensor_messages.pack_wind(wind))
+    payloads[12_050] = payloads[12_050][:8] + struct.pack("<I", 10**9) + payloads[12_050][12:]
+    write_mcap(path, [Topic("/wind", sensor_messages.WIND, wind.time_ns, Payloads.join(payloads))], {})
+    with pytest.raises(LogError, match=r"long\.mcap: topic /wind: sample 12050: the stamp has 1000000000 ns"):
+        bag_topics(path)
+
+
+def test_a_topic_of_that_name_in_two_namespaces_is_ambiguous(tmp_path, recording):
+    path = tmp_path / "fleet.mcap"
+    write_mcap(path, [imu_topic(recording, "/a/imu"), imu_topic(recording, "/b/imu")], {})
+    with pytest.raises(LogError, match=r"fleet\.mcap: topic imu: ambiguous between /a/imu, /b/imu"):
+        has_topic(path, "imu")
+
+
+def test_a_topic_of_another_type_is_refused(tmp_path, recording):
+    path = tmp_path / "other.mcap"
+    wrong = imu_topic(recording, "/wind")
+    write_mcap(path, [wrong], {})
+    with pytest.raises(
+        LogError, match=r"topic /wind: type sensor_msgs/msg/Imu, expected geometry_msgs/msg/V"
+    ):
+        has_topic(path, "wind")
+
+
+def test_motion_capture_s_odometry_is_no_estimator_s(tmp_path, recording):
+    path = tmp_path / "mocap.mcap"
+    state = sensor_messages.pack_odometry(recording.odometry)
+    times = recording.odometry.time_ns
+    write_mcap(path, [Topic("/mocap/odometry", sensor_messages.ODOMETRY, times, state)], {})
+    assert (has_topic(path, "odometry"), has_topic(path, "mocap/odometry")) == (False, True)
+    assert bag_vehicle(path) == ""

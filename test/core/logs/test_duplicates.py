@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,9 +12,9 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording
+from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
 from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
-from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+from quadpi_core.logs.duplicates import RunningHash, recording_hash, refuse_duplicates
 
 
 def with_speeds(recording: Recording, change: Callable[[np.ndarray], object]) -> Recording:
@@ -55,3 +56,30 @@ def test_different_flights_are_not_duplicates(hover: Recording):
     refuse_duplicates(
         hashed(hover, other, with_speeds(hover, lambda speeds: np.add(speeds, 1.0, out=speeds)))
     )
+
+
+def test_the_hash_is_that_of_the_documented_bytes(hover: Recording):
+    """Model folders hold it: stamps in µs since the first sample, then values in single precision."""
+    imu, rotors = hover.imu, hover.rotor_speeds
+    late = replace(hover, rotor_speeds=replace(rotors, time_ns=rotors.time_ns + 1_999))
+    stamps = (imu.time_ns - imu.time_ns[0]) // 1000
+    content = (stamps.astype("<i8"), imu.angular_velocity.astype("<f4"), imu.specific_force.astype("<f4"))
+    speeds = ((stamps + 1).astype("<i8"), rotors.speeds.astype("<f4"))
+    expected = hashlib.sha256(b"".join(part.tobytes() for part in (*content, *speeds))).hexdigest()
+    assert recording_hash(late) == expected
+    alone = hashlib.sha256(b"".join(part.tobytes() for part in content)).hexdigest()
+    assert recording_hash(replace(hover, rotor_speeds=None)) == alone
+
+
+def test_a_recording_in_parts_has_the_hash_of_the_whole(hover: Recording):
+    """More of a column waits for its turn than is held in memory."""
+    parts = 60
+    whole = replace(
+        hover,
+        imu=ImuStream.join([hover.imu] * parts),
+        rotor_speeds=RotorSpeedStream.join([hover.rotor_speeds] * parts),
+    )
+    with RunningHash(whole.imu.time_ns, whole.rotor_speeds.time_ns) as running:
+        for _ in range(parts):
+            running.add(hover)
+        assert running.hexdigest() == recording_hash(whole)

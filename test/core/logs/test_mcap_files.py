@@ -6,10 +6,12 @@ import struct
 
 import numpy as np
 import pytest
+from backports import zstd
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import mcap_writer, write_mcap
+from quadpi_core.logs.bags import read_bag
 from quadpi_core.logs.mcap_files import MAGIC, McapFile, find_records
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads, Topic
@@ -19,13 +21,15 @@ from .bag_examples import assert_blocks_are_the_whole, assert_holds, messages_of
 CHUNK_INDEX = 0x08
 
 
+def record(opcode, content):
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def sized(content):
+    return struct.pack("<I", len(content)) + content
+
+
 def test_reads_messages_outside_chunks_without_a_summary(tmp_path, topics):
-    def record(opcode, content):
-        return struct.pack("<BQ", opcode, len(content)) + content
-
-    def sized(content):
-        return struct.pack("<I", len(content)) + content
-
     few = topics[0].payloads.take(np.arange(3))
     body = MAGIC + record(0x01, sized(b"ros2") + sized(b"test"))
     schema = (
@@ -104,3 +108,27 @@ def test_the_program_that_reads_with_rosbags_gets_the_same_messages(tmp_path, se
     ]
     reader.close()
     assert found == [(topic.name, time_ns, payload) for time_ns, topic, payload in messages_of(sensor_topics)]
+
+
+def test_records_of_a_chunk_count_with_150_bytes_each(tmp_path, monkeypatch):
+    """What holds a message in memory beside its bytes, against a limit of one MiB."""
+    monkeypatch.setenv("QUADPI_UNPACKED_MIB", "1")
+    path = tmp_path / "many.mcap"
+    for count, message in ((6990, "topic imu: missing"), (6991, "unpacks to 2 MiB or more, beyond")):
+        content = record(0, b"") * count
+        header = struct.pack("<QQQI", 0, 1, len(content), 0) + sized(b"zstd")
+        packed = zstd.compress(content)
+        chunk = record(0x06, header + struct.pack("<Q", len(packed)) + packed)
+        start = MAGIC + record(0x01, sized(b"ros2") + sized(b"test"))
+        path.write_bytes(start + chunk + record(0x0F, bytes(4)) + record(0x02, bytes(20)) + MAGIC)
+        with pytest.raises(LogError, match=message):
+            read_bag(path)
+
+
+@pytest.mark.parametrize(("size", "known"), [(2**20 - 2**12, True), (2**20 + 2**12, False)])
+def test_metadata_of_more_than_a_mib_are_not_read(tmp_path, size, known):
+    """Those of rosbag2 hold the topics; a day's recording has less."""
+    path = tmp_path / "bag.mcap"
+    write_mcap(path, [], {"vehicle": "bebop2", "note": "x" * size})
+    with Bag(path) as bag:
+        assert bag.metadata.get("vehicle") == ("bebop2" if known else None)

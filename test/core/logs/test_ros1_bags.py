@@ -19,7 +19,7 @@ from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.vehicle import Vehicle
 
-from .bag_examples import topic_rows, write_folder, write_ros1
+from .bag_examples import assert_blocks_are_the_whole, topic_rows, write_folder, write_ros1
 
 
 @pytest.mark.parametrize("compression", [None, *rosbag1.Writer.CompressionFormat])
@@ -39,6 +39,7 @@ def test_a_ros1_bag_whose_topics_were_written_one_after_the_other(
     path = tmp_path / "flight.bag"
     write_ros1(path, sensor_topics, rosbag1.Writer.CompressionFormat.LZ4, one_after_the_other=True)
     same_flight(path)
+    assert_blocks_are_the_whole(path, sensor_topics, 300)
     unpacked = []
     unpacker = lz4.frame.LZ4FrameDecompressor
     monkeypatch.setattr(lz4.frame, "LZ4FrameDecompressor", lambda: unpacked.append(1) or unpacker())

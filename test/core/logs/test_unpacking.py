@@ -4,6 +4,7 @@
 
 import struct
 
+import numpy as np
 import pytest
 from backports import zstd
 from lz4 import frame as lz4
@@ -49,3 +50,14 @@ def test_frames_of_nothing(frame):
         unzstd(frame * 2**16, 0)
     with pytest.raises(LogError, match=r"more than \d+ frames of Zstandard in"):
         zstd_size(frame * 2**16, 2**20)
+
+
+def test_ten_frames_of_a_small_file_and_one_more_for_each_kilobyte_are_unpacked():
+    nothing = zstd.compress(b"")
+    assert unzstd(nothing * 10, 0) == b""
+    with pytest.raises(LogError, match="more than 10 frames of Zstandard in"):
+        unzstd(nothing * 11, 0)
+    long = zstd.compress(np.random.default_rng(0).bytes(3000))
+    assert len(unzstd(long + nothing * 12, 3000)) == 3000
+    with pytest.raises(LogError, match="more than 13 frames of Zstandard in"):
+        unzstd(long + nothing * 13, 3000)

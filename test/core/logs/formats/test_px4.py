@@ -123,9 +123,11 @@ def test_positions_that_are_not_valid_are_left_out(read, place, caplog):
     assert "topic odometry: 100 of 100 positions are not valid" in caplog.text
 
 
-def test_only_the_first_instance_of_a_topic_counts(read):
-    other = {("sensor_combined", 1): (IMU, [(now, *[9.0] * 6) for now in TIMES])}
-    assert read(other).imu.angular_velocity.max() == pytest.approx(0.3)
+def test_only_the_first_instance_of_a_topic_counts(tmp_path):
+    """Whichever is logged first."""
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog({("sensor_combined", 1): (IMU, [(now, *[9.0] * 6) for now in TIMES]), **FLIGHT}))
+    assert read_px4(path, None).imu.angular_velocity.max() == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(

@@ -94,3 +94,12 @@ def test_a_body_that_never_comes_names_the_others_and_a_name_that_comes_twice_is
     twice = frame(vendor, name, START_NS, [("quad", *pose), ("quad", *pose)])
     with pytest.raises(LogError, match="sample 1: two bodies are named quad"):
         unpacker.unpack(Payloads.join([frame(vendor, name, START_NS, [("quad", *pose)]), twice]))
+
+
+def test_of_many_other_bodies_nine_are_named(vendor):
+    vendor = vendor.px4_1_14
+    others = [(f"cf{number:02}", [1, 2, 3], [0, 0, 0, 1]) for number in range(30)]
+    unpacker = opened(vendor, "named_poses")
+    unpacker.unpack(Payloads.join([frame(vendor, "named_poses", START_NS + k, others) for k in range(2)]))
+    named = ", ".join(f"cf{number:02}" for number in range(9))
+    assert unpacker.dropped == {f"quad is not in it (others: {named})": 2}
