@@ -31,8 +31,9 @@ from quadpi_core.paths import whole_output
 if TYPE_CHECKING:
     from rosbags.rosbag2.writer import StorageWriter
 
-# Version of the metadata of rosbag2: that of Jazzy and later.
-_ROSBAG2_VERSION: Literal[9] = 9
+# Version of the metadata of rosbag2. From 9 on, policies of quality of service are words, at which `ros2 bag
+# play` of Humble and Iron stops; Jazzy and later tell words and numbers apart. Nothing in our bags needs 9.
+_ROSBAG2_VERSION: Literal[8] = 8
 # Seconds of a ROS stamp are signed 32-bit numbers.
 _STAMP_END_NS = 2**31 * 10**9
 _MESSAGE, _RECORD_PREFIX = 0x05, 9

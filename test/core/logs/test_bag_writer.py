@@ -10,6 +10,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import McapReader
+from ruamel.yaml import YAML
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.bag_writer import mcap_writer, write_mcap
@@ -135,3 +136,20 @@ def test_stamps_that_ros_cannot_hold_are_refused_and_nothing_written(tmp_path, t
     with pytest.raises(LogError, match=r"bag\.mcap: topic /wind: sample 0: the stamp is before 1970 or"):
         write_mcap(path, [early], {})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_humble_can_read_the_quality_of_service(tmp_path):
+    """As numbers of rmw: words, as of version 9 of the metadata, stop `ros2 bag play` of Humble and Iron."""
+    path = tmp_path / "bag.mcap"
+    with mcap_writer(path, {"vehicle": "v"}) as writer:
+        writer.announce({"/imu": sensor_messages.IMU, "/alarm_log": sensor_messages.EVENT})
+    found = {}
+    for channel in opened(path).channels.values():
+        text = channel.metadata.partition(b"- ")[2].decode()
+        (found[channel.topic],) = YAML(typ="safe").load("- " + text)
+    # rmw/types.h: keep last, automatic; best effort and volatile, reliable and transient local.
+    assert {profile["history"] for profile in found.values()} == {1}
+    assert {profile["liveliness"] for profile in found.values()} == {1}
+    assert (found["/imu"]["reliability"], found["/imu"]["durability"]) == (2, 2)
+    assert (found["/alarm_log"]["reliability"], found["/alarm_log"]["durability"]) == (1, 1)
+    assert b"\nversion: 8" in path.read_bytes()
