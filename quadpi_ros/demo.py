@@ -27,6 +27,7 @@ from quadpi_core.report.model_tables import held_out_table
 from quadpi_core.report.progress_bar import progress_bar
 from quadpi_core.report.table import terminal_table
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.view.view_server import ADDRESS, PORT, port_problem
 from quadpi_ros.collector import AlarmChange
 from quadpi_ros.live_session import SessionResult, run_session
 
@@ -61,7 +62,7 @@ class DemoFlights:
         return next(iter(self.groups.values()))
 
 
-def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> None:
+def run_demo(data: Path | None, output: Path, rate: float, console: Console, view: bool = True) -> None:
     """Identify, evaluate, replay live and report; all files go to `output`.
 
     Args:
@@ -69,6 +70,7 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
         output: folder for all results.
         rate: speed of the live replay; 1 is real time.
         console: for progress and results.
+        view: whether to serve the live part as a page, which opens where there is a display.
 
     Raises:
         QuadpiError: saying which flights to provide if they are missing.
@@ -76,7 +78,7 @@ def run_demo(data: Path | None, output: Path, rate: float, console: Console) -> 
     if not 0.0 < rate < np.inf:
         raise QuadpiError(f"--rate must be positive, found {rate:g}")
     flights = _bundled_flights(console) if data is None else _real_flights(data, output, console)
-    _run(flights, output, rate, console)
+    _run(flights, output, rate, console, view)
 
 
 def _bundled_flights(console: Console) -> DemoFlights:
@@ -113,7 +115,7 @@ def _real_flights(data: Path, output: Path, console: Console) -> DemoFlights:
     return DemoFlights(vehicle, groups, groups["extrapolation"][0])
 
 
-def _run(flights: DemoFlights, output: Path, rate: float, console: Console) -> None:
+def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view: bool) -> None:
     vehicle = flights.vehicle
     console.rule("2  Identify: stepwise polynomials on the slower flights")
     with progress_bar(console) as progress:
@@ -152,6 +154,7 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console) -> N
         vehicle=vehicle.name,
         rate=rate,
         on_alarm=lambda change: _show(console, change),
+        page=_page(vehicle, output / "model", console) if view else None,
     )
     live = session.summary()
     console.print(
@@ -166,6 +169,17 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console) -> N
     replay = _replay(flights.replayed.stem, session, live)
     write_evaluation_page(output / "report.html", evaluation, results, model, replay)
     console.print(f"Open {output / 'report.html'}; figures in {output / 'summary.json'}")
+    again = f"quadpi view {flights.replayed} --model {output / 'model'}"
+    console.print(f"See the flight again: {again}", soft_wrap=True)
+
+
+def _page(vehicle: Vehicle, model: Path, console: Console) -> list[str] | None:
+    """Arguments of the page of the live part; None where its port is taken."""
+    if problem := port_problem():
+        console.print(f"No page: {problem.partition(';')[0]}")
+        return None
+    console.print(f"Page at http://{ADDRESS}:{PORT}/ while the flight lasts")
+    return ["--vehicle", vehicle.name, "--model", str(model)]
 
 
 def _show(console: Console, change: AlarmChange) -> None:

@@ -23,6 +23,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.paths import config_directory
+from quadpi_core.view.view_server import ADDRESS, PORT
 from quadpi_ros.mavlink_link import is_replay
 from quadpi_ros.player import START_TIMEOUT_S, live_inputs
 
@@ -92,6 +93,9 @@ def monitor_arguments(respawn: bool) -> tuple[Argument, ...]:
         Argument("adapters", f"how messages of other packages are read{of_the_file}", ""),
         Argument("body_frame", f"frame_id of the body{of_the_file}", ""),
         Argument("world_frame", f"frame_id of the world{of_the_file}", ""),
+        Argument("view", "page in a browser: can the model be trusted now, and why not", "false"),
+        Argument("view_port", "port of the page", str(PORT)),
+        Argument("view_bind", "address of the page; another than loopback lets the network in", ADDRESS),
         Argument("frames", f"strict: refuse an IMU in a frame that no transform places{of_the_file}", ""),
         *(Argument(argument_of(topic), f"name of the topic {topic}", topic) for topic in SENSORS + OUTPUTS),
     )
@@ -196,11 +200,36 @@ def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({}))
     instead = {name: value for name, value in chosen.items() if not launch.values[name]}
     whole = replace(launch, values={**launch.values, **instead})
     programs = ("estimator_node", "monitor_node") if launch.switch("separate") else ("live",)
-    return [
+    actions = [
         action
         for program in programs
         for action in whole.program(program, whole.given(PARAMETERS), SENSORS + OUTPUTS)
     ]
+    return actions + (page(launch) if launch.switch("view") else [])
+
+
+def page(launch: Launch) -> list[Any]:
+    """Actions that run the page of the live nodes. Its end ends nothing else: what flies does not need it."""
+    model = launch.values["model"]
+    folders = yaml.safe_load(model) if model.startswith("[") else [model]
+    node = Node(
+        package="quadpi",
+        executable="view",
+        namespace=launch.values["namespace"],
+        arguments=[
+            *("--port", launch.values["view_port"], "--bind", launch.values["view_bind"]),
+            *("--vehicle", launch.values["vehicle"]),
+            *(part for folder in folders for part in ("--model", str(folder))),
+        ],
+        remappings=[],
+        output="screen",
+    )
+
+    def ended(event: Any, context: LaunchContext) -> list[Any]:
+        """Start it again where a signal killed it; what it says itself before it ends, it would say again."""
+        return page(launch) if event.returncode < 0 and not context.is_shutdown else []
+
+    return [node, RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended))]
 
 
 def description(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,6 +87,7 @@ def run_session(
     rate: float = 1.0,
     parameters: Mapping[str, object] | None = None,
     on_alarm: Callable[[AlarmChange], None] | None = None,
+    page: Sequence[str] | None = None,
 ) -> SessionResult:
     """Start the live nodes, play the bag through them and collect their output until all of it is judged.
 
@@ -98,6 +100,7 @@ def run_session(
         rate: speed of the replay; 1 is real time.
         parameters: of the nodes, in addition to those that follow from bag and model.
         on_alarm: called at once for every change of the alarm.
+        page: arguments of :mod:`quadpi_ros.view_node`, to serve a page meanwhile; without it, none is.
 
     Raises:
         PlayerError: if the bag lacks a topic.
@@ -118,9 +121,12 @@ def run_session(
     with isolated_domain() as folder, Collector(int(stamps["imu"][0]), on_alarm) as collector:
         parameter_file = folder / "parameters.yaml"
         parameter_file.write_text(yaml.safe_dump({"/**": {"ros__parameters": all_parameters}}))
-        with Child(
-            "quadpi_ros.live_process", ("--ros-args", "--params-file", str(parameter_file)), folder
-        ) as live:
+        with ExitStack() as children:
+            if page is not None:
+                children.enter_context(Child("quadpi_ros.view_node", page, folder))
+            live = children.enter_context(
+                Child("quadpi_ros.live_process", ("--ros-args", "--params-file", str(parameter_file)), folder)
+            )
             await_start(live, collector)
             sent = play(bag, inputs.topics, rate, folder, live, collector)
             await_rest(live, collector, int(sent["imu"][-1, 0]))

@@ -22,6 +22,9 @@ def demo(
         Path, typer.Option("-o", "--output", help="Folder for all that the demo makes.")
     ] = Path("out/demo"),
     rate: Annotated[float, typer.Option(help="Speed of the live replay; 1 is real time.")] = 1.0,
+    view: Annotated[
+        bool, typer.Option(help="Serve the live part as a page; it opens where there is a display.")
+    ] = True,
 ) -> None:
     """Run the whole story: identify, evaluate, replay a flight through the live nodes, report."""
     try:
@@ -30,4 +33,4 @@ def demo(
     except ModuleNotFoundError as error:
         raise QuadpiError(f"the demo needs ROS 2 for its live nodes ({error}): run `make demo`") from error
 
-    run_demo(data, output, rate, open_console())
+    run_demo(data, output, rate, open_console(), view)

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi view`: a flight in a browser, with how far the model can be trusted at every moment."""
+"""`quadpi view`: the live page in a browser, of the nodes that run or of a bag."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -14,12 +15,14 @@ from quadpi_core.errors import QuadpiError
 
 
 def view(
-    bag: Annotated[Path, typer.Argument(help="Flight to look at: with sensor topics, or with results.")],
+    bag: Annotated[
+        Path | None, typer.Argument(help="Flight to look at; without one, the live nodes of this ROS domain.")
+    ] = None,
     model: Annotated[
         list[Path] | None,
         typer.Option(
             help="Model folder; may be given several times. Of a bag: judge it by these models, of which the "
-            "first gives the alarm."
+            "first gives the alarm. Live: show the envelope of the one that flies."
         ),
     ] = None,
     vehicle: OptionalVehicle = None,
@@ -40,12 +43,26 @@ def view(
     from quadpi_core.view.view_server import serve_page
 
     models = [AerodynamicModel.load(folder) for folder in model or ()]
-    the_vehicle = models[0].load_vehicle(vehicle) if models else None
     if vehicle is not None and not models:
         raise QuadpiError("--vehicle: is that of the models, and there is no --model")
-    for other in models[1:]:
-        assert the_vehicle is not None
-        other.require(the_vehicle)
     console = open_console()
-    source = open_bag(bag, models, the_vehicle, confidence)
-    serve_page(source, port, bind, lambda url: announce(console.print, url, open_page))
+
+    def say(url: str) -> None:
+        announce(console.print, url, open_page)
+
+    # Ctrl-C is how it ends.
+    with suppress(KeyboardInterrupt):
+        if bag is not None:
+            the_vehicle = models[0].load_vehicle(vehicle) if models else None
+            serve_page(open_bag(bag, models, the_vehicle, confidence), port, bind, say)
+            return
+        if confidence is not None:
+            raise QuadpiError("--confidence: is for a bag that --model judges; live nodes have theirs")
+        try:
+            # Here the command line reaches for ROS, as in `quadpi demo`.
+            from quadpi_ros.view_node import view_live
+        except ModuleNotFoundError as error:
+            raise QuadpiError(
+                f"live nodes are seen through ROS 2 ({error}); without it, look at a bag: quadpi view BAG"
+            ) from error
+        view_live(models, vehicle, port, bind, say)

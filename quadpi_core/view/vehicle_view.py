@@ -303,6 +303,10 @@ class VehicleView:
 
     def _jumped(self, time_ns: int, step_ns: int) -> None:
         seconds = _NANOSECONDS * step_ns
+        # The monitor forgets what it was about to clear.
+        for event in self._events.values():
+            if event["end"] is None:
+                event["end"] = round(_NANOSECONDS * time_ns, 3)
         self._events[-1 - len(self._events), time_ns] = {
             "number": 0,
             "cause": "stamps jumped",

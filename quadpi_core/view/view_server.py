@@ -134,6 +134,7 @@ class ViewServer:
         self.source = source
         self.address = address
         self.pages: set[_Page] = set()
+        self.failure: Exception | None = None
         self._overview_s = 0.0
         page = str(PAGE_FOLDER)
         self._http = HTTPServer(
@@ -181,6 +182,14 @@ class ViewServer:
         return self.source.vehicles.get(name)
 
     def _tick(self) -> None:
+        try:
+            self._serve_what_is_new()
+        except Exception as error:
+            # An error in the program: whoever started the server is to know, at once and only once.
+            self._ticks.stop()
+            self.failure = error
+
+    def _serve_what_is_new(self) -> None:
         self.source.poll()
         views = dict(self.source.vehicles)
         now_s = time.monotonic()
@@ -313,6 +322,16 @@ class _Page(WebSocketHandler):
             self._server.pages.discard(self)
 
 
+def port_problem(port: int = PORT, address: str = ADDRESS) -> str | None:
+    """Why a page cannot be served there, naming who has the port; None if it can."""
+    try:
+        for one in bind_sockets(port, address):
+            one.close()
+    except (OSError, UnicodeError) as error:
+        return _why_not(error, port, address)
+    return None
+
+
 def _why_not(error: OSError | UnicodeError, port: int, address: str) -> str:
     number = getattr(error, "errno", None)
     if number == errno.EADDRINUSE:
@@ -365,6 +384,8 @@ def serve_page(
             on_start(server.url)
             while not until():
                 await asyncio.sleep(0.1)
+                if server.failure is not None:
+                    raise server.failure
         finally:
             server.close()
 

@@ -10,6 +10,7 @@ import re
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -199,6 +201,38 @@ def test_a_program_that_fails_for_good_is_an_exit_status(why: str, launch: Launc
         status = -signal.SIGKILL if why == "killed" else 2
         assert f"mavlink_bridge has ended with exit status {status}" in launched.said
         assert len(launched.pids()) == 1
+
+
+MONITOR = ("monitor.launch.py", "vehicle:=bebop2", f"model:={GOLDEN_MODEL}", "view:=true")
+
+
+def test_the_page_comes_with_the_nodes_and_again_when_it_is_killed(launch: Launch) -> None:
+    with launch(*MONITOR, "view_port:=0") as launched:
+
+        def pages() -> list[str]:
+            return re.findall(r"Page at (http://127\.0\.0\.1:\d+/)", launched.said)
+
+        launched.wait_until(lambda: len(pages()) == 1)
+        with urlopen(pages()[0]) as answer:
+            assert b"<title>quadpi</title>" in answer.read()
+        os.kill(launched.pids()[-1], signal.SIGKILL)
+        launched.wait_until(lambda: len(pages()) == 2)
+        assert launched.interrupt() == 0, launched.said
+        assert len(launched.pids()) == 3
+
+
+def test_a_page_whose_port_is_taken_ends_nothing_else(launch: Launch) -> None:
+    with (
+        socket.socket() as taken,
+        Listener("test_launch", [(WrenchPrediction, "prediction", len)]) as listener,
+    ):
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with launch(*MONITOR, f"view_port:={port}") as launched:
+            launched.wait_until(lambda: f"port {port} is in use by process" in launched.said)
+            launched.wait_until(lambda: listener.connected)
+            assert launched.interrupt() == 0, launched.said
 
 
 def test_a_parameter_file_that_is_not_there_is_refused(launch: Launch) -> None:

@@ -205,7 +205,7 @@ function showEvents() {
   const text = JSON.stringify(page.overview.events);
   if (page.said.events === text) return;
   page.said.events = text;
-  $("events").replaceChildren(...page.overview.events.slice().reverse().map((event) => {
+  $("events").replaceChildren(...page.overview.events.slice().sort((one, other) => other.start - one.start).map((event) => {
     const item = element("li"), made = element("button", undefined, {type: "button", title: event.reasons.join("\n")});
     const lasted = event.end === null ? "still on" : seconds(event.end - event.start);
     made.append(element("b", event.cause), ` at ${seconds(event.start)}, ${lasted}: ${event.reasons[0] ?? ""}`);
