@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Stream
-from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.node_parameters import adapters_of
 from quadpi_ros.parameters import ParameterError
@@ -76,15 +76,18 @@ class AdaptedSources:
         return Source(subscription.message_type, subscription.topic, subscription.unpack)
 
     def instead_of(self, standard: Source, kind: str) -> Source:
-        """The input of the only adapter of a kind if the file has settings for it, else the standard topic.
+        """The input of the adapter of a kind if the file has settings for it, else the standard topic.
 
         Raises:
-            AdapterError: see :meth:`named`.
+            AdapterError: see :meth:`named`; if the messages of several adapters are installed.
         """
         if getattr(self._settings, kind) is None:
             return standard
-        (name,) = adapters_of(kind)
-        return self.named(name)
+        names = adapters_of(kind)
+        installed = [name for name in names if _is_installed(name)] or names[:1]
+        if len(installed) > 1:
+            raise AdapterError(f"{self._file}: `{kind}` could be any of {', '.join(installed)}")
+        return self.named(installed[0])
 
 
 class AdapterError(QuadpiError):
@@ -95,7 +98,7 @@ class AdaptedSubscription:
     """Message type, topic and decoder for a message of another package.
 
     Args:
-        name: key of `quadpi_core.messages.adapters.ADAPTERS`.
+        name: name of an adapter.
         settings: with those of the adapter's kind.
         vehicle: of the flight.
 
@@ -109,7 +112,7 @@ class AdaptedSubscription:
     """
 
     def __init__(self, name: str, settings: AdapterSettings, vehicle: Vehicle | None) -> None:
-        adapter = ADAPTERS[name]
+        adapter = known_adapters()[name]
         self.message_type = message_class(adapter.type_name)
         self._unpacker = adapter.open(definition_of(self.message_type), settings, vehicle)
         self.topic: str = getattr(settings, adapter.kind).topic or adapter.topic
@@ -142,6 +145,14 @@ def message_class(type_name: str) -> Any:
         raise AdapterError(
             f"{type_name}: the package {package} that defines it is not installed here"
         ) from None
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        message_class(known_adapters()[name].type_name)
+    except AdapterError:
+        return False
+    return True
 
 
 def definition_of(message_type: Any) -> str:

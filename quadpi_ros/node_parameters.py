@@ -10,7 +10,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from quadpi_core.messages.adapters import ADAPTERS
+from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.sensor_messages import BODY_FRAME, WORLD_FRAME
 from quadpi_core.monitor import MonitorSettings
 from quadpi_core.monitor.pairing import TIMEOUT_S
@@ -45,9 +45,14 @@ class Declaration:
     description: str
     limits: tuple[float, float] | None
     choices: tuple[str, ...]
+    adapters: str
     in_flight: bool
     optional: bool
     empty_means: Callable[[Node], str] | None
+
+    def allowed(self) -> tuple[str, ...]:
+        """The strings allowed, adapters included; empty for any."""
+        return self.choices + adapters_of(self.adapters)
 
 
 def parameter(
@@ -56,6 +61,7 @@ def parameter(
     *,
     limits: tuple[float, float] | None = None,
     choices: tuple[str, ...] = (),
+    adapters: str = "",
     in_flight: bool = False,
     optional: bool = False,
     empty_means: Callable[[Node], str] | None = None,
@@ -68,11 +74,12 @@ def parameter(
         description: shown by `ros2 param describe`.
         limits: smallest and largest value of a number.
         choices: the strings allowed.
+        adapters: kind of stream whose adapters are further choices.
         in_flight: whether it can be set while the node runs; else it is read-only.
         optional: whether it may be empty.
         empty_means: the value that an empty string stands for, on a node.
     """
-    declaration = Declaration(description, limits, choices, in_flight, optional, empty_means)
+    declaration = Declaration(description, limits, choices, adapters, in_flight, optional, empty_means)
     return field(default=default, metadata={"declaration": declaration})
 
 
@@ -82,8 +89,8 @@ def namespaced_body_frame(node: Node) -> str:
 
 
 def adapters_of(kind: str) -> tuple[str, ...]:
-    """Names of the adapters that give a kind of stream, as further choices of a parameter."""
-    return tuple(name for name, adapter in ADAPTERS.items() if adapter.kind == kind)
+    """Names of the adapters that give a kind of stream."""
+    return tuple(name for name, adapter in known_adapters().items() if adapter.kind == kind)
 
 
 @dataclass(frozen=True)
@@ -95,7 +102,8 @@ class EstimatorParameters:
     mocap_topic: str = parameter(
         "mocap/pose",
         "topic and type of the motion capture to use",
-        choices=MOCAP_TOPICS + adapters_of("mocap"),
+        choices=MOCAP_TOPICS,
+        adapters="mocap",
     )
     adapters: str = parameter("", _ADAPTERS, optional=True)
     world_frame: str = parameter(WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
@@ -124,7 +132,8 @@ class MonitorParameters:
     rotor_topic: str = parameter(
         "rotor_speeds",
         "topic and type of the rotor speeds to use",
-        choices=("rotor_speeds", "erpm", *adapters_of("rotor_speeds")),
+        choices=("rotor_speeds", "erpm"),
+        adapters="rotor_speeds",
     )
     adapters: str = parameter("", _ADAPTERS, optional=True)
     imu_rate_hz: float = parameter(0.0, _IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))

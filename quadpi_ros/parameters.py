@@ -106,8 +106,8 @@ class ParameterServer(Generic[Parameters]):
         declaration: Declaration = self._fields[name].metadata["declaration"]
         where = f"{self._where}: parameter `{name}`"
         value = _coerced(where, type(self._fields[name].default), value)
-        if declaration.choices and value not in declaration.choices:
-            raise ParameterError(f"{where} must be one of {', '.join(declaration.choices)}, found `{value}`")
+        if (allowed := declaration.allowed()) and value not in allowed:
+            raise ParameterError(f"{where} must be one of {', '.join(allowed)}, found `{value}`")
         if declaration.limits is not None:
             low, high = declaration.limits
             if not low <= value <= high:
@@ -166,8 +166,8 @@ def _coerced(where: str, kind: type, value: Any) -> Any:
 
 def _descriptor(declaration: Declaration, kind: type) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=declaration.description, read_only=not declaration.in_flight)
-    if declaration.choices:
-        descriptor.additional_constraints = f"one of {', '.join(declaration.choices)}"
+    if allowed := declaration.allowed():
+        descriptor.additional_constraints = f"one of {', '.join(allowed)}"
     if declaration.limits is not None and kind is int:
         low, high = declaration.limits
         descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]

@@ -27,7 +27,7 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import find_topic
-from quadpi_core.messages.adapters import ADAPTERS
+from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import whole_output
@@ -74,7 +74,7 @@ class Playlist:
     """Messages of several topics in the order of their log times.
 
     Attributes:
-        names: standard name of each topic, relative to the player's namespace, or key of `ADAPTERS`.
+        names: standard name of each topic, relative to the player's namespace, or name of an adapter.
         topics: messages of each.
         due_ns: (M,) time of each message since the first.
         topic: (M,) index of the topic of each message.
@@ -93,7 +93,7 @@ class Playlist:
 
         Args:
             path: of the bag.
-            names: standard names, and keys of `ADAPTERS`, whose topics are found by type.
+            names: standard names, and names of adapters, whose topics are found by type.
 
         Raises:
             LogError: if the bag cannot be read.
@@ -174,13 +174,13 @@ def playable(path: Path) -> list[str]:
         standard = [name for name in SENSOR_TYPES if _topic_of(bag, name)]
         candidates = [
             name
-            for name, adapter in ADAPTERS.items()
+            for name, adapter in known_adapters().items()
             if not set(_STANDS_IN_FOR[adapter.kind]) & set(standard) and _topic_of(bag, name)
         ]
     adapted = []
     for name in candidates:
         try:
-            message_class(ADAPTERS[name].type_name)
+            message_class(known_adapters()[name].type_name)
             adapted.append(name)
         except AdapterError as error:
             print(f"quadpi: {path}: cannot be played: {error}", file=sys.stderr)
@@ -196,8 +196,8 @@ def checked_names(path: Path, names: Sequence[str]) -> list[str]:
     """
     with Bag(path) as bag:
         for name in names:
-            if name not in SENSOR_TYPES and name not in ADAPTERS:
-                known = ", ".join((*SENSOR_TYPES, *ADAPTERS))
+            if name not in SENSOR_TYPES and name not in known_adapters():
+                known = ", ".join((*SENSOR_TYPES, *known_adapters()))
                 raise PlayerError(f"{path}: topic {name}: not known; known: {known}")
             if _topic_of(bag, name) is None:
                 raise PlayerError(f"{path}: topic {name}: the bag does not hold it")
@@ -223,7 +223,7 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
 
     Args:
         path: of the bag.
-        topics: standard names and keys of `ADAPTERS` to choose from; by default all that can be played.
+        topics: standard names and names of adapters to choose from; by default all that can be played.
 
     Raises:
         LogError: if the bag cannot be read.
@@ -253,7 +253,7 @@ def _topic_of(bag: Bag, name: str) -> str | None:
     if name in SENSOR_TYPES:
         connection = find_topic(bag, name)
         return connection.topic if connection else None
-    type_name = ADAPTERS[name].type_name
+    type_name = known_adapters()[name].type_name
     topics = sorted({one.topic for one in bag.connections if one.msgcount and one.msgtype == type_name})
     if len(topics) > 1:
         raise PlayerError(
@@ -270,7 +270,7 @@ def _announcement(name: str) -> tuple[type, str]:
     """
     if name in SENSOR_TYPES:
         return SENSOR_TYPES[name], name
-    return message_class(ADAPTERS[name].type_name), ADAPTERS[name].topic
+    return message_class(known_adapters()[name].type_name), known_adapters()[name].topic
 
 
 def main() -> int:
@@ -283,7 +283,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="player", description="Play the sensor topics of a bag.")
     parser.add_argument("bag", type=Path, help="bag to play")
     parser.add_argument("--rate", type=float, default=1.0, help="speed; 1 is real time")
-    parser.add_argument("--topics", nargs="+", choices=[*SENSOR_TYPES, *ADAPTERS], help=_TOPICS_HELP)
+    parser.add_argument("--topics", nargs="+", choices=[*SENSOR_TYPES, *known_adapters()], help=_TOPICS_HELP)
     parser.add_argument(
         "--wait", type=float, default=10.0, metavar="S", help="seconds to wait for subscribers; 0: do not"
     )

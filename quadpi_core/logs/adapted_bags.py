@@ -14,7 +14,8 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from quadpi_core.errors import LogError, SampleError, VehicleError
 from quadpi_core.flight import Stream
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.messages.adapters.adapter_registry import ADAPTERS, Adapter
+from quadpi_core.messages.adapters.adapter_definition import Adapter
+from quadpi_core.messages.adapters.adapter_registry import known_adapters
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.vehicle import Vehicle
@@ -66,7 +67,7 @@ def find_adapted(
 
 
 def _candidates(bag: Bag, kind: str) -> list[AdaptedTopic]:
-    adapters = {adapter.type_name: adapter for adapter in ADAPTERS.values() if adapter.kind == kind}
+    adapters = {adapter.type_name: adapter for adapter in known_adapters().values() if adapter.kind == kind}
     topics = {
         connection.topic: AdaptedTopic(adapters[connection.msgtype], connection)
         for connection in bag.connections
@@ -80,7 +81,7 @@ def _only(bag: Bag, kind: str, chosen: list[AdaptedTopic], asked: str | None) ->
         names = ", ".join(topic.name for topic in chosen)
         raise LogError(f"{bag.path}: `{kind}` could be any of {names}: the mapping must name its `topic`")
     if not chosen:
-        types = ", ".join(adapter.type_name for adapter in ADAPTERS.values() if adapter.kind == kind)
+        types = ", ".join(adapter.type_name for adapter in known_adapters().values() if adapter.kind == kind)
         raise LogError(f"{bag.path}: {f'topic {asked}' if asked else f'`{kind}`'}: no messages of {types}")
     return chosen[0]
 

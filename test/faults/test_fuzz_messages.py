@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from benchmarks.fuzzing.message_readers import UNPACKERS, sound_message
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
 from quadpi_core.messages.payloads import Payloads
 
@@ -95,11 +95,11 @@ OF_OTHERS = {
 
 
 @pytest.mark.parametrize(
-    ("name", "definitions"), [*((name, DEFINITIONS) for name in ADAPTERS), ("px4_status", PX4_1_18)]
+    ("name", "definitions"), [*((name, DEFINITIONS) for name in known_adapters()), ("px4_status", PX4_1_18)]
 )
 def test_damaged_messages_of_other_packages(name, definitions):
     made = Messages(definitions)
-    adapter, good = ADAPTERS[name], OF_OTHERS[name](made)
+    adapter, good = known_adapters()[name], OF_OTHERS[name](made)
     definition = made.definition(adapter.type_name)
     assert len(adapter.open(definition, SETTINGS, None).unpack(good)) == 1
 
@@ -115,10 +115,10 @@ def test_damaged_messages_of_other_packages(name, definitions):
     check()
 
 
-@pytest.mark.parametrize("name", ADAPTERS)
+@pytest.mark.parametrize("name", known_adapters())
 def test_damaged_definitions_of_other_packages(name):
     made = Messages(DEFINITIONS)
-    adapter, good = ADAPTERS[name], OF_OTHERS[name](made)
+    adapter, good = known_adapters()[name], OF_OTHERS[name](made)
     definition = made.definition(adapter.type_name)
 
     @bounded(EXAMPLES)

@@ -24,7 +24,7 @@ from quadpi_core.flight import ImuStream, Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.adapters import ADAPTERS
+from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.vehicle import Vehicle
@@ -54,7 +54,7 @@ SETTINGS = {
 }
 # Slow and short, for machines that are busy: a sample that the network loses is a prediction that lacks.
 FLIGHT_S, PLAYBACK_RATE = 2.0, 0.25
-TOPICS = {name: f"/vehicle/{adapter.topic}" for name, adapter in ADAPTERS.items()}
+TOPICS = {name: f"/vehicle/{adapter.topic}" for name, adapter in known_adapters().items()}
 KINDS = {"float32": "float", "float64": "double"}
 
 
@@ -169,7 +169,7 @@ def write_vendor_bag(vendor: Messages, path: Path, names: Sequence[str], hover: 
     sampled = ImuStream(imu.time_ns[::5], imu.angular_velocity[::5], imu.specific_force[::5])
     made = {"imu": ("/imu", sensor_messages.IMU, imu.time_ns, list(sensor_messages.pack_imu(imu)))}
     for name in names:
-        kind = ADAPTERS[name].kind
+        kind = known_adapters()[name].kind
         made.pop(kind, None)
         stream, payloads = {
             "rotor_speeds": lambda name=name: (hover.rotor_speeds, rotor_messages(vendor, name, hover)),
@@ -177,7 +177,7 @@ def write_vendor_bag(vendor: Messages, path: Path, names: Sequence[str], hover: 
             "imu": lambda: (imu, imu_messages(vendor, hover)),
             "odometry": lambda: (sampled, state_messages(vendor, sampled)),
         }[kind]()
-        made[kind] = (TOPICS[name], ADAPTERS[name].type_name, stream.time_ns, payloads)
+        made[kind] = (TOPICS[name], known_adapters()[name].type_name, stream.time_ns, payloads)
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for topic, type_name, log_times, payloads in made.values():
             connection = writer.add_connection(topic, type_name, typestore=vendor.store)
@@ -208,7 +208,7 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
 ) -> None:
     """Each adapter feeds the nodes; with a state from the autopilot that is the monitor alone."""
     settings = tmp_path / "field.yaml"
-    kinds = {ADAPTERS[name].kind for name in names}
+    kinds = {known_adapters()[name].kind for name in names}
     settings.write_text("".join(f"{kind}: {SETTINGS[kind]}\n" for kind in sorted(kinds)))
     bag = write_vendor_bag(vendor, tmp_path / "adapted", names, beginning(hover, FLIGHT_S))
     vehicle = Vehicle.load(VEHICLE)
@@ -218,7 +218,7 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
     replay(AerodynamicModel.load(model), vehicle, tmp_path / "standard.mcap", tmp_path / "replayed.mcap")
     expected, _ = read_outputs(tmp_path / "replayed.mcap")
 
-    by_kind = {ADAPTERS[name].kind: name for name in names}
+    by_kind = {known_adapters()[name].kind: name for name in names}
     given = {"vehicle": VEHICLE, "model": model, "adapters": settings, "rotor_topic": by_kind["rotor_speeds"]}
     given["pairing_timeout_s"] = 1.0
     nodes, managed = "monitor_node", ("monitor",)

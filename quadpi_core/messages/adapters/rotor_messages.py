@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""ESC reports of mavros and PX4 as rotor speeds.
+"""ESC reports as rotor speeds.
 
 Each message becomes four speeds and four marks, numbers that change with every report of an ESC. Autopilots
 and bridges repeat an ESC's last report: a row without a new report is no sample, and neither is one in
@@ -10,6 +10,7 @@ which an ESC has been silent for SILENT_NS.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -19,7 +20,9 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.messages.cdr import Columns, header_stamps, microsecond_stamps
+from quadpi_core.messages.adapters.adapter_definition import Reading
+from quadpi_core.messages.adapters.adapter_settings import RotorSettings
+from quadpi_core.messages.cdr import Columns, header_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotor_order import ERPM, RotorOrder
@@ -27,8 +30,6 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 
 # PX4 takes an ESC that has not reported for as long for gone (MavlinkStreamESCStatus).
 SILENT_NS = 100_000_000
-
-_PX4_MOTOR_1 = 101
 
 
 class Verdict(IntEnum):
@@ -73,36 +74,18 @@ class EscReports(NamedTuple):
     verdict: npt.NDArray[np.uint8]
 
 
-def mavros_status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
-    """Reports of mavros_msgs/ESCStatus: in ESC order; each item has the stamp of its own ESC_STATUS."""
-    array = items["esc_status"]
-    marks = array.columns["header.stamp.sec"].astype(np.int64) << 32 | array.columns["header.stamp.nanosec"]
-    return _in_esc_order(columns, array, marks, order)
+def reports_in_esc_order(columns: Columns, array: Items, marks: Indices, order: Indices) -> EscReports:
+    """Reports of messages with a header and an array in which the place is the number of the ESC.
 
-
-def mavros_telemetry(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
-    """Reports of mavros_msgs/ESCTelemetry: in ESC order, stamped on arrival; packets are counted."""
-    array = items["esc_telemetry"]
-    return _in_esc_order(columns, array, array.columns["count"].astype(np.int64), order)
-
-
-def _in_esc_order(columns: Columns, array: Items, marks: Indices, order: Indices) -> EscReports:
+    Args:
+        columns: of the messages.
+        array: of reports, with their `rpm`.
+        marks: (M,) of all reports.
+        order: (4,) numbers of the vehicle's ESCs, from 0.
+    """
     time_ns = header_stamps(columns)
     rpm = array.columns["rpm"].astype(np.float64)
     return EscReports(time_ns, *_numbered(array.counts, rpm, marks, order))
-
-
-def px4_status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
-    """Reports of px4_msgs/EscStatus: `actuator_function` names the motor, in any place of the array."""
-    array = items["esc"]
-    found = _named(
-        array.columns["actuator_function"].astype(np.int64),
-        array.columns["esc_rpm"].astype(np.float64),
-        array.columns["timestamp"].astype(np.int64),
-        columns["esc_online_flags"].astype(np.int64),
-        order + _PX4_MOTOR_1,
-    )
-    return EscReports(microsecond_stamps(columns["timestamp"]), *found)
 
 
 @njit(cache=True)
@@ -134,7 +117,7 @@ def _numbered(
 
 
 @njit(cache=True)
-def _named(
+def reports_of_motors(
     functions: Indices, rpm: Array, marks: Indices, online: Indices, wanted: Indices
 ) -> tuple[Array, Indices, npt.NDArray[np.uint8]]:
     """Reports of the wanted motors, where each report names its motor.
@@ -225,3 +208,18 @@ class RotorReader:
             kept = verdict == Verdict.SAMPLE
             time_ns, rpm = time_ns[kept], rpm[kept]
         return RotorSpeedStream(time_ns, self._order.speeds(rpm, self._vehicle))
+
+
+def start_of_rotors(
+    reports: Callable[[Columns, dict[str, Items], Indices], EscReports],
+) -> Callable[[RotorSettings, Vehicle | None], Reading]:
+    """`Adapter.start` of messages whose reports `reports` gives, for numbers (4,) of ESCs or motors."""
+
+    def start(settings: RotorSettings, vehicle: Vehicle | None) -> Reading:
+        order = settings.order(vehicle)
+        numbers, reader = np.array(order.controllers), RotorReader(order, vehicle)
+        return Reading(
+            lambda columns, items: reader.read(reports(columns, items, numbers)), lambda: reader.dropped
+        )
+
+    return start

@@ -1,18 +1,29 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The known messages of other packages: where each is published, and which versions of it are taken."""
+"""The known messages of other packages: where each is published, and a package that adds one."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, RotorSpeedStream
-from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
 
-from .vendor_messages import START_NS, frame, mavros_status, mavros_telemetry, px4_odometry, px4_status
+from .vendor_messages import (
+    START_NS,
+    Messages,
+    frame,
+    mavros_status,
+    mavros_telemetry,
+    px4_odometry,
+    px4_status,
+)
 
-STATUS, PX4 = "mavros_status", "px4_status"
 SETTINGS = AdapterSettings(
     rotor_speeds=RotorSettings((3, 1, 4, 2), "rpm"),
     mocap=BodySettings("quad", "flu-enu"),
@@ -32,7 +43,7 @@ PUBLISHED = {
 
 
 def opened(vendor, name, definition=None):
-    adapter = ADAPTERS[name]
+    adapter = known_adapters()[name]
     return adapter.open(definition or vendor.definition(adapter.type_name), SETTINGS, None)
 
 
@@ -54,32 +65,65 @@ def px4_imu(vendor):
     return vendor.bytes(vendor.make("px4_msgs/msg/SensorCombined", timestamp=START_NS // 1000, **still))
 
 
-@pytest.mark.parametrize("name", ADAPTERS)
+@pytest.mark.parametrize("name", known_adapters())
 def test_each_gives_its_stream_from_the_topic_of_its_package(vendor, name):
-    adapter = ADAPTERS[name]
+    adapter = known_adapters()[name]
     type_name, kind = PUBLISHED[adapter.topic]
     assert adapter.type_name == type_name
     stream = opened(vendor.px4_1_14, name).unpack(example(vendor.px4_1_14, type_name))
     assert (type(stream), stream.time_ns.tolist()) == (kind, [START_NS])
 
 
-def test_settings_of_the_kind_are_needed(vendor):
-    adapter = ADAPTERS[STATUS]
-    with pytest.raises(LogError, match="needs settings for `rotor_speeds`"):
-        adapter.open(vendor.px4_1_14.definition(adapter.type_name), AdapterSettings(), None)
+GUIDE = (Path(__file__).parents[4] / "docs" / "adapters.md").read_text()
+EXAMPLE = re.search(r"```py\n(.*?)```", GUIDE, flags=re.DOTALL)[1]
+ENTRY = re.search(r"# pyproject.toml\n\[project\.entry-points\.(.*?)```", GUIDE, flags=re.DOTALL)[1]
+DEFINITION = "std_msgs/Header header\nfloat64[4] rpm\n"
 
 
-def test_definition_of_another_version_does_not_decode_silently(vendor):
-    payload = px4_status(vendor.px4_1_18, START_NS, [1000, 2000, 3000, 4000])
-    with pytest.raises(LogError, match=r"sample 0: .* px4_msgs/msg/EscStatus"):
-        opened(vendor.px4_1_14, PX4).unpack(payload)
+@pytest.fixture
+def package(tmp_path, monkeypatch, package_of_ones_own) -> Iterator[Path]:  # noqa: ARG001
+    """The file of the guide's adapter in an installed package."""
+    information = tmp_path / "my_package-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[{ENTRY}".replace('"', ""))
+    (tmp_path / "my_package").mkdir()
+    (tmp_path / "my_package" / "__init__.py").touch()
+    file = tmp_path / "my_package" / "rotor_rpm.py"
+    file.write_text(EXAMPLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    known_adapters.cache_clear()
+    yield file
+    known_adapters.cache_clear()
 
 
-@pytest.mark.parametrize("name", ADAPTERS)
-def test_a_version_without_a_field_that_is_read_is_refused(vendor, name):
-    """The last field that an adapter reads has another name in it."""
-    adapter = ADAPTERS[name]
-    field = list(adapter.columns)[-1].rpartition(".")[2]
-    renamed = vendor.px4_1_14.definition(adapter.type_name).replace(f" {field}\n", f" {field}_2\n")
-    with pytest.raises(LogError, match=rf"this version of {adapter.type_name} has no field \S*{field} of"):
-        opened(vendor.px4_1_14, name, renamed)
+@pytest.mark.usefixtures("package")
+def test_a_package_of_ones_own_adds_a_message():
+    messages = Messages({"my_msgs/msg/RotorRpm": DEFINITION})
+    payload = messages.bytes(
+        messages.make(
+            "my_msgs/msg/RotorRpm",
+            header=messages.header(START_NS),
+            rpm=np.array([60.0, 120.0, 180.0, 240.0]),
+        )
+    )
+    assert list(known_adapters())[-1] == "rotor_rpm"
+    stream = opened(messages, "rotor_rpm").unpack(payload)
+    assert stream.time_ns.tolist() == [START_NS]
+    np.testing.assert_allclose(stream.speeds, 2.0 * np.pi * np.array([[3.0, 1.0, 4.0, 2.0]]))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("1 / 0", r"^message `rotor_rpm` of my_package 1.0 .*rotor_rpm.py, line 1: ZeroDivisionError"),
+        (
+            EXAMPLE.replace('"rotor_rpm",', '"px4_imu",'),
+            "^message `px4_imu` is declared twice: .*my_package 1.0",
+        ),
+    ],
+)
+def test_one_that_cannot_be_used_names_its_package(package, content, message):
+    package.write_text(content)
+    with pytest.raises(LogError, match=message):
+        known_adapters()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import (
     StateSettings,
 )
@@ -14,7 +14,7 @@ from .vendor_messages import START_NS, px4_odometry
 
 
 def opened_px4(vendor, name):
-    adapter = ADAPTERS[name]
+    adapter = known_adapters()[name]
     settings = AdapterSettings(odometry=StateSettings(), imu=StateSettings())
     return adapter.open(vendor.definition(adapter.type_name), settings, None)
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from quadpi_core.errors import LogError
 from quadpi_core.frames import world_enu_to_ned
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import (
     FLU_ENU,
     FRD_NED,
@@ -33,7 +33,7 @@ def rng():
 
 
 def opened(vendor, name, body="quad", frames=FLU_ENU):
-    adapter = ADAPTERS[name]
+    adapter = known_adapters()[name]
     settings = AdapterSettings(mocap=BodySettings(body, frames))
     return adapter.open(vendor.definition(adapter.type_name), settings, None)
 

@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError, VehicleError
-from quadpi_core.messages.adapters import ADAPTERS, AdapterSettings
+from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import RotorSettings
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.vehicle import Vehicle
@@ -24,7 +23,7 @@ STATUS, TELEMETRY, PX4 = "mavros_status", "mavros_telemetry", "px4_status"
 
 
 def opened(vendor, name, rotors=ROTORS, unit="rpm", vehicle=None):
-    adapter = ADAPTERS[name]
+    adapter = known_adapters()[name]
     settings = AdapterSettings(rotor_speeds=RotorSettings(rotors, unit))
     return adapter.open(vendor.definition(adapter.type_name), settings, vehicle)
 
@@ -97,18 +96,6 @@ def test_px4_reports_that_are_no_sample(vendor, reason, changes):
     assert [reason in found for found in unpacker.dropped] == [True]
 
 
-@pytest.mark.parametrize("name", [STATUS, TELEMETRY])
-def test_mavros_announces_no_esc_or_too_few(vendor, name):
-    """The array of ESCStatus is empty until the first ESC_INFO."""
-    unpacker = opened(vendor.px4_1_14, name)
-    payloads = [
-        make(vendor.px4_1_14, name, sample, rpm) for sample, rpm in enumerate([[], [], RPMS[0][:3], RPMS[0]])
-    ]
-    stream = unpacker.unpack(Payloads.join(payloads))
-    assert stream.time_ns.tolist() == [START_NS + 3 * STEP_NS]
-    assert dict(unpacker.dropped) == {"no ESC is announced yet": 2, "fewer ESCs than `rotors` names": 1}
-
-
 def repeated(vendor, name):
     """Ten new reports, then 30 messages that repeat them, stamped anew, then new ones."""
     payloads = []
@@ -151,15 +138,3 @@ def test_one_esc_that_falls_silent_leaves_no_samples_after_a_tenth_of_a_second(v
     stream = unpacker.unpack(Payloads.join(payloads))
     assert stream.time_ns[-1] - START_NS == 15 * STEP_NS
     assert unpacker.dropped == {"an ESC has fallen silent": 14}
-
-
-def test_a_stamp_that_is_none_names_the_message(vendor):
-    """Stamps of items only tell new reports from old ones, so that theirs may be anything."""
-    good = make(vendor.px4_1_14, STATUS, 0, RPMS[0])
-    nanoseconds = good.index(struct.pack("<I", START_NS % 10**9))
-    bad = good[:nanoseconds] + struct.pack("<I", 10**9) + good[nanoseconds + 4 :]
-    with pytest.raises(LogError, match="sample 1: the stamp has 1000000000 ns beyond its second"):
-        opened(vendor.px4_1_14, STATUS).unpack(Payloads.join([good, bad]))
-    in_item = good.rindex(struct.pack("<I", START_NS % 10**9))
-    odd = good[:in_item] + struct.pack("<I", 2**32 - 1) + good[in_item + 4 :]
-    assert len(opened(vendor.px4_1_14, STATUS).unpack(odd)) == 1

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""px4_msgs/VehicleOdometry and SensorCombined, which name their frames: FRD body, NED or FRD world, SI.
+"""px4_msgs/EscStatus, and VehicleOdometry and SensorCombined: FRD body, NED or FRD world, SI.
 
 An FRD world is NED with another heading; nothing in the core depends on where north is, so both are accepted.
 Stamps count microseconds: of the companion's clock if the uXRCE-DDS agent synchronises (its default), else
@@ -16,11 +16,18 @@ import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream
+from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
+from quadpi_core.messages.adapters.rotor_messages import EscReports, reports_of_motors, start_of_rotors
 from quadpi_core.messages.cdr import Columns, microsecond_stamps
+from quadpi_core.messages.foreign_messages import Items
+from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.sample_limits import NORM_TOLERANCE
+from quadpi_core.vehicle import Vehicle
 
 _NED, _FRD, _BODY = 1, 2, 3
+# `actuator_function` of the first motor.
+_MOTOR_1 = 101
 
 
 class OdometryReader:
@@ -95,3 +102,55 @@ def read_sensor_combined(columns: Columns) -> ImuStream:
         angular_velocity=columns["gyro_rad"].astype(np.float64),
         specific_force=columns["accelerometer_m_s2"].astype(np.float64),
     )
+
+
+def _status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
+    """Reports of px4_msgs/EscStatus: `actuator_function` names the motor, in any place of the array."""
+    array = items["esc"]
+    found = reports_of_motors(
+        array.columns["actuator_function"].astype(np.int64),
+        array.columns["esc_rpm"].astype(np.float64),
+        array.columns["timestamp"].astype(np.int64),
+        columns["esc_online_flags"].astype(np.int64),
+        order + _MOTOR_1,
+    )
+    return EscReports(microsecond_stamps(columns["timestamp"]), *found)
+
+
+def _odometry(_settings: object, _vehicle: Vehicle | None) -> Reading:
+    reader = OdometryReader()
+    return Reading(lambda columns, _: reader.read(columns), lambda: reader.dropped)
+
+
+def _imu(_settings: object, _vehicle: Vehicle | None) -> Reading:
+    return Reading(lambda columns, _: read_sensor_combined(columns), Counter)
+
+
+STATUS = Adapter(
+    name="px4_status",
+    type_name="px4_msgs/msg/EscStatus",
+    topic="fmu/out/esc_status",
+    kind="rotor_speeds",
+    columns={"timestamp": 1, "esc_online_flags": 1}
+    | of_items("esc", timestamp=1, esc_rpm=1, actuator_function=1),
+    start=start_of_rotors(_status),
+)
+ODOMETRY = Adapter(
+    name="px4_odometry",
+    type_name="px4_msgs/msg/VehicleOdometry",
+    topic="fmu/out/vehicle_odometry",
+    kind="odometry",
+    columns={
+        **{"timestamp": 1, "timestamp_sample": 1, "pose_frame": 1, "velocity_frame": 1},
+        **{"position": 3, "q": 4, "velocity": 3, "angular_velocity": 3},
+    },
+    start=_odometry,
+)
+IMU = Adapter(
+    name="px4_imu",
+    type_name="px4_msgs/msg/SensorCombined",
+    topic="fmu/out/sensor_combined",
+    kind="imu",
+    columns={"timestamp": 1, "gyro_rad": 3, "accelerometer_m_s2": 3},
+    start=_imu,
+)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +19,12 @@ from quadpi_core.frames import (
     world_enu_to_ned,
     world_eus_to_enu,
 )
+from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, Reading, of_items
 from quadpi_core.messages.adapters.adapter_settings import FRD_NED, FUR_EUS, BodySettings
+from quadpi_core.messages.cdr import header_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.sample_limits import NORM_TOLERANCE
+from quadpi_core.vehicle import Vehicle
 
 _WXYZ = [3, 0, 1, 2]
 _SEEN_MAX = 8
@@ -101,3 +105,33 @@ def _to_ned(settings: BodySettings, position: Array, attitude: Array) -> tuple[A
     if settings.frames == FUR_EUS:
         position, attitude = world_eus_to_enu(position), quaternion_fur_eus_to_flu_enu(attitude)
     return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)
+
+
+def _bodies(array: str, name: str) -> Callable[[BodySettings, Vehicle | None], Reading]:
+    def start(settings: BodySettings, _vehicle: Vehicle | None) -> Reading:
+        reader = BodyReader(settings)
+        return Reading(
+            lambda columns, items: reader.read(header_stamps(columns), items[array], name),
+            lambda: reader.dropped,
+        )
+
+    return start
+
+
+_POSE = {"pose.position": 3, "pose.orientation": 4}
+MOCAP4R2 = Adapter(
+    name="mocap4r2",
+    type_name="mocap4r2_msgs/msg/RigidBodies",
+    topic="rigid_bodies",
+    kind="mocap",
+    columns=STAMP | of_items("rigidbodies", rigid_body_name=0, **_POSE),
+    start=_bodies("rigidbodies", "rigid_body_name"),
+)
+NAMED_POSES = Adapter(
+    name="named_poses",
+    type_name="motion_capture_tracking_interfaces/msg/NamedPoseArray",
+    topic="poses",
+    kind="mocap",
+    columns=STAMP | of_items("poses", name=0, **_POSE),
+    start=_bodies("poses", "name"),
+)

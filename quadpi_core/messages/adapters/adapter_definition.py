@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What an adapter is: a message type of another package, and its conversion to a stream."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import Stream
+from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+from quadpi_core.messages.cdr import Columns
+from quadpi_core.messages.foreign_messages import ForeignCodec, Items, foreign_codec
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.vehicle import Vehicle
+
+
+class Reading(NamedTuple):
+    """Converts decoded messages to a stream, and counts dropped ones."""
+
+    read: Callable[[Columns, dict[str, Items]], Stream]
+    dropped: Callable[[], Counter[str]]
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """A message type of another package.
+
+    Attributes:
+        name: as a node's parameter names it.
+        type_name: such as `px4_msgs/msg/EscStatus`.
+        topic: where its package publishes it by default.
+        kind: the stream that it gives, and the field of AdapterSettings that configures it: "rotor_speeds",
+            "mocap", "odometry" or "imu".
+        columns: that the messages must have, those of items of arrays included: how many numbers each has per
+            row, 0 for text.
+        start: (settings of its kind, vehicle) begins to read the messages of one topic.
+    """
+
+    name: str
+    type_name: str
+    topic: str
+    kind: str
+    columns: dict[str, int]
+    start: Callable[[Any, Vehicle | None], Reading]
+
+    def open(self, definition: str, settings: AdapterSettings, vehicle: Vehicle | None) -> Unpacker:
+        """Unpacker of the messages of this type on one topic.
+
+        Args:
+            definition: of the type and all that it contains (`ros2msg`), in the version that was sent.
+            settings: must have those of this kind.
+            vehicle: needed for electrical rotor speeds.
+
+        Raises:
+            LogError: for settings that are missing, and a version of the type that lacks a field.
+            VehicleError: if the pole pairs are needed and not known.
+        """
+        own = getattr(settings, self.kind)
+        if own is None:
+            raise LogError(f"{self.type_name} needs settings for `{self.kind}`")
+        codec = foreign_codec(self.type_name, definition, tuple(self.columns.items()))
+        return Unpacker(codec, self.start(own, vehicle))
+
+
+class Unpacker:
+    """Unpacks the messages of one topic in their order: all at once or one by one."""
+
+    def __init__(self, codec: ForeignCodec, reading: Reading) -> None:
+        self._codec = codec
+        self._reading = reading
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Number of dropped messages by reason."""
+        return self._reading.dropped()
+
+    def unpack(self, payloads: Payloads | bytes) -> Stream:
+        """The samples in N messages or one; fewer than N where messages hold none that can be used.
+
+        Raises:
+            LogError: naming the sample, for bytes that are no message of this type, or values that
+                contradict each other.
+        """
+        columns, items = self._codec.decode(payloads)
+        return self._reading.read(columns, items)
+
+
+# Columns of a `std_msgs/Header`.
+STAMP = {"header.stamp.sec": 1, "header.stamp.nanosec": 1}
+
+
+def of_items(array: str, **members: int) -> dict[str, int]:
+    """Columns of the items of an array of messages."""
+    return {f"{array}.{member}": width for member, width in members.items()}
