@@ -116,3 +116,10 @@ def test_columns_of_a_curved_effect_are_its_slope_where_it_is_linearised(short, 
         step = 0.2 * scale * np.eye(3)[axis]
         slope = (simulated(at + step) - simulated(at - step)) / 0.4
         np.testing.assert_allclose(columns[:, :, axis], slope, atol=1e-9)
+
+
+def test_typical_sizes_are_those_of_the_bebop_2():
+    for name in ("payload", "moment_bias", "gyroscopic", "cg_offset"):
+        sizes = typical_sizes(EFFECTS[name], BEBOP)
+        defaults = [p.default or sizes[k] for k, p in enumerate(EFFECTS[name].parameters)]
+        np.testing.assert_allclose(sizes, defaults, rtol=0.01, err_msg=name)

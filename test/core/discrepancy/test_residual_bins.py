@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy.residual_bins import (
+    bin_edges,
     largest_deviation,
     over_time,
     sample_indices,
@@ -46,3 +47,11 @@ def test_rows_come_back_as_the_signal_that_they_were_made_of(samples):
     fitted = series[inner, 0, 0] @ signal[at][inner] / (signal[at][inner] @ signal[at][inner])
     assert 1.0 < fitted < 1.1
     assert series[inner, 0, 0] == pytest.approx(fitted * signal[at][inner], abs=0.08)
+
+
+def test_bins_of_the_height_grow_with_it():
+    """The air near the ground changes with powers of the height."""
+    heights = np.concatenate([np.full(100, value) for value in (0.05, 0.15, 0.3, 0.7, 1.5, 3.0, 7.0, 15.0)])
+    assert bin_edges("height", heights).tolist() == [0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0]
+    high = np.concatenate([np.full(100, value) for value in (30.0, 70.0, 200.0)])
+    assert bin_edges("height", high).tolist() == [0.0, 50.0, 100.0, 200.0]

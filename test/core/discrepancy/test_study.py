@@ -132,3 +132,14 @@ def test_a_strong_law_that_each_flight_shows_differently_is_kept(simulation, fli
         made.append(pushed(flight, simulation.vehicle, added))
     found = discover(simulation, made, names=["body_drag"])
     assert [effect.name for effect in found.effects] == ["body_drag"]
+
+
+def test_an_interval_is_that_of_95_percent(found):
+    """1.96 standard deviations of the posterior to either side."""
+    search, (effect,) = found.discovery.found, found.discovery.effects
+    (index,) = search.chosen
+    candidate = search.regression.candidates[index]
+    deviation = search.fit.deviation(search.regression.block(index).parameters) * candidate.scale
+    for parameter, own in zip(effect.parameters, deviation, strict=True):
+        assert parameter.upper - parameter.value == pytest.approx(1.96 * own, rel=1e-6)
+        assert parameter.value - parameter.lower == pytest.approx(1.96 * own, rel=1e-6)

@@ -65,3 +65,10 @@ def test_a_comparison_comes_back_from_json_with_what_each_model_adds() -> None:
 def test_a_coverage_is_too_low_where_its_whole_interval_is(interval, too_little) -> None:
     axis = evaluate([flight_result("a")], {}).flights["a"].axes["Fx"]
     assert replace(axis, picp_ci=interval).covers_too_little(0.95) is too_little
+
+
+def test_levels_and_penalty_are_those_that_the_json_states() -> None:
+    """The penalty of the coverage width criterion is that of Khosravi et al., who proposed it."""
+    evaluation = evaluate([flight_result("a")], {})
+    assert list(evaluation.calibration_levels) == [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
+    assert (evaluation.cwc.mu, evaluation.cwc.eta) == (0.95, 50.0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import t
 
 from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alarm, hover_rotor_speed
 from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX, INPUT_NAMES
@@ -158,3 +159,33 @@ def test_hover_speed_is_where_the_thrust_carries_the_weight():
     wrench[:, 2] = -1e-5 * inputs[:, OMEGA] ** 2
     assert hover_rotor_speed(inputs, wrench, 4.9) == pytest.approx(700.0)
     assert hover_rotor_speed(inputs, -wrench, 4.9) == 0.0
+
+
+def test_flights_that_are_all_alike_may_still_differ_by_the_usual_spread():
+    """By 15 % in distance, 80 % in leverage and 140 % in the width beyond the median, as logarithms.
+
+    The limits of two rates are apart by the prior spread times the difference of Student's quantiles.
+    """
+    time = np.arange(6000) / RATE_HZ
+    inputs = np.sin(0.7 * time[:, None] + np.arange(len(INPUT_NAMES)))
+    one = np.zeros((len(time), 6))
+    one[:, FX] = 1.0
+    miss = np.where(one > 0.0, 0.0, np.nan)
+    alike = LeftOut(time, inputs, *Envelope.flight_range(inputs), one, one, miss)
+    labels = np.repeat(np.arange(8), len(time))
+    tiled = np.tile(one, (8, 1))
+    envelope = Envelope.fit(np.tile(inputs, (8, 1)), labels, tiled, tiled)
+    rates = (1.0, 30.0)
+    rare, often = (
+        calibrate_alarm(envelope, [alike] * 8, confidence=0.95, rate_per_hour=rate, hover_rotor_speed=0.0)[0]
+        for rate in rates
+    )
+    found = (
+        np.log((1.0 + 2.0 * rare.margin[0]) / (1.0 + 2.0 * often.margin[0])),
+        np.log(rare.leverage_limit[FX] / often.leverage_limit[FX]),
+        np.log((rare.width_limit[FX] ** 2 - 1.0) / (often.width_limit[FX] ** 2 - 1.0)),
+    )
+    hours = time[-1] / 3600.0
+    fewer, more = (t.isf(-np.expm1(-0.5 * rate * hours / 3), 13) for rate in rates)
+    apart = np.sqrt(6.0 / 13.0 * (1.0 + 1.0 / 8.0)) * (fewer - more)
+    np.testing.assert_allclose(found, apart * np.array([0.15, 0.8, 1.4]), rtol=1e-6)

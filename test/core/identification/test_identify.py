@@ -114,3 +114,12 @@ def test_errors_name_the_axis(dragged_flights, vehicle):
         )
     with pytest.raises(ModelError, match=r"^confidence 1\.5"):
         identify(dragged_flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, confidence=1.5))
+
+
+def test_one_flight_cannot_be_left_out_and_two_can(dragged_flights, vehicle):
+    pools = {"Fx": POOLS["Fx"]}
+    with pytest.raises(ModelError, match="too few flights: 1 given, 2 or more needed"):
+        identify(dragged_flights[:1], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ))
+    assert (
+        len(identify(dragged_flights[:2], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ)).flights) == 2
+    )

@@ -56,3 +56,18 @@ def test_no_errors_at_all_give_the_plain_shape() -> None:
 def test_squared_airspeed_is_that_of_the_input_vector() -> None:
     inputs = np.arange(38.0).reshape(2, 19)
     np.testing.assert_allclose(squared_speed(inputs), [0 + 1 + 4, 19**2 + 20**2 + 21**2])
+
+
+def test_variance_grows_with_airspeed_by_a_millionth_to_a_hundred_times() -> None:
+    """On average over the flights; flights that hardly move leave it where it doubles at 0.1 m/s."""
+    rng = np.random.default_rng(4)
+    noise, exact = rng.normal(size=500), np.zeros(500)
+    speed_squared = np.square(rng.uniform(0.0, 9.0, size=500))
+    size = speed_squared.mean()
+    moving = [errors(noise * np.sqrt(speed_squared), exact, speed_squared)]
+    assert fit_shape(moving, most_inflation=5).growth * size == pytest.approx(100.0, rel=0.01)
+    still = [errors(noise / (0.1 + speed_squared / size), exact, speed_squared)]
+    assert fit_shape(still, most_inflation=5).growth * size == pytest.approx(1e-6, rel=0.01)
+    hover = 1e-8 * speed_squared
+    hardly = [errors(noise * np.sqrt(hover), exact, hover)]
+    assert fit_shape(hardly, most_inflation=5).growth * 0.1**2 == pytest.approx(1.0, rel=0.01)

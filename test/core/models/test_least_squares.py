@@ -8,7 +8,7 @@ import pytest
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.least_squares import TUNING, Gram, fit_coefficients, flight_grams, huber
+from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber
 from quadpi_core.models.regressors import RegressorProgram
 
 
@@ -92,7 +92,7 @@ def test_wild_samples_pull_no_more_than_the_bound(samples, size):
     spoilt[wild] += size
     robust, _ = huber(Z, spoilt, *least_squares(Z, spoilt))
     plain, _ = least_squares(Z, spoilt)
-    pull = np.linalg.norm(Z[wild], axis=1).sum() * TUNING * NOISE / len(y)
+    pull = np.linalg.norm(Z[wild], axis=1).sum() * 6.0 * NOISE / len(y)
     assert np.abs(robust - TRUE).max() < 1.5 * pull
     assert np.abs(plain - TRUE).max() > 10.0 * pull
 
@@ -111,3 +111,12 @@ def test_terms_that_only_wild_samples_tell_apart_are_refused(samples):
     spoilt[:2] += (1e12, -1e12)
     with pytest.raises(ModelError, match=r"differ in wild samples alone, with residuals up to 1e\+12"):
         huber(alike, spoilt, np.zeros(3), np.eye(3))
+
+
+def test_the_bound_is_six_deviations_by_the_median():
+    """Of a mean of ±1, and of one wild sample, which pulls as if it were 6 · 1.4826 away."""
+    y = np.append(np.tile([-1.0, 1.0], 500), 1e6)
+    Z = np.ones((len(y), 1))
+    plain = fit_coefficients(Gram(Z.T @ Z, Z.T @ y, float(y @ y), len(y)), [0])
+    robust, _ = huber(Z, y, *plain)
+    assert robust[0] == pytest.approx(6.0 * 1.4826 / 1000.0, rel=0.02)

@@ -17,7 +17,14 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES
 from quadpi_core.models.interval_rules import NormalRule, Rule, TrainedRule
-from quadpi_core.models.model_kind import IdentifyOptions, Kind, TrainingSamples, interval_factors, option
+from quadpi_core.models.model_kind import (
+    CUTOFF_HZ,
+    IdentifyOptions,
+    Kind,
+    TrainingSamples,
+    interval_factors,
+    option,
+)
 from quadpi_core.vehicle import Vehicle
 
 
@@ -130,3 +137,10 @@ def test_the_target_of_an_axis_is_its_column() -> None:
     samples = TrainingSamples(vehicle, np.zeros(2), np.zeros((2, 19)), still, wrench, flight, ["one"])
     for column, axis in enumerate(AXES):
         assert samples.target(axis).tolist() == wrench[:, column].tolist()
+
+
+def test_options_that_nobody_gave() -> None:
+    """The low-pass keeps the band where rotor speeds and moments are coherent; the paper's is its own."""
+    options = IdentifyOptions()
+    assert (options.cutoff_hz, options.confidence, options.false_alarms_per_hour) == (30.0, 0.95, 1.0)
+    assert CUTOFF_HZ == {"default": 30.0, "paper": 100.0}

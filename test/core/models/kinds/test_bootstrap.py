@@ -69,3 +69,13 @@ def test_noise_is_learned_where_it_is() -> None:
     noise = spread.centre_and_spread(X)[1]
     assert noise[loud & away].mean() == pytest.approx(1.0, rel=0.25)
     assert noise[~loud & away].mean() < 0.4
+
+
+def test_noise_is_no_less_than_a_thousandth_of_the_target() -> None:
+    """By the paper's rules, and where every flight is learned to the last digit."""
+    X, y, flights = table(4)
+    assert BootstrapEnsemble.paper(epochs=1, hidden=5).fit(X, y, flights).fitted_.floor == pytest.approx(1e-3)
+    rng = np.random.default_rng(0)
+    line = rng.uniform(-1.0, 1.0, size=(600, 1))
+    exact = BootstrapEnsemble(**QUICK | {"epochs": 60, "calibration": "none", "members": 3})
+    assert exact.fit(line, line[:, 0], np.repeat(np.arange(20), 30)).fitted_.floor < 0.01

@@ -266,3 +266,11 @@ def test_inputs_that_are_not_finite_are_refused(bad: float) -> None:
         model.predict(X)
     with pytest.raises(ModelError, match="sample 3: input p is not finite"):
         model.predict_interval(X)
+
+
+def test_without_labels_five_contiguous_parts_stand_in_for_flights() -> None:
+    X, y = iid_data(np.random.default_rng(17), 1000)
+    parts = np.repeat(np.arange(5), 200)
+    own, labelled = (StepwisePolynomial(POOL, max_terms=2).fit(X, y, groups) for groups in (None, parts))
+    np.testing.assert_array_equal(own.predict_interval(X), labelled.predict_interval(X))
+    assert len(own.held_out_ or ()) == 5

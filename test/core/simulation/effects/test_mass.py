@@ -66,3 +66,14 @@ def test_an_impossible_inertia_is_refused():
         SimulationError, match="vehicle bebop2: effect `inertia`: changes of 0, 0 and 1 leave moments"
     ):
         altered(Vehicle.load("bebop2"), {"inertia": {"x_change": 0.0, "y_change": 0.0, "z_change": 1.0}})
+
+
+def test_changes_of_inertia_are_lowered_to_what_a_rigid_body_can_have():
+    """Only the largest moment, and by little more than it must."""
+    vehicle, inertia = Vehicle.load("bebop2"), EFFECTS["inertia"]
+    possible = np.array([0.1, 0.0, 0.0])
+    np.testing.assert_array_equal(inertia.feasible(vehicle, possible), possible)
+    lowered = inertia.feasible(vehicle, np.array([0.0, 0.0, 0.5]))
+    assert lowered[:2].tolist() == [0.0, 0.0]
+    assert is_rigid_body(inertia.function(vehicle, lowered).inertia)
+    assert not is_rigid_body(inertia.function(vehicle, lowered / [1.0, 1.0, 1.0] + [0.0, 0.0, 0.01]).inertia)
