@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -24,8 +24,6 @@ from nav_msgs.msg import Odometry
 from quadpi.msg import AlarmEvent, Erpm, ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from quadpi_core.errors import LogError
@@ -40,14 +38,13 @@ from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 from quadpi_core.view.view_server import ADDRESS, PORT, serve_page
 from quadpi_ros.dds_profile import LOG_QOS
 from quadpi_ros.diagnostics import type_name
+from quadpi_ros.inbox import TAKEN_QOS, Inbox
 from quadpi_ros.runtime import run
 
 # What is held at full resolution: a quarter of an hour, 15 MB with three models.
 _BLOCKS = 18_000
 # The graph is looked at this often for vehicles and topics that have come.
 _DISCOVER_S = 0.5
-# Half a second at 500 Hz: what may come while the server does something else.
-_QOS = QoSProfile(depth=250, reliability=ReliabilityPolicy.BEST_EFFORT)
 # Stamps further from this computer's clock than this are of another clock.
 _SAME_CLOCK_S = 5.0
 _PREDICTION, _ALARM = type_name(WrenchPrediction), type_name(ExtrapolationAlarm)
@@ -56,54 +53,6 @@ _LEVELS = {DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warn"}
 _SHOWN = ("latency_p50_ms", "latency_p99_ms", "dropped", "rate_hz")
 
 _Content = TypeVar("_Content")
-
-
-class Inbox:
-    """Messages of one topic, taken when they are asked for.
-
-    Attributes:
-        topic: its name.
-        count: messages so far.
-        arrived_s: when the last one was taken, on the monotonic clock.
-    """
-
-    def __init__(
-        self, node: Node, message_type: type, topic: str, qos: QoSProfile = _QOS, raw: bool = True
-    ) -> None:
-        self.topic = topic
-        self.count = 0
-        self.arrived_s = time.monotonic()
-        self._type, self._raw = message_type, raw
-        self._subscription: Subscription = node.create_subscription(message_type, topic, _never, qos, raw=raw)
-
-    def take(self) -> list[Any]:
-        """All that have come since the last call."""
-        taken = []
-        handle = self._subscription.handle
-        with handle:
-            while (message := handle.take_message(self._type, self._raw)) is not None:
-                taken.append(message[0])
-        if taken:
-            self.count += len(taken)
-            self.arrived_s = time.monotonic()
-        return taken
-
-    def unpacked(self, unpack: Callable[[Payloads], _Content]) -> _Content | None:
-        """What has come as arrays; None where nothing has.
-
-        Raises:
-            SampleError: for bytes that are no such message.
-        """
-        payloads = self.take()
-        return unpack(Payloads.join(payloads)) if payloads else None
-
-    def publishers(self, node: Node) -> int:
-        """How many publish on it."""
-        return node.count_publishers(self.topic)
-
-
-def _never(_: object) -> None:
-    """Callback of a subscription that no executor serves."""
 
 
 @dataclass
@@ -152,12 +101,12 @@ class LiveVehicle:
             if not below or "/" in relative:
                 continue
             for message_type, qos in (
-                (ExtrapolationAlarm, _QOS),
+                (ExtrapolationAlarm, TAKEN_QOS),
                 (AlarmEvent, LOG_QOS),
-                (Odometry, _QOS),
-                (RotorSpeeds, _QOS),
-                (Erpm, _QOS),
-                (Vector3Stamped, _QOS),
+                (Odometry, TAKEN_QOS),
+                (RotorSpeeds, TAKEN_QOS),
+                (Erpm, TAKEN_QOS),
+                (Vector3Stamped, TAKEN_QOS),
             ):
                 known = message_type.__name__ in self._topics.others
                 named = message_type is not Vector3Stamped or relative == "wind"
@@ -393,26 +342,23 @@ def view_live(
 
 def main() -> int:
     """Run the page in a process of its own, as launch files do."""
-    parser = argparse.ArgumentParser(description="The page of the live nodes.")
+    return run(lambda: _serve(remove_ros_args(sys.argv)[1:]))
+
+
+def _serve(arguments: Sequence[str]) -> None:
+    parser = argparse.ArgumentParser(prog="view", description="The page of the live nodes.")
     parser.add_argument("--model", action="append", default=[], help="model folder; may be repeated")
-    parser.add_argument("--vehicle", default=None, help="vehicle of the models")
-    parser.add_argument("--port", type=int, default=PORT)
-    parser.add_argument("--bind", default=ADDRESS)
-    parser.add_argument("--open", action=argparse.BooleanOptionalAction, default=None)
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    parser.add_argument("--vehicle", help="vehicle of the models")
+    parser.add_argument("--port", type=int, default=PORT, help="port of the page; 0 takes any")
+    parser.add_argument("--bind", default=ADDRESS, help="address to listen on")
+    parser.add_argument("--open", action=argparse.BooleanOptionalAction, help="open the page")
+    options = parser.parse_args(arguments)
+    models = [AerodynamicModel.load(Path(folder)) for folder in options.model]
 
-    def serve() -> None:
-        models = [AerodynamicModel.load(Path(folder)) for folder in options.model]
-        view_live(
-            models,
-            options.vehicle,
-            options.port,
-            options.bind,
-            lambda url: announce(_say, url, options.open),
-            rclpy.get_default_context(),
-        )
+    def say(url: str) -> None:
+        announce(_say, url, options.open)
 
-    return run(serve)
+    view_live(models, options.vehicle, options.port, options.bind, say, rclpy.get_default_context())
 
 
 def _say(line: str) -> None:
