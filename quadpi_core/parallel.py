@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 import cloudpickle
 
+from quadpi_core.config import is_config_path
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.version import __version__
 
@@ -80,6 +81,12 @@ class Workers:
     scheduler: str | None = None
     progress: ReportProgress = ignore_progress
     answer_s: float = 30.0
+
+    def found_by(self, config: str | None) -> str | None:
+        """Name or path of a configuration file as the workers find it: a scheduler's run in other folders."""
+        if self.scheduler is None or config is None or not is_config_path(config):
+            return config
+        return str(Path(config).absolute())
 
     def map(
         self,

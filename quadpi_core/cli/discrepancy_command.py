@@ -14,6 +14,7 @@ from quadpi_core.cli.options import (
     FileProcessCount,
     HtmlFile,
     JsonFile,
+    Mapping,
     Scheduler,
     check_outputs,
     open_console,
@@ -39,6 +40,7 @@ def discrepancy(
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle, where the simulation does not name one.")
     ] = None,
+    mapping: Mapping = None,
     allow_code: Annotated[
         bool,
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
@@ -63,9 +65,10 @@ def discrepancy(
     check_outputs(inputs, json_file, html_file, folders=[output])
     console = open_console()
     names = None if effects is None else effects.split(",")
-    the_simulation = load_simulation(simulation, vehicle, bags, allow_code=allow_code)
+    the_simulation = load_simulation(simulation, vehicle, bags, mapping=mapping, allow_code=allow_code)
     with progress_bar(console) as progress:
-        flights = read_flights(bags, the_simulation, workers=Workers(workers, scheduler, progress))
+        processes = Workers(workers, scheduler, progress)
+        flights = read_flights(bags, the_simulation, mapping=mapping, workers=processes)
     print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
     with console.status("Searching"):
         found = study(the_simulation, flights, names=names, seed=seed)

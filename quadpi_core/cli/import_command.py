@@ -12,6 +12,7 @@ import typer
 from quadpi_core.cli.options import (
     FileProcessCount,
     JsonFile,
+    Mapping,
     Scheduler,
     VehicleName,
     check_outputs,
@@ -28,13 +29,7 @@ def import_logs(
     ],
     vehicle: VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],
-    mapping: Annotated[
-        str | None,
-        typer.Option(
-            help="Meaning of columns of a table or messages of other packages, or an autopilot's rotor "
-            "order: a name in config/mappings (tables, autopilots) or config/adapters (bags), or a file."
-        ),
-    ] = None,
+    mapping: Mapping = None,
     align: Annotated[
         bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
     ] = False,

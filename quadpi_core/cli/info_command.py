@@ -9,15 +9,20 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import JsonFile, OptionalVehicle, check_outputs, open_console, write_result
+from quadpi_core.cli.options import (
+    JsonFile,
+    Mapping,
+    OptionalVehicle,
+    check_outputs,
+    open_console,
+    write_result,
+)
 
 
 def info(
     path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
     vehicle: OptionalVehicle = None,
-    mapping: Annotated[
-        str | None, typer.Option(help="Mapping for a table or bag, as `import` takes it.")
-    ] = None,
+    mapping: Mapping = None,
     json_file: JsonFile = None,
 ) -> None:
     """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""

@@ -24,6 +24,13 @@ VehicleName = Annotated[str, typer.Option("--vehicle", help="Vehicle in config/v
 OptionalVehicle = Annotated[
     str | None, typer.Option("--vehicle", help="Vehicle; default: the one that the bag or model names.")
 ]
+Mapping = Annotated[
+    str | None,
+    typer.Option(
+        help="Meaning of columns of a table or messages of other packages, or an autopilot's rotor order: a "
+        "name in config/mappings (tables, autopilots) or config/adapters (bags), or a file."
+    ),
+]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the result as JSON.")]
 HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
 Adaptive = Annotated[

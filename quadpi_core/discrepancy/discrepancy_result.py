@@ -63,6 +63,8 @@ class Discovery:
         unexplained_by: generic functions that predict each axis that matters.
         gap: gap before and after.
         found: result of the search.
+        without_trace: effects that cannot be found: with them, these flights would hardly differ from this
+            simulation.
     """
 
     verdict: str
@@ -71,6 +73,7 @@ class Discovery:
     unexplained_by: Mapping[str, list[str]]
     gap: Gap
     found: Found
+    without_trace: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -218,6 +221,7 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
             },
             "reduction": gap.reduction,
         },
+        "without_trace": list(discovery.without_trace),
         "unexplained": {"share": discovery.unexplained, "by": dict(discovery.unexplained_by)},
     }
 

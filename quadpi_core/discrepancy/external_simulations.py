@@ -20,7 +20,7 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps, WrenchStream
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, flight_derivatives, flight_inputs
-from quadpi_core.logs.bags import read_bag
+from quadpi_core.logs import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.signals.filters import zero_phase
@@ -217,13 +217,18 @@ class RecordedSimulation(Simulation):
 
     @classmethod
     def load(
-        cls, vehicle: str, bags: Sequence[Path], cutoff_hz: float = CUTOFF_HZ["default"]
+        cls,
+        vehicle: str,
+        bags: Sequence[Path],
+        mapping: str | None = None,
+        cutoff_hz: float = CUTOFF_HZ["default"],
     ) -> RecordedSimulation:
         """Read the topic from bags.
 
         Args:
             vehicle: name or path of the vehicle file.
-            bags: bags of the flights.
+            bags: bags or logs of the flights.
+            mapping: see :func:`quadpi_core.logs.read_recording`.
             cutoff_hz: cut-off of the low-pass that flights pass.
 
         Raises:
@@ -233,7 +238,7 @@ class RecordedSimulation(Simulation):
         flown, wrenches = Vehicle.load(vehicle), {}
         thrust, load = 0.0, 0.0
         for bag in bags:
-            recording = read_bag(bag, flown)
+            recording = read_recording(bag, flown, mapping)
             if recording.simulated is None:
                 raise DiscrepancyError(f"{bag}: topic {WrenchStream.topic}: missing: no simulated wrench")
             if recording.rotor_speeds is None:

@@ -63,6 +63,7 @@ def load_simulation(
     vehicle: str | Path | None = None,
     bags: Sequence[Path] = (),
     *,
+    mapping: str | None = None,
     allow_code: bool = False,
     within: tuple[Path, ...] = (),
 ) -> Simulation:
@@ -73,7 +74,8 @@ def load_simulation(
             `module:function` of Python, found from the working directory or installed; `recorded`, a wrench
             in the bags; or an `addition.json` that an earlier search wrote.
         vehicle: name or path of the vehicle file, for those that do not name one.
-        bags: bags that a recorded wrench is read from.
+        bags: bags or logs that a recorded wrench is read from.
+        mapping: of those, see :func:`quadpi_core.logs.read_recording`.
         allow_code: whether an `addition.json` may name a function. Its module is then imported, so the author
             of the file chooses what runs here. A function named by `text` itself is always allowed.
         within: files of additions that refer to this one, so that none refers to itself.
@@ -87,9 +89,9 @@ def load_simulation(
     if any(len(part.encode(errors="replace")) > _NAME_MAX for part in path.parts) or "\0" in text:
         raise DiscrepancyError(f"{text}: no simulation: a name that no file has")
     if text == RECORDED:
-        return RecordedSimulation.load(_required(text, vehicle), bags)
+        return RecordedSimulation.load(_required(text, vehicle), bags, mapping)
     if path.suffix == ".json":
-        return _addition(path, vehicle, bags, allow_code, within)
+        return _addition(path, vehicle, bags, mapping, allow_code, within)
     if path.is_dir():
         return ModelSimulation.load(path, vehicle)
     if _names_code(text):
@@ -138,7 +140,12 @@ def _callable(text: str, vehicle: str) -> CallableSimulation:
 
 
 def _addition(
-    path: Path, vehicle: str | Path | None, bags: Sequence[Path], allow_code: bool, within: tuple[Path, ...]
+    path: Path,
+    vehicle: str | Path | None,
+    bags: Sequence[Path],
+    mapping: str | None,
+    allow_code: bool,
+    within: tuple[Path, ...],
 ) -> AugmentedSimulation:
     try:
         data: Any = parse_json(read_bounded(path, JSON_BYTES_MAX))
@@ -160,6 +167,7 @@ def _addition(
             named,
             vehicle or addition.vehicle,
             bags,
+            mapping=mapping,
             allow_code=allow_code,
             within=(*within, path.resolve()),
         )

@@ -6,12 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from quadpi_core.discrepancy.acceptance import judge_unexplained, predictable, unexplained_share
+from quadpi_core.discrepancy.acceptance import (
+    LEAST_EVIDENCE,
+    judge_unexplained,
+    predictable,
+    unexplained_share,
+)
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter, Study
@@ -72,13 +76,15 @@ def read_flights(
     paths: Sequence[Path],
     simulation: Simulation,
     *,
+    mapping: str | None = None,
     workers: Workers = DEFAULT_WORKERS,
 ) -> list[Flight]:
     """Read flights of the simulation's vehicle: fused, low-passed at the default of models, in the air.
 
     Args:
-        paths: bags, or logs that need no mapping.
+        paths: bags or logs.
         simulation: simulation of the vehicle that flew.
+        mapping: see :func:`quadpi_core.logs.read_recording`.
         workers: processes that read the files.
 
     Raises:
@@ -88,13 +94,13 @@ def read_flights(
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
     require_flights(len(paths))
-    shared = (simulation.vehicle, CUTOFF_HZ["default"])
+    shared = (simulation.vehicle, CUTOFF_HZ["default"], workers.found_by(mapping))
     read = workers.map_files(_read, paths, shared=shared, task="Reading flights")
     refuse_duplicates((flight.source, digest) for flight, digest in read)
     return [flight for flight, _ in read]
 
 
-def _read(task: tuple[Any, float], path: Path) -> tuple[Flight, str]:
+def _read(task: tuple[Vehicle, float, str | None], path: Path) -> tuple[Flight, str]:
     return read_flight(path, *task)
 
 
@@ -174,7 +180,23 @@ def discover(
         unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if left[i]},
         gap=found.closing.gap(),
         found=found,
+        without_trace=_without_trace(found),
     )
+
+
+def _without_trace(found: Found) -> tuple[str, ...]:
+    """Effects that could not gain the least evidence here, even as large as the prior expects.
+
+    So it is with wind beside a recorded wrench, which is the same in any wind, and with the ground where no
+    flight comes near it.
+    """
+    regression, squares = found.regression, np.diag(found.regression.gram)
+    shown = {
+        candidate.name
+        for index, candidate in enumerate(regression.candidates)
+        if 0.5 * squares[regression.block(index).parameters].sum() >= LEAST_EVIDENCE.value
+    }
+    return tuple(dict.fromkeys(c.name for c in regression.candidates if c.name not in shown))
 
 
 def require_flights(count: int) -> None:

@@ -127,18 +127,26 @@ def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
     return PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
 
 
-def _read(path: Path, vehicle: Vehicle) -> Recording:
-    return checked(read_recording(path, vehicle), vehicle)
+def _read(path: Path, vehicle: Vehicle, mapping: str | None = None) -> Recording:
+    return checked(read_recording(path, vehicle, mapping), vehicle)
 
 
-def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float) -> tuple[Flight, str]:
+def read_flight(
+    path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: str | None = None
+) -> tuple[Flight, str]:
     """A flight read, fused and filtered, the part in the air, with the hash of its sensor streams.
+
+    Args:
+        path: bag or log.
+        vehicle: that flew.
+        cutoff_hz: of the low-pass over all signals.
+        mapping: see :func:`quadpi_core.logs.read_recording`.
 
     Raises:
         LogError: for what cannot be read or used, naming the file.
         SignalError: naming the file, where the signals cannot be fused.
     """
-    recording = _read(path, vehicle)
+    recording = _read(path, vehicle, mapping)
     flight = fuse_airborne(recording, vehicle, cutoff_hz)
     return flight, recording_hash(recording)
 

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from quadpi_core.config import is_config_path
 from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
@@ -79,10 +78,8 @@ def import_logs(
         OutputError: if the bags cannot be written.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
-    if workers.scheduler is not None and mapping is not None and is_config_path(mapping):
-        mapping = str(Path(mapping).absolute())
     with whole_outputs(folder) as staging:
-        task = _Conversion(vehicle, mapping, align, staging.absolute())
+        task = _Conversion(vehicle, workers.found_by(mapping), align, staging.absolute())
         converted = workers.map_files(_convert, logs, shared=task, task="Importing logs")
         sources: dict[str, Path] = {}
         for log, (imported, _) in zip(logs, converted, strict=True):

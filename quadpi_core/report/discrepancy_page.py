@@ -77,6 +77,8 @@ def discrepancy_summary(study: Study) -> Group:
     parts += [Text(_ambiguity_sentence(effect)) for effect in discovery.effects if effect.rivals]
     if discovery.verdict != "none":
         parts.append(Text(_unexplained_sentence(discovery)))
+    if discovery.without_trace:
+        parts.append(Text(_without_trace_sentence(discovery), style="dim"))
     if study.not_flown:
         parts.append(Text(f"Not flown: {', '.join(study.not_flown)}.", style="dim"))
     return Group(*parts)
@@ -122,6 +124,7 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         flown_again=_flown_again_table(study),
         flown_note=_flown_again_note(study),
         unexplained=_unexplained_sentence(discovery),
+        without_trace=_without_trace_sentence(discovery) if discovery.without_trace else "",
         fly_next=list(dict.fromkeys([*to_tell_apart, *study.not_flown])),
         flights=_loudest_first(study),
         segments=_segment_table(study) if where.segments else None,
@@ -361,6 +364,12 @@ def _unexplained_sentence(discovery: Discovery) -> str:
     axes = "; ".join(f"{axis} with {', '.join(by)}" for axis, by in discovery.unexplained_by.items())
     share = percent(discovery.unexplained)
     return f"{share} of the predictable discrepancy is left, and varies with: {axes}."
+
+
+def _without_trace_sentence(discovery: Discovery) -> str:
+    """Effects that this comparison cannot find."""
+    names = ", ".join(map(_words, discovery.without_trace))
+    return f"Cannot be found by comparing these flights with this simulation: {names}."
 
 
 def _no_range_sentence(study: Study) -> str:

@@ -11,9 +11,11 @@ import pytest
 
 from quadpi_core.discrepancy import (
     CallableSimulation,
+    discover,
     load_simulation,
 )
 from quadpi_core.discrepancy.external_simulations import RecordedSimulation
+from quadpi_core.discrepancy.study import read_flights
 from quadpi_core.errors import DiscrepancyError, QuadpiError
 from quadpi_core.estimator.fusion import fuse, fuse_airborne
 from quadpi_core.flight import WrenchStream
@@ -21,6 +23,7 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
+from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
@@ -148,6 +151,72 @@ def test_a_recorded_wrench_on_another_clock(recorded_bags, tmp_path):
         match=r"its stamps, 2\.\d+ to \d+\.\d+ s after the start of the flight, do not cover it",
     ):
         simulation.wrench(flight)
+
+
+def table_of(recording, folder):
+    """The recording as a table with a row for each IMU sample, body axes and world as here."""
+    imu, rotors, pose, simulated = recording.imu, recording.rotor_speeds, recording.pose, recording.simulated
+    nearest = np.clip(np.searchsorted(pose.time_ns, imu.time_ns), 0, len(pose) - 1)
+    rows = np.column_stack(
+        (
+            1e-9 * (imu.time_ns - imu.time_ns[0]),
+            imu.angular_velocity,
+            imu.specific_force,
+            *(np.interp(imu.time_ns, rotors.time_ns, column) for column in rotors.speeds.T),
+            pose.position[nearest],
+            pose.attitude[nearest],
+            *(np.interp(imu.time_ns, simulated.time_ns, column) for column in simulated.wrench.T),
+        )
+    )
+    columns = [
+        *("t", *"pqr", "ax", "ay", "az", "w0", "w1", "w2", "w3"),
+        *("x", "y", "z", "qw", "qx", "qy", "qz", "fx", "fy", "fz", "mx", "my", "mz"),
+    ]
+    table = folder / f"{recording.name}.csv"
+    np.savetxt(table, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    return table
+
+
+TABLE_MAPPING = """
+time: {columns: [t], unit: s}
+body: frd
+world: ned
+angular_velocity: {columns: [p, q, r], unit: rad/s}
+acceleration: {columns: [ax, ay, az], unit: m/s2, axes: body, gravity: included}
+rotor_speeds: {columns: [w0, w1, w2, w3], unit: rad/s}
+mocap_position: {columns: [x, y, z], unit: m}
+mocap_attitude: {columns: [qw, qx, qy, qz], form: wxyz}
+simulated_force: {columns: [fx, fy, fz], unit: N}
+simulated_moment: {columns: [mx, my, mz], unit: Nm}
+"""
+
+
+def test_logs_are_searched_by_their_mapping_as_the_bags_that_import_makes_of_them(recorded_bags, tmp_path):
+    vehicle, mapping = Vehicle.load("neurobem"), tmp_path / "columns.yaml"
+    mapping.write_text(TABLE_MAPPING)
+    logs = [table_of(read_bag(bag, vehicle), tmp_path) for bag in recorded_bags]
+    import_logs(logs, vehicle, tmp_path / "bags", str(mapping))
+    made = sorted((tmp_path / "bags").glob("*.mcap"))
+    of_logs = load_simulation("recorded", "neurobem", logs, mapping=str(mapping))
+    of_bags = load_simulation("recorded", "neurobem", made)
+    assert of_logs.thrust_n_s2 == pytest.approx(of_bags.thrust_n_s2, rel=1e-9)
+    flights = read_flights(logs, of_logs, mapping=str(mapping))
+    for own, other in zip(flights, read_flights(made, of_bags), strict=True):
+        np.testing.assert_allclose(of_logs.wrench(own), of_bags.wrench(other), rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(own.specific_force, other.specific_force, rtol=0.0, atol=1e-6)
+
+
+def test_effects_that_a_recorded_wrench_cannot_show_are_listed(recorded_bags):
+    simulation = load_simulation("recorded", "neurobem", recorded_bags)
+    flights = read_flights(recorded_bags, simulation)
+    found = discover(simulation, flights, names=["wind", "rotor_speed_scale", "body_drag"])
+    assert found.without_trace == ("wind", "rotor_speed_scale")
+
+
+def test_a_table_without_a_mapping_asks_for_one(recorded_bags, tmp_path):
+    table = table_of(read_bag(recorded_bags[0], Vehicle.load("neurobem")), tmp_path)
+    with pytest.raises(QuadpiError, match=rf"{table.name}.*--mapping"):
+        load_simulation("recorded", "neurobem", [table])
 
 
 def test_bags_without_a_recorded_wrench(bags):
