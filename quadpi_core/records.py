@@ -61,3 +61,18 @@ def record_dtype(declaration: type) -> np.dtype[np.void]:
     if not fields:
         raise TypeError(f"{declaration.__name__} declares no fields")
     return np.dtype(fields, align=True)
+
+
+def columns_of(declaration: type) -> tuple[slice, ...]:
+    """The columns of each field of a class in an array of its numbers, for kernels that treat all alike.
+
+    Raises:
+        TypeError: for a class with other fields than `float` and arrays of it.
+    """
+    columns, stop = [], 0
+    for dtype, *_ in (record_dtype(declaration).fields or {}).values():
+        if dtype.base != np.float64:
+            raise TypeError(f"{declaration.__name__}: not all fields are float64")
+        start, stop = stop, stop + dtype.itemsize // dtype.base.itemsize
+        columns.append(slice(start, stop))
+    return tuple(columns)

@@ -18,18 +18,24 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import NO_STAMP
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
+from quadpi_core.records import Quaternion4, Records, Vector3, columns_of, record_dtype
 from quadpi_core.signals.resample import RATE_SPAN
 from quadpi_core.vehicle import Vehicle
 
-# Where the error state, and so a covariance, holds what.
-ERROR_STATES = 16
-POSITION = slice(0, 3)
-VELOCITY = slice(3, 6)
-ATTITUDE = slice(6, 9)
-GYRO_BIAS = slice(9, 12)
-ACCELEROMETER_BIAS = slice(12, 15)
-DELAY = 15
+
+class ErrorState:
+    """The error of an estimate; a covariance has a row and a column for each of its numbers."""
+
+    position: Vector3
+    velocity: Vector3
+    attitude: Vector3
+    gyro_bias: Vector3
+    accelerometer_bias: Vector3
+    delay: float
+
+
+POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, ACCELEROMETER_BIAS, _DELAY = columns_of(ErrorState)
+DELAY, ERROR_STATES = _DELAY.start, _DELAY.stop
 
 # Kinds of measurement.
 POSE, WORLD_VELOCITY, BODY_VELOCITY = 0, 1, 2

@@ -15,7 +15,7 @@ from quadpi_core.estimator.filter_state import Estimate
 from quadpi_core.flight import ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.values import odometry_row
-from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
+from quadpi_core.records import Quaternion4, Records, Vector3, columns_of, record_dtype
 from quadpi_core.sample_limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 
 
@@ -39,7 +39,8 @@ class FusedSample:
 
 
 FUSED = record_dtype(FusedSample)
-_MOTION = np.dtype((np.float64, record_dtype(Motion).itemsize // 8))
+MOTION_ATTITUDE, MOTION_VELOCITY, MOTION_RATES, MOTION_FORCE = columns_of(Motion)
+_MOTION = np.dtype((np.float64, MOTION_FORCE.stop))
 
 
 class FusedSamples(NamedTuple):

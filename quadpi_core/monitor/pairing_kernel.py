@@ -10,6 +10,12 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import Meter, follow, is_known
+from quadpi_core.estimator.output import (
+    MOTION_ATTITUDE,
+    MOTION_FORCE,
+    MOTION_RATES,
+    MOTION_VELOCITY,
+)
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.records import Records, record_dtype
@@ -18,13 +24,14 @@ from quadpi_core.signals.chain import (
     RATES,
     ROTOR_SPEEDS,
     SPECIFIC_FORCE,
+    VELOCITY,
     WIND,
 )
 
 # The topics.
 IMU, STATE, ROTORS, WIND_TOPIC, TOPICS = 0, 1, 2, 3, 4
-# A state has the most numbers.
-_WIDEST = 10
+# A state has the most numbers: the first signals of a sample.
+_WIDEST = RATES.stop
 # What becomes of the oldest IMU sample.
 _WAITS, _EARLY, _TAKEN = 0, 1, 2
 # How a stretch begins: where the previous one ended; with a stamp more than MAX_JUMP_BACK_NS before the
@@ -39,7 +46,7 @@ class Arriving(NamedTuple):
         kind: (E,) topic of each, :data:`IMU`, ….
         row: (E,) its row in the arrays of that topic.
         imu_ns, specific_force: (N,), (N, 3).
-        state_ns, states: (S,), (S, 10) velocity and attitude, rates; see :meth:`.pairing.Pairing.add_state`.
+        state_ns, states: (S,), (S, 10) velocity, attitude and rates; see :meth:`.pairing.Pairing.add_state`.
         rotor_ns, rotor_speeds: (R,), (R, 4).
         wind_ns, wind: (W,), (W, 3).
     """
@@ -113,8 +120,10 @@ def add_state_sample(
 def add_estimate(states: Records, rings: Records, time_ns: int, motion: Array) -> bool:
     """Add an IMU sample with its state, a row of `FusedSamples.motion`; see :func:`add_imu_sample`."""
     _follow_rate(states[0], time_ns)
-    _add(states[0], rings, IMU, time_ns, motion[10:])
-    _add_state(states[0], rings, time_ns, motion[4:7], motion[:4], motion[7:10])
+    _add(states[0], rings, IMU, time_ns, motion[MOTION_FORCE])
+    _add_state(
+        states[0], rings, time_ns, motion[MOTION_VELOCITY], motion[MOTION_ATTITUDE], motion[MOTION_RATES]
+    )
     return _take_is_due(states[0], rings)
 
 
@@ -166,7 +175,8 @@ def take_stretch(
             _add(state, rings, IMU, time_ns, arriving.specific_force[row])
         elif kind == STATE:
             values = arriving.states[row]
-            _add_state(state, rings, arriving.state_ns[row], values[:3], values[3:7], values[7:])
+            time_ns = arriving.state_ns[row]
+            _add_state(state, rings, time_ns, values[VELOCITY], values[ATTITUDE], values[RATES])
         elif kind == ROTORS:
             _add(state, rings, ROTORS, arriving.rotor_ns[row], arriving.rotor_speeds[row])
         else:
@@ -221,16 +231,15 @@ def _add_state(
         newest = rings[STATE, (track.oldest + track.count - 1) % capacity]
         projection = 0.0
         for k in range(4):
-            projection += newest.values[3 + k] * attitude[k]
+            projection += newest.values[ATTITUDE][k] * attitude[k]
         sign = -1.0 if projection < 0.0 else 1.0
     index = _make_room(state, STATE, time_ns, capacity)
     if index >= 0:
         entry = rings[STATE, index]
         entry.time_ns = time_ns
-        for k in range(3):
-            entry.values[k], entry.values[7 + k] = velocity[k], rates[k]
+        entry.values[VELOCITY], entry.values[RATES] = velocity, rates
         for k in range(4):
-            entry.values[3 + k] = sign * attitude[k]
+            entry.values[ATTITUDE][k] = sign * attitude[k]
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4
+from quadpi_core.records import Quaternion4, Vector3, columns_of
 from quadpi_core.signals.filters import (
     DELAYS,
     SECTIONS,
@@ -19,15 +19,22 @@ from quadpi_core.signals.filters import (
     settled_state,
     zero_phase,
 )
+from quadpi_core.vehicle import ROTORS
 
-# Columns of the signals in one array, offline and live.
-VELOCITY = slice(0, 3)
-ATTITUDE = slice(3, 7)
-RATES = slice(7, 10)
-SPECIFIC_FORCE = slice(10, 13)
-ROTOR_SPEEDS = slice(13, 17)
-WIND = slice(17, 20)
-CHANNELS = 20
+
+class Signals:
+    """The signals of a sample, offline and live. The low-pass takes them as one row of numbers."""
+
+    velocity: Vector3  # m/s over ground, body axes
+    attitude: Quaternion4  # body to world
+    rates: Vector3  # rad/s
+    specific_force: Vector3  # m/s², body axes
+    rotor_speeds: Annotated[Array, ROTORS]  # rad/s
+    wind: Vector3  # m/s, world
+
+
+VELOCITY, ATTITUDE, RATES, SPECIFIC_FORCE, ROTOR_SPEEDS, WIND = columns_of(Signals)
+CHANNELS = WIND.stop
 
 
 class FilteredSignals(NamedTuple):

@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
-from quadpi_core.records import Records, Vector3, record_dtype
+from quadpi_core.records import Records, Vector3, columns_of, record_dtype
 
 
 class Sample:
@@ -59,3 +59,18 @@ def test_a_type_without_a_fixed_size_is_refused():
 
     with pytest.raises(TypeError, match="str declares no fields"):
         record_dtype(Named)
+
+
+def test_columns_are_the_fields_in_turn():
+    class State:
+        place: Vector3
+        delay: float
+        turn: Annotated[Array, 2, 2]
+
+    assert columns_of(State) == (slice(0, 3), slice(3, 4), slice(4, 8))
+    numbers = np.arange(8.0)
+    record = numbers.view(record_dtype(State))[0]
+    for field, column in zip(("place", "delay", "turn"), columns_of(State), strict=True):
+        np.testing.assert_array_equal(np.ravel(record[field]), numbers[column])
+    with pytest.raises(TypeError, match="Sample: not all fields are float64"):
+        columns_of(Sample)
