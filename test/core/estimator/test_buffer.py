@@ -9,9 +9,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.buffer import DEGRADED_NS, HOLD_NS, LOST_NS
+from quadpi_core.estimator.buffer import DEGRADED_NS, HOLD_NS, LOST_NS, status_of
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
+from quadpi_core.estimator.filter_state import (
+    ACCELEROMETER_BIAS,
+    ESTIMATE,
+    VELOCITY,
+    EstimatorStatus,
+    Outcome,
+    allocate,
+    begin,
+)
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import Vehicle
 
@@ -133,3 +141,43 @@ def test_the_status_follows_the_time_without_a_correction(
     assert hover.ekf.status is after
     hover.fly(1.0)
     assert hover.ekf.status is EstimatorStatus.OK
+
+
+def test_five_contradicting_poses_are_the_fewest_that_are_believed(hover: Hover) -> None:
+    """Of slow motion capture, which contradicts for 0.4 s with fewer."""
+    moved, rejected = np.array([1.5, 0.0, 0.0]), hover.counted(Outcome.REJECTED)
+    for count in (1, 2, 3, 4, 4, 4):
+        hover.imu(75)
+        hover.pose(hover.now_ns, moved)
+        hover.imu(10)
+        assert hover.counted(Outcome.REJECTED) == rejected + count
+    assert hover.ekf.state.position[0] == pytest.approx(1.5, abs=0.1)
+
+
+def test_three_contradicting_poses_degrade_the_estimate(hover: Hover) -> None:
+    for status in (EstimatorStatus.OK, EstimatorStatus.OK, EstimatorStatus.DEGRADED):
+        hover.imu(5)
+        hover.pose(hover.now_ns, np.array([1.5, 0.0, 0.0]))
+        hover.imu(5)
+        assert hover.ekf.status is status
+
+
+@pytest.mark.parametrize(
+    ("velocity_std", "bias_std", "status"),
+    [
+        (0.049, 0.09, EstimatorStatus.OK),
+        (0.051, 0.09, EstimatorStatus.DEGRADED),
+        (0.049, 0.11, EstimatorStatus.DEGRADED),
+        (1.99, 0.09, EstimatorStatus.DEGRADED),
+        (2.01, 0.09, EstimatorStatus.LOST),
+    ],
+)
+def test_the_status_follows_the_uncertainty_of_velocity_and_bias(
+    velocity_std: float, bias_std: float, status: EstimatorStatus
+) -> None:
+    """In m/s and m/s², of the worst axis."""
+    memory, estimate = allocate(VEHICLE, 500.0), np.zeros(1, ESTIMATE)
+    estimate["covariance"][0, VELOCITY.start + 1, VELOCITY.start + 1] = velocity_std**2
+    estimate["covariance"][0, ACCELEROMETER_BIAS.start, ACCELEROMETER_BIAS.start] = bias_std**2
+    begin(memory, estimate, 0)
+    assert status_of(memory.filter[0], memory.ring) == status

@@ -144,20 +144,62 @@ def test_a_motion_of_three_standard_deviations_counts_half() -> None:
 
 
 @pytest.mark.parametrize(
-    ("metres", "radians", "seconds", "agree"),
-    [(0.3, 0.1, 0.1, True), (0.9, 0.0, 0.1, False), (0.0, 1.2, 0.1, False), (0.3, 0.1, 0.6, False)],
+    ("apart", "seconds", "speed_m_s", "agree"),
+    [
+        ((0.47, 0.38), 0.1, 0.0, True),  # 9 · 0.02 m + 3 m/s · 0.1 s, 9 · 0.01 rad + 3 rad/s · 0.1 s
+        ((0.49, 0.38), 0.1, 0.0, False),
+        ((0.47, 0.40), 0.1, 0.0, False),
+        ((0.17, 0.08), 0.0, 0.0, True),
+        ((0.19, 0.08), 0.0, 0.0, False),
+        ((0.77, 0.0), 0.1, 2.0, True),  # and half as much again as it moves, 3 m/s · 0.1 s
+        ((0.79, 0.0), 0.1, 2.0, False),
+        ((0.3, 0.1), 0.49, 0.0, True),
+        ((0.3, 0.1), 0.51, 0.0, False),
+    ],
 )
-def test_measurements_agree_that_one_plausible_motion_explains(
-    estimate: Records, noise: Records, metres: float, radians: float, seconds: float, agree: bool
+def test_poses_agree_that_one_plausible_motion_explains(
+    estimate: Records,
+    noise: Records,
+    apart: tuple[float, float],
+    seconds: float,
+    speed_m_s: float,
+    agree: bool,
 ) -> None:
-    """At rest, within 3 m/s and 3 rad/s and half a second; noise explains 0.18 m and 0.09 rad more."""
-    estimate["velocity"], estimate["rates"] = 0.0, estimate["gyro_bias"]
+    """Apart by metres and radians."""
+    metres, radians = apart
+    estimate["velocity"], estimate["rates"] = (speed_m_s, 0.0, 0.0), estimate["gyro_bias"]
     turned = rotations.product(
         estimate["attitude"][0], rotations.from_rotation_vector(np.array([0, 0, radians]))
     )
     first = measured(POSE, (0.0, 0.0, 0.0), estimate["attitude"])
     second = measured(POSE, (metres, 0.0, 0.0), turned, round(seconds * SECOND))
     assert corrections.same_motion(first[0], second[0], estimate[0], noise[0]) == agree
+
+
+@pytest.mark.parametrize(("change_m_s", "agree"), [(2.85, True), (2.90, False)])
+def test_velocities_agree_that_a_plausible_acceleration_explains(
+    estimate: Records, noise: Records, change_m_s: float, agree: bool
+) -> None:
+    """9 · 0.1 m/s, and in 0.1 s 10 m/s² beside the specific force of 9.7 m/s²."""
+    estimate["rates"] = estimate["gyro_bias"]
+    first = measured(WORLD_VELOCITY, (0.0, 0.0, 0.0))
+    second = measured(WORLD_VELOCITY, (0.0, change_m_s, 0.0), time_ns=SECOND // 10)
+    assert corrections.same_motion(first[0], second[0], estimate[0], noise[0]) == agree
+
+
+def test_an_uncertain_delay_widens_a_measurement_by_the_motion_that_it_leaves_out(
+    estimate: Records, noise: Records
+) -> None:
+    """To second order: half the squared delay times 20 rad/s² of an attitude, 20 m/s³ of a velocity."""
+    delay_std, scalars = 0.1, np.zeros(6, SCALAR)
+    estimate["covariance"] = 0.0
+    estimate["covariance"][0, -1, -1] = delay_std**2
+    left_out = (0.5 * 20.0 * delay_std**2) ** 2 * 2.0
+    at_rest = measured(POSE, estimate["position"], estimate["attitude"])
+    corrections.fuse(estimate.copy()[0], noise[0], at_rest[0], 0.0, scalars)
+    np.testing.assert_allclose(scalars["variance"][3:], noise["attitude"][0] + left_out)
+    corrections.fuse(estimate.copy()[0], noise[0], measured(WORLD_VELOCITY, 0.0)[0], 0.0, scalars)
+    np.testing.assert_allclose(scalars["variance"][:3], noise["velocity"][0] + left_out)
 
 
 def test_motion_shows_once_noise_cannot_hide_it(estimate: Records, noise: Records) -> None:

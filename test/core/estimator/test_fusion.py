@@ -190,6 +190,19 @@ def test_gentle_start_of_a_wild_flight_is_kept(flown, vehicle):
     assert len(airborne(faster, vehicle.gravity_m_s2)) == len(flown)
 
 
+@pytest.mark.parametrize(("share", "carried"), [(0.45, False), (0.55, True)])
+def test_rotors_carry_the_vehicle_from_half_of_its_weight_on(flown, vehicle, share, carried):
+    still = replace(flown, rotor_speeds=np.full_like(flown.rotor_speeds, 800.0))
+    hover = replace(still, specific_force=np.tile([0.0, 0.0, -vehicle.gravity_m_s2], (len(flown), 1)))
+    rising = np.where((flown.time < 2.0)[:, None], share, 1.0)
+    flight = replace(
+        hover,
+        specific_force=hover.specific_force * rising,
+        rotor_speeds=hover.rotor_speeds * np.sqrt(rising),
+    )
+    assert (airborne(flight, vehicle.gravity_m_s2).time[0] == flown.time[0]) == carried
+
+
 def test_rotors_that_never_turn_are_refused(flown, vehicle):
     still = replace(flown, rotor_speeds=np.zeros_like(flown.rotor_speeds))
     with pytest.raises(LogError, match=r"flight0: topic rotor_speeds: the rotors never carry the vehicle"):

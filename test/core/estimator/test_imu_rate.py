@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.imu_rate import METER, ImuRate, follow
+from quadpi_core.estimator.imu_rate import METER, ImuRate, follow, off_for
 from quadpi_core.signals.resample import nominal_rate
 
 START_NS = 1_700_000_000_000_000_000
@@ -97,3 +97,19 @@ def test_a_rate_that_is_given_counts_unless_the_stamps_contradict(given_hz: floa
     assert rates[-1].differs is not fits
     if not fits:
         assert str(rates[-1]) == f"stamps say 500 Hz, imu_rate_hz is {given_hz:g}"
+
+
+@pytest.mark.parametrize(
+    ("span_ms", "step_ms", "off_ms"),
+    [
+        (22.5, 2, 52),  # more than 12 % longer than usual
+        (17.5, 2, 52),
+        (22.3, 2, 42),  # one that fits outweighs four that do not
+        (100.0, 90, 70),  # a gap counts for 20 ms
+    ],
+)
+def test_spans_that_differ_by_an_eighth_add_up_and_those_that_fit_outweigh_them(span_ms, step_ms, off_ms):
+    """Of usual spans of 20 ms, after 50 ms of others."""
+    found = off_for(50_000_000, round(1e6 * span_ms), 20_000_000.0, step_ms * 1_000_000)
+    assert found == off_ms * 1_000_000
+    assert off_for(1_000_000, 20_000_000, 20_000_000.0, 2_000_000) == 0

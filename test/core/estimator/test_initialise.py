@@ -11,17 +11,22 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.estimator.filter_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
     BODY_VELOCITY,
     DELAY,
+    GYRO_BIAS,
     IMU_SAMPLE,
     MEASUREMENT,
     POSE,
+    POSITION,
     VELOCITY,
     WORLD_VELOCITY,
 )
 from quadpi_core.estimator.initialise import (
     COLLECT_NS,
     CollectedSamples,
+    Initial,
     initial_from_poses,
     initial_from_velocities,
 )
@@ -135,6 +140,44 @@ def test_velocities_of_the_body_level_it_and_leave_the_heading_free() -> None:
     assert roll == pytest.approx(0.2, abs=1e-3)
     assert yaw == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(np.diag(estimate["covariance"])[VELOCITY], NOISE.mocap_velocity_m_s**2)
+
+
+def stds(initial: Initial | None) -> Array:
+    """Standard deviations (16,) of the error state."""
+    assert initial is not None
+    return np.sqrt(np.diag(initial.estimate["covariance"][0]))
+
+
+def test_the_first_estimate_is_as_uncertain_as_what_it_is_made_from() -> None:
+    """A line through poses, a gyro whose bias they show, an accelerometer whose bias nothing shows."""
+    found = stds(initial_from_poses(imu_samples(np.zeros(3)), poses(), NOISE, GRAVITY))
+    np.testing.assert_allclose(found[POSITION], NOISE.mocap_position_m)
+    np.testing.assert_allclose(found[VELOCITY], 1.0)
+    np.testing.assert_allclose(found[ATTITUDE], NOISE.mocap_attitude_rad)
+    np.testing.assert_allclose(found[GYRO_BIAS], np.hypot(0.02, np.sqrt(2.0) * NOISE.mocap_attitude_rad))
+    np.testing.assert_allclose(found[ACCELEROMETER_BIAS], 0.3)
+
+
+@pytest.mark.parametrize(("acceleration", "heading_std"), [(0.0, 1.8), (0.9, 1.8), (1.2, 0.6), (40.0, 0.05)])
+def test_a_heading_is_known_from_accelerations_of_0_3_m_s_in_a_second(
+    acceleration: float, heading_std: float
+) -> None:
+    """Flown in a circle within the second."""
+    time_ns = stamps(500.0)
+    phase = 2.0 * np.pi * 1e-9 * time_ns[:, None]
+    imu = imu_samples(acceleration * np.hstack((np.cos(phase), np.sin(phase), 0.0 * phase)))
+    imu["rates"] -= BIAS
+    speed = acceleration / (2.0 * np.pi)
+    velocity = speed * np.hstack((np.sin(phase), 1.0 - np.cos(phase), 0.0 * phase))
+    velocities = measurements(WORLD_VELOCITY, time_ns[::5], velocity[::5])
+    noise = replace(NOISE, mocap_velocity_m_s=0.1)
+    initial = initial_from_velocities(imu, velocities, noise, GRAVITY)
+    assert initial is not None
+    covariance = initial.estimate["covariance"][0][ATTITUDE, ATTITUDE]
+    lowest, _, highest = np.sqrt(np.linalg.eigvalsh(covariance))
+    assert lowest == pytest.approx(0.1)
+    assert np.sqrt(highest**2 - 0.1**2) == pytest.approx(heading_std, rel=0.1)
+    np.testing.assert_allclose(stds(initial)[GYRO_BIAS], np.sqrt(2.0) * 0.02)
 
 
 def test_samples_are_collected_for_a_second_and_old_ones_are_forgotten() -> None:

@@ -125,6 +125,19 @@ def test_interval_of_a_sample_rests_on_the_past_only():
     assert np.any(~inside)
 
 
+def test_the_factor_doubles_in_0_15_s_of_misses_and_halves_in_2_8_s_without_any():
+    one, adaptive = np.ones((1, AXES)), AdaptiveFactor(0.95, RATE_HZ)
+    for error, seconds, factor in ((500.0, np.log(2.0) / (5.0 * 0.95), 2.0), (0.01, np.log(2.0) / 0.25, 1.0)):
+        for _ in range(round(seconds * RATE_HZ)):
+            adaptive.step(error * one, -one, one)
+        np.testing.assert_allclose(adaptive.factor, factor, rtol=0.01)
+
+
+def test_the_factor_follows_errors_of_a_thousand_half_widths():
+    _, half = adapt(np.full(SAMPLES, 1e9))
+    assert half[-1, 0] == pytest.approx(1000.0, rel=0.02)
+
+
 def test_axes_are_apart_and_the_interval_stays_about_its_centre():
     scales = np.array([0.1, 0.5, 1.0, 2.0, 5.0, 20.0])
     errors = correlated(10)[:, None] * scales

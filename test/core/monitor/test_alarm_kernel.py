@@ -163,3 +163,60 @@ def test_faults_of_samples_that_are_used_raise_bad_data_in_flight_only(envelope)
         standing = samples.run(Alarm(envelope, replace(LIMITS, hover_rotor_speed=1e3), SETTINGS))
         assert (standing.causes[-1] == BAD_DATA) == on_ground
     assert reasons(flying, len(flying) - 1) == ("rotor 3 reads half",)
+
+
+HOVER = replace(LIMITS, hover_rotor_speed=1000.0)
+
+
+@pytest.mark.parametrize(("share", "flies"), [(0.89, False), (0.91, True)])
+def test_a_vehicle_flies_once_its_rotors_carry_nine_tenths_of_its_weight(envelope, share, flies):
+    samples = Samples(1.0)
+    samples.inputs[:, OMEGA] = 1000.0 * np.sqrt(share)
+    rows = samples.run(Alarm(wide(envelope), HOVER, SETTINGS))
+    assert np.all((rows.cause_health[:, 0] == ACTIVE) == flies)
+
+
+@pytest.mark.parametrize(
+    ("share", "speed_m_s", "seconds", "lands"),
+    [
+        (0.69, 0.29, 0.31, True),
+        (0.71, 0.29, 0.31, False),
+        (0.69, 0.31, 0.31, False),
+        (0.69, 0.29, 0.29, False),
+    ],
+)
+def test_it_has_landed_once_its_rotors_carry_less_than_0_7_of_it_at_rest_for_0_3_s(
+    envelope, share, speed_m_s, seconds, lands
+):
+    samples = Samples(3.0)
+    samples.inputs[:, OMEGA] = 1000.0
+    slow = samples.between(1.0, 1.0 + seconds)
+    samples.inputs[slow, OMEGA] = 1000.0 * np.sqrt(share)
+    samples.velocity[slow, 1] = speed_m_s
+    rows = samples.run(Alarm(wide(envelope), HOVER, SETTINGS))
+    assert (WAITING in rows.cause_health[:, 0]) == lands
+
+
+def test_the_share_of_misses_forgets_within_two_seconds(envelope):
+    samples = Samples(2.0)
+    samples.measured[:, MY] = 2.0
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    assert rows.miss_share[-1, MY] == pytest.approx(1.0 - np.exp(-1.0), abs=0.03)
+
+
+def test_a_model_is_not_judged_after_a_tenth_of_a_second_without_a_sample(envelope):
+    samples = Samples(1.0)
+    samples.usable[samples.between(0.45, 1.0)] = False
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    first = rows.time_ns[np.argmax(rows.cause_health[:, 0] == UNAVAILABLE)]
+    assert 1e-9 * (first - samples.time_ns[0]) == pytest.approx(0.548, abs=1e-6)
+
+
+def test_a_step_counts_for_20_ms_at_most(envelope):
+    """So that of slow samples five are as much evidence as 0.1 s of fast ones."""
+    samples = Samples(0.04)
+    samples.time_ns[:] = samples.time_ns[0] + 50_000_000 * np.arange(20)
+    samples.inputs[:, U] = 1.8
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    raised = rows.time_ns[np.argmax(rows.level == LEVEL_ALARM)]
+    assert raised - samples.time_ns[0] == 5 * 50_000_000

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import EventLog, reasons
 from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION
@@ -25,6 +26,18 @@ def test_reasons_are_plain_words(envelope):
         "My width 1.5 x its peak in training",
     )
     assert reasons(rows, 0) == ()
+
+
+def test_three_inputs_are_named_from_a_twentieth_beyond_their_range_on(envelope):
+    samples = Samples(1.0)
+    for k, ratio in enumerate((1.06, 1.09, 1.04, 1.08, 1.07)):
+        samples.inputs[:, k] = ratio
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    words = [f"{INPUT_NAMES[k]} 1.1 x the training range" for k in (1, 3, 4)]
+    assert reasons(rows, 0, EXTRAPOLATION) == tuple(words)
+    samples.inputs[:, [1, 3, 4]] = 0.0
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    assert reasons(rows, 0, EXTRAPOLATION) == (f"{INPUT_NAMES[0]} 1.1 x the training range",)
 
 
 def test_the_log_holds_start_end_peak_and_reasons(envelope):
