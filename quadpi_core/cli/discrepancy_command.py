@@ -9,17 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from quadpi_core.cli.options import (
-    Bags,
-    FileProcessCount,
-    HtmlFile,
-    JsonFile,
-    Mapping,
-    Scheduler,
-    check_outputs,
-    open_console,
-    print_quality,
-)
+from quadpi_core.cli import options
+from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work
 
 DATA, PAGE = "discrepancy.json", "discrepancy.html"
 
@@ -32,7 +23,7 @@ def discrepancy(
             "module:function, `recorded` for a wrench in the bags, or the addition.json of an earlier run."
         ),
     ],
-    bags: Bags,
+    bags: options.Bags,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
     effects: Annotated[
         str | None, typer.Option(help="Effects to look for, such as wind,payload; default: all.")
@@ -40,35 +31,32 @@ def discrepancy(
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle, where the simulation does not name one.")
     ] = None,
-    mapping: Mapping = None,
+    mapping: options.Mapping = None,
     allow_code: Annotated[
         bool,
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws that thresholds are set from.")] = 0,
-    workers: FileProcessCount = None,
-    scheduler: Scheduler = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
+    workers: options.FileProcessCount = None,
+    scheduler: options.Scheduler = None,
+    json_file: options.JsonFile = None,
+    html_file: options.HtmlFile = None,
 ) -> None:
     """Find where a simulation and flights disagree, name the missing effect, add it, show the gap shrink."""
     from quadpi_core.discrepancy.augmented_simulation import write_addition
     from quadpi_core.discrepancy.discrepancy_result import study_json
     from quadpi_core.discrepancy.loading import load_simulation
     from quadpi_core.discrepancy.study import read_flights, study
-    from quadpi_core.parallel import Workers
     from quadpi_core.paths import whole_outputs, write_json
     from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
-    from quadpi_core.report.progress_bar import progress_bar
 
     inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
     check_outputs(inputs, json_file, html_file, folders=[output])
     console = open_console()
     names = None if effects is None else effects.split(",")
     the_simulation = load_simulation(simulation, vehicle, bags, mapping=mapping, allow_code=allow_code)
-    with progress_bar(console) as progress:
-        processes = Workers(workers, scheduler, progress)
-        flights = read_flights(bags, the_simulation, mapping=mapping, workers=processes)
+    with shown_work(console, workers, scheduler) as reading:
+        flights = read_flights(bags, the_simulation, mapping=mapping, workers=reading)
     print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
     with console.status("Searching"):
         found = study(the_simulation, flights, names=names, seed=seed)

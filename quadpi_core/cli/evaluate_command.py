@@ -10,20 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from quadpi_core.cli.options import (
-    Adaptive,
-    Confidence,
-    FileProcessCount,
-    HtmlFile,
-    JsonFile,
-    OptionalVehicle,
-    PublishedDevice,
-    Scheduler,
-    check_outputs,
-    open_console,
-    print_quality,
-    write_result,
-)
+from quadpi_core.cli import options
+from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work, write_result
 from quadpi_core.errors import QuadpiError
 
 if TYPE_CHECKING:
@@ -48,21 +36,20 @@ def evaluate(
         Path | None,
         typer.Option("-o", "--output", help="Folder for the paper's bags and models, to resume from."),
     ] = None,
-    confidence: Confidence = None,
-    adaptive: Adaptive = False,
-    vehicle: OptionalVehicle = None,
-    device: PublishedDevice = None,
-    workers: FileProcessCount = None,
-    scheduler: Scheduler = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
+    confidence: options.Confidence = None,
+    adaptive: options.Adaptive = False,
+    vehicle: options.OptionalVehicle = None,
+    device: options.PublishedDevice = None,
+    workers: options.FileProcessCount = None,
+    scheduler: options.Scheduler = None,
+    json_file: options.JsonFile = None,
+    html_file: options.HtmlFile = None,
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
     from quadpi_core.evaluation.evaluate import compare, given_comparison, is_model_folder
     from quadpi_core.parallel import Workers
     from quadpi_core.report.comparison_page import comparison_summary, write_comparison_page
     from quadpi_core.report.evaluation_page import evaluation_summary
-    from quadpi_core.report.progress_bar import progress_bar
 
     console = open_console()
     if paths or group:
@@ -89,12 +76,12 @@ def evaluate(
             )
         kept = (None, None) if output is None else (output / "bags", output / "models")
         check_outputs([], json_file, html_file, folders=kept)
-        with progress_bar(console) as progress:
+        with shown_work(console, workers, scheduler) as training:
             comparison = wind_tunnel(
                 confidence=0.95 if confidence is None else confidence,
                 device=device or "cpu",
                 folder=output,
-                workers=Workers(workers, scheduler, progress),
+                workers=training,
             )
     judged = next(iter(comparison.flights.values()))
     print_quality(console, ((flight.name, flight.quality) for flight in judged))

@@ -9,18 +9,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from quadpi_core.cli import options
 from quadpi_core.cli.evaluate_command import write_evaluation
-from quadpi_core.cli.options import (
-    Bags,
-    FileProcessCount,
-    HtmlFile,
-    JsonFile,
-    Scheduler,
-    VehicleName,
-    check_outputs,
-    open_console,
-    print_quality,
-)
+from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work
 from quadpi_core.models import kinds
 from quadpi_core.plugins import names_in
 
@@ -35,8 +26,8 @@ def _known_kind(name: str) -> str:
 
 def identify(
     context: typer.Context,
-    bags: Bags,
-    vehicle: VehicleName,
+    bags: options.Bags,
+    vehicle: options.VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
     method: Annotated[
         str,
@@ -62,10 +53,10 @@ def identify(
     false_alarms_per_hour: Annotated[
         float, typer.Option(help="False alarms per hour that the limits of the alarm are calibrated to.")
     ] = 1.0,
-    workers: FileProcessCount = None,
-    scheduler: Scheduler = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
+    workers: options.FileProcessCount = None,
+    scheduler: options.Scheduler = None,
+    json_file: options.JsonFile = None,
+    html_file: options.HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
     from quadpi_core.identification.identify import check_options
@@ -74,7 +65,6 @@ def identify(
     from quadpi_core.models.candidate_pool import load_pools, select_axes
     from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
-    from quadpi_core.parallel import Workers
     from quadpi_core.report.model_tables import fact_tables, held_out_table, selection_table
     from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.table import terminal_table
@@ -86,20 +76,19 @@ def identify(
     cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)
     pools = select_axes(load_pools(candidates), axes)
-    options = IdentifyOptions(
+    chosen = IdentifyOptions(
         cutoff_hz=cutoff,
         method=context.obj,
         settings=settings,
         confidence=confidence,
         false_alarms_per_hour=false_alarms_per_hour,
     )
-    check_options(options, pools)
-    with progress_bar(console) as progress:
-        reading = Workers(workers, scheduler, progress)
+    check_options(chosen, pools)
+    with shown_work(console, workers, scheduler) as reading:
         flights = prepare_flights(bags, the_vehicle, cutoff, workers=reading)
     print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
     with progress_bar(console) as progress:
-        model = identify_model(flights, the_vehicle, pools, options, progress).save(output)
+        model = identify_model(flights, the_vehicle, pools, chosen, progress).save(output)
     for axis in model.axes:
         if model.selection[axis]:
             console.print(terminal_table(selection_table(model.selection[axis], axis)))

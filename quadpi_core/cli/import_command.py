@@ -9,17 +9,8 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import (
-    FileProcessCount,
-    JsonFile,
-    Mapping,
-    Scheduler,
-    VehicleName,
-    check_outputs,
-    open_console,
-    print_quality,
-    write_result,
-)
+from quadpi_core.cli import options
+from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work, write_result
 
 
 def import_logs(
@@ -27,34 +18,25 @@ def import_logs(
         list[Path],
         typer.Argument(help="Logs of any known format, tables or bags: docs/import-logs.md lists them."),
     ],
-    vehicle: VehicleName,
+    vehicle: options.VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],
-    mapping: Mapping = None,
+    mapping: options.Mapping = None,
     align: Annotated[
         bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
     ] = False,
-    workers: FileProcessCount = None,
-    scheduler: Scheduler = None,
-    json_file: JsonFile = None,
+    workers: options.FileProcessCount = None,
+    scheduler: options.Scheduler = None,
+    json_file: options.JsonFile = None,
 ) -> None:
     """Convert flight logs to MCAP bags with the standard topics."""
     from quadpi_core.logs import importing
-    from quadpi_core.parallel import Workers
-    from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(logs, json_file, folders=[output])
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
-    with progress_bar(console) as progress:
-        flights = importing.import_logs(
-            logs,
-            the_vehicle,
-            output,
-            mapping,
-            align=align,
-            workers=Workers(workers, scheduler, progress),
-        )
+    with shown_work(console, workers, scheduler) as reading:
+        flights = importing.import_logs(logs, the_vehicle, output, mapping, align=align, workers=reading)
     for flight in flights:
         console.print(
             f"{flight.bag}: {flight.imu_samples} IMU samples; topics {', '.join(flight.topics)}",

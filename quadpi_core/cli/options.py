@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from quadpi_core.findings import DataQuality
+    from quadpi_core.parallel import Workers
 
 Bags = Annotated[list[Path], typer.Argument(help="Flights: MCAP bags, or any log that `import` reads.")]
 ModelFolder = Annotated[Path, typer.Argument(help="Model folder, as written by `identify`.")]
@@ -67,6 +69,16 @@ def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence
         require_folder(folder)
     for file in filter(None, files):
         require_file(file)
+
+
+@contextmanager
+def shown_work(console: Console, workers: int | None, scheduler: str | None) -> Iterator[Workers]:
+    """Where `--workers` and `--scheduler` have tasks run; a bar on the terminal shows how far they are."""
+    from quadpi_core.parallel import Workers
+    from quadpi_core.report.progress_bar import progress_bar
+
+    with progress_bar(console) as progress:
+        yield Workers(workers, scheduler, progress)
 
 
 def write_result(json_file: Path | None, data: dict[str, Any]) -> None:

@@ -9,33 +9,22 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import (
-    Adaptive,
-    Bags,
-    Confidence,
-    FileProcessCount,
-    JsonFile,
-    ModelFolder,
-    OptionalVehicle,
-    Scheduler,
-    check_outputs,
-    open_console,
-    write_result,
-)
+from quadpi_core.cli import options
+from quadpi_core.cli.options import check_outputs, open_console, shown_work, write_result
 
 
 def replay(
-    model: ModelFolder,
-    bags: Bags,
+    model: options.ModelFolder,
+    bags: options.Bags,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Bag to write; for several flights, a folder for theirs.")
     ],
-    confidence: Confidence = None,
-    adaptive: Adaptive = False,
-    vehicle: OptionalVehicle = None,
-    workers: FileProcessCount = None,
-    scheduler: Scheduler = None,
-    json_file: JsonFile = None,
+    confidence: options.Confidence = None,
+    adaptive: options.Adaptive = False,
+    vehicle: options.OptionalVehicle = None,
+    workers: options.FileProcessCount = None,
+    scheduler: options.Scheduler = None,
+    json_file: options.JsonFile = None,
 ) -> None:
     """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
     from dataclasses import asdict
@@ -44,8 +33,6 @@ def replay(
     from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
     from quadpi_core.monitor.replay import replay_all, replay_outputs
-    from quadpi_core.parallel import Workers
-    from quadpi_core.report.progress_bar import progress_bar
 
     several = len(bags) > 1
     check_outputs([model, *bags], *(replay_outputs(bags, output) if several else [output]), json_file)
@@ -54,7 +41,7 @@ def replay(
     settings = MonitorSettings(adaptive=adaptive)
     console = open_console()
     if several:
-        with progress_bar(console) as progress:
+        with shown_work(console, workers, scheduler) as replaying:
             replayed = replay_all(
                 the_model,
                 the_vehicle,
@@ -62,7 +49,7 @@ def replay(
                 output,
                 confidence=confidence,
                 settings=settings,
-                workers=Workers(workers, scheduler, progress),
+                workers=replaying,
             )
         summary = {"flights": {name: asdict(flight) for name, flight in replayed.items()}}
     else:

@@ -11,18 +11,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from quadpi_core.cli.options import (
-    Confidence,
-    HtmlFile,
-    JsonFile,
-    OptionalVehicle,
-    ProcessCount,
-    PublishedDevice,
-    Scheduler,
-    check_outputs,
-    open_console,
-    write_result,
-)
+from quadpi_core.cli import options
+from quadpi_core.cli.options import check_outputs, open_console, shown_work, write_result
 from quadpi_core.errors import QuadpiError
 
 
@@ -44,13 +34,13 @@ def validate(
         Literal["default", "paper"] | None,
         typer.Option(help="Settings of the paper's methods, where no model is given; default: paper."),
     ] = None,
-    confidence: Confidence = None,
-    vehicle: OptionalVehicle = None,
-    device: PublishedDevice = None,
-    workers: ProcessCount = None,
-    scheduler: Scheduler = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
+    confidence: options.Confidence = None,
+    vehicle: options.OptionalVehicle = None,
+    device: options.PublishedDevice = None,
+    workers: options.ProcessCount = None,
+    scheduler: options.Scheduler = None,
+    json_file: options.JsonFile = None,
+    html_file: options.HtmlFile = None,
 ) -> None:
     """Put noise on simulated flights a thousand times: do the intervals hold? The paper's tables."""
     from quadpi_core.evaluation.evaluate import is_model_folder
@@ -88,8 +78,7 @@ def validate(
         case, training, published = own.case, own.training, published_tables()
     case.check()
     try:
-        with progress_bar(console) as progress:
-            counting = Workers(workers, scheduler, progress)
+        with shown_work(console, workers, scheduler) as counting:
             tally = run_realisations(case, realisations, folder=kept[1], workers=counting)
     except KeyboardInterrupt as interruption:
         if output is not None:

@@ -10,7 +10,7 @@ import pytest
 
 from quadpi_core.cli.evaluate_command import group_bags
 from quadpi_core.errors import QuadpiError
-from test.core.evaluation.test_flight_results import EVALUATION, METRICS
+from test.core.evaluation.test_evaluation_result import EVALUATION, METRICS
 
 
 def test_evaluate(read_json, quadpi, model, bags, tmp_path):
