@@ -16,7 +16,8 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import Recording
 from quadpi_core.screening.excerpt import Excerpt, Pose, RotorExcerpt, excerpt, rotor_excerpt
-from quadpi_core.screening.motion_consistency import Hypothesis, Innovation, cost, hypotheses, innovation
+from quadpi_core.screening.innovations import Innovation, cost, innovation
+from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses
 from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
 from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidence
 from quadpi_core.screening.wild_samples import Beyond

@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find mistakes in frames, axes, units or clocks from the disagreement of IMU and state about the motion.
 
-Two innovations measure the disagreement, as in a filter but without its tuning: the change of attitude minus
-the integral of the gyro, and the acceleration of the position minus the specific force in the world. Each
-known mistake is a hypothesis with a transformation of the data that reverses it. The mistake reported is the
-hypothesis that reduces the innovations most, provided that it does so by a margin.
+Each known mistake is a hypothesis with a transformation of the data that reverses it. The mistake reported is
+the hypothesis that reduces the innovations most, provided that it does so by a margin.
 """
 
 from __future__ import annotations
@@ -26,18 +24,11 @@ from quadpi_core.rotations import (
     quaternion_of,
     rotate_body_to_world,
     rotation_matrix,
-    to_rotation_vectors,
 )
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.excerpt import Excerpt
+from quadpi_core.screening.innovations import FALL_M_S2, KEPT_SHARE, TURN_RAD_S, Innovation, cost
 
-# The gyro is integrated over TURN_S; the position is differentiated twice over 2 FALL_S.
-TURN_S, FALL_S = 0.1, 0.2
-# Innovations of flights without mistakes: the units of the cost.
-TURN_RAD_S, FALL_M_S2 = 0.1, 0.3
-_SHARE_OF_MOTION = 0.1
-# Share of the innovations that count, the smallest: crashes and jumps of the state estimate are left out.
-_KEPT_SHARE = 0.9
 # Scale factors of units and clocks that are tried: from 1/1000 to 1000, then finely around the best.
 _FACTORS = np.geomspace(1e-3, 1e3, 121)
 _FINE_FACTORS = np.geomspace(0.93, 1.07, 29)
@@ -49,40 +40,6 @@ _LARGEST_CLOCK_FACTOR = 3.0
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([1.0, -1.0, -1.0])
 _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-
-
-@dataclass(frozen=True)
-class Innovation:
-    """M pairs of measured and expected values whose differences are the innovations.
-
-    Attributes:
-        turned: (M, 3) rad/s, mean turn rate by the gyro, body axes.
-        turned_attitude: (M, 3) rad/s, mean turn rate by the attitude, body axes.
-        force: (M, 3) m/s², weighted mean over 2 FALL_S of the specific force in the world.
-        needed: (M, 3) m/s², acceleration of the position over the same time, minus gravity.
-        attitude: (M, 4) in the middle of that time.
-    """
-
-    turned: Array
-    turned_attitude: Array
-    force: Array
-    needed: Array
-    attitude: Array
-
-    @property
-    def turn_rad_s(self) -> float:
-        """Root mean square innovation of the attitude [rad/s]."""
-        return _size(self.turned - self.turned_attitude)
-
-    @property
-    def fall_m_s2(self) -> float:
-        """Root mean square innovation of the acceleration [m/s²]."""
-        return _size(self.force - self.needed)
-
-    @property
-    def motion(self) -> tuple[float, float]:
-        """Root mean square of the gyro's turn rate, and of the specific force about its mean."""
-        return _size(self.turned), _size(self.force - np.mean(self.force, axis=0))
 
 
 @dataclass(frozen=True)
@@ -105,48 +62,6 @@ class Hypothesis:
     gyro: Array | None = None
     angle_deg: float | None = None
     scale: float | None = None
-
-
-def innovation(sample: Excerpt) -> Innovation:
-    """Innovations of an excerpt, about twenty per second."""
-    cells = sample.rates.shape[1]
-    span, half = round(TURN_S / sample.step_s), round(FALL_S / sample.step_s)
-    stride = max(1, span // 2)
-    begin = np.arange(0, cells + 1 - span, stride)
-    cell_turns = from_rotation_vectors(sample.rates * sample.step_s)
-    by_gyro = cell_turns[:, begin]
-    for cell in range(1, span):
-        by_gyro = products(by_gyro, cell_turns[:, begin + cell])
-    by_attitude = products(inverses(sample.attitude[:, begin]), sample.attitude[:, begin + span])
-    turned, turned_attitude = (
-        to_rotation_vectors(turn) / (span * sample.step_s) for turn in (by_gyro, by_attitude)
-    )
-    middle = sample.attitude[:, 1:] + sample.attitude[:, :-1]
-    middle = middle / np.linalg.norm(middle, axis=2, keepdims=True)
-    in_world = rotate_body_to_world(middle.reshape(-1, 4), sample.force.reshape(-1, 3)).reshape(
-        sample.force.shape
-    )
-    at = np.arange(half, cells + 1 - half, stride)
-    # The second difference of a position weights accelerations by a triangle.
-    weights = (1.0 - np.abs(np.arange(-half, half) + 0.5) / half) / half
-    windows = np.lib.stride_tricks.sliding_window_view(in_world, 2 * half, axis=1)[:, at - half]
-    position = sample.position
-    second = position[:, at + half] - 2.0 * position[:, at] + position[:, at - half]
-    needed = second / (half * sample.step_s) ** 2 - STANDARD_GRAVITY * _UP
-    return Innovation(
-        turned.reshape(-1, 3),
-        turned_attitude.reshape(-1, 3),
-        (windows @ weights).reshape(-1, 3),
-        needed.reshape(-1, 3),
-        sample.attitude[:, at].reshape(-1, 4),
-    )
-
-
-def cost(found: Innovation, motion: tuple[float, float]) -> float:
-    """Sum of the squared innovations in units of those of correct data; `motion` is of the data as read."""
-    turn = found.turn_rad_s / (TURN_RAD_S + _SHARE_OF_MOTION * motion[0])
-    fall = found.fall_m_s2 / (FALL_M_S2 + _SHARE_OF_MOTION * motion[1])
-    return turn**2 + fall**2
 
 
 def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
@@ -320,12 +235,6 @@ def _best_scale(found: Innovation, scales: Callable[[float], tuple[float, float]
     return best if cost_of(best) < _WORTH_SHARE * cost_of(0.0) else 1.0
 
 
-def _size(differences: Array) -> float:
-    """Root mean square norm of vectors (M, 3), without the largest."""
-    squares = np.sort(np.sum(differences**2, axis=1))
-    return float(np.sqrt(np.mean(squares[: max(1, round(_KEPT_SHARE * len(squares)))])))
-
-
 def _body_rotation(found: Innovation) -> Array:
     """Rotation (3, 3) from the body axes of the state to those of the IMU that fits both innovations best."""
     to_body = inverses(found.attitude)
@@ -337,7 +246,7 @@ def _body_rotation(found: Innovation) -> Array:
     for _ in range(3):
         off = np.linalg.norm(of - over @ rotation.T, axis=1)
         for part in (slice(0, len(found.turned)), slice(len(found.turned), None)):
-            weights[part] = off[part] <= np.quantile(off[part], _KEPT_SHARE)
+            weights[part] = off[part] <= np.quantile(off[part], KEPT_SHARE)
         rotation = best_rotation(over, weights[:, np.newaxis] * of)[0]
     return rotation
 
