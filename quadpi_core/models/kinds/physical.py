@@ -30,7 +30,7 @@ from quadpi_core.models.model_kind import (
     StoredAxes,
     TrainingSamples,
 )
-from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.physical_fit import PhysicalFit, thrust_variance
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_regressors import acting_terms
 from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
@@ -55,7 +55,7 @@ class Physical(Kind):
         self,
         samples: TrainingSamples,
         pools: Pools,
-        options: IdentifyOptions,  # noqa: ARG002 - nothing of it concerns this kind
+        options: IdentifyOptions,
         progress: ReportProgress,
     ) -> Fit:
         """Fit all axes together, then again without each flight."""
@@ -70,23 +70,38 @@ class Physical(Kind):
                 progress(Progress("Identifying the physical model", k + 1, steps))
                 left_out.append(study.fit(choose=True, left_out=k) if len(flights) > 1 else whole)
         every = range(len(flights))
-        final = _axes(whole, pools)
-        trained = [_placed(final, samples, k) for k in every]
-        placed = [
-            _placed(_axes(fit, pools), samples, k, [other for other in every if other != k])
-            for k, fit in enumerate(left_out)
-        ]
+        others = [[other for other in every if other != k] for k in every]
+        # Shape and factor are those that these flights need. On a new flight thrust differs as a whole, which
+        # they may not tell; that comes on top, so that the factor must not make up for it.
+        plain = [_axes(fit, pools) for fit in (whole, *left_out)]
+        trained = [_placed(plain[0], samples, k) for k in every]
+        placed = [_placed(plain[1 + k], samples, k, others[k]) for k in every]
+        shapes = {
+            axis: fit_shape([own[axis] for own in placed], most_inflation=len(samples.time)) for axis in pools
+        }
+        rules = {
+            axis: calibrate(
+                [own[axis].under(shape) for own in placed], [own[axis].under(shape) for own in trained]
+            )
+            for axis, shape in shapes.items()
+        }
+        quantile = NormalRule().factor(options.confidence)
+        variance = thrust_variance(
+            [fit.thrust_change(flight) for fit, flight in zip(left_out, flights, strict=True)]
+        )
+        thrusts = {
+            axis: variance * np.square(quantile / rule.factor(options.confidence)) / shapes[axis].inflation
+            for axis, rule in rules.items()
+        }
+        final, *apart = (_axes(fit, pools, thrusts) for fit in (whole, *left_out))
+        spread = [_placed(final, samples, k) for k in every]
+        new = [_placed(apart[k], samples, k, others[k]) for k in every]
         fitted, held_out = {}, {}
-        for axis in pools:
-            shape = fit_shape([own[axis] for own in placed], most_inflation=len(samples.time))
-            held_out[axis] = [own[axis].under(shape) for own in placed]
-            own_errors = [own[axis].under(shape) for own in trained]
-            squares = np.square(np.concatenate([errors.spread for errors in own_errors]))
+        for axis, shape in shapes.items():
+            held_out[axis] = [own[axis].under(shape) for own in new]
+            squares = np.square(np.concatenate([own[axis].under(shape).spread for own in spread]))
             fitted[axis] = replace(
-                final[axis],
-                shape=shape,
-                rule=calibrate(held_out[axis], own_errors),
-                rms_spread=float(np.sqrt(np.mean(squares))),
+                final[axis], shape=shape, rule=rules[axis], rms_spread=float(np.sqrt(np.mean(squares)))
             )
         return Fit(fitted, held_out)
 
@@ -164,8 +179,17 @@ def _sensing_words(shared: PhysicalParameters) -> str:
     return words
 
 
-def _axes(fit: PhysicalFit, pools: Pools) -> dict[str, FittedPhysical]:
-    """The axes of a fit, their intervals not yet calibrated."""
+def _axes(
+    fit: PhysicalFit, pools: Pools, thrusts: Mapping[str, float] | None = None
+) -> dict[str, FittedPhysical]:
+    """The axes of a fit, their intervals not yet calibrated.
+
+    Args:
+        fit: of all axes.
+        pools: by axis held.
+        thrusts: by axis, 1/N² or 1/(Nm)²: what thrust that differs from flight to flight adds to the
+            leverage, per square of the thrust or its moment; nothing unless given.
+    """
     parameters = PhysicalParameters(
         fit.values,
         fit.standard_errors,
@@ -181,6 +205,9 @@ def _axes(fit: PhysicalFit, pools: Pools) -> dict[str, FittedPhysical]:
         column = AXES.index(axis)
         acting = np.flatnonzero(acts[:, column] & fit.kept)
         covariance = fit.covariance[np.ix_(acting, acting)] / fit.noise[column] ** 2
+        if thrusts is not None:
+            thrust = fit.thrust_values[acting]
+            covariance = covariance + thrusts[axis] * np.outer(thrust, thrust)
         scale = np.sqrt(np.diag(covariance))
         factor = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(acting)))
         whitening = scale[:, np.newaxis] * factor

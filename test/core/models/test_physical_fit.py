@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.physical_fit import PhysicalFit, thrust_variance
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
@@ -69,6 +69,21 @@ def test_errors_that_hang_together_widen_standard_errors(flights: list[PhysicalF
     assert np.all(coloured.independent_hz < 0.2 * white.independent_hz)
     told = white.standard_errors < 0.1 * white.spreads
     assert np.median(coloured.standard_errors[told] / white.standard_errors[told]) > 2.0
+
+
+def test_the_change_of_thrust_of_a_flight_is_found(flights: list[PhysicalFlight]) -> None:
+    fit = fitted(flights[:2])
+    wrench = flights[2].wrench.copy()
+    assert fit.thrust_change(flights[2]) == pytest.approx(0.0, abs=0.003)
+    wrench[:, 2] *= 0.97
+    assert fit.thrust_change(replace(flights[2], wrench=wrench)) == pytest.approx(-0.03, abs=0.003)
+
+
+def test_thrust_differs_by_three_percent_until_flights_say_otherwise() -> None:
+    assert np.sqrt(thrust_variance([])) == pytest.approx(0.03)
+    # Two flights count as much as what is known before.
+    assert thrust_variance([0.0, 0.0]) == pytest.approx(0.5 * 0.03**2)
+    assert np.sqrt(thrust_variance([0.01] * 100)) == pytest.approx(0.01, rel=0.1)
 
 
 def test_hover_tells_little_and_says_what_to_fly() -> None:

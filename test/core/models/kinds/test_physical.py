@@ -56,6 +56,15 @@ def test_flights_unseen_and_faster_are_predicted_and_covered(fit: Fit) -> None:
     assert np.all(result.leverage > 0.0)
 
 
+def test_a_flight_of_another_day_with_less_thrust_is_covered(fit: Fit) -> None:
+    """Thrust differs between flights by more than the flights of one day tell."""
+    weak = flown(20.0, 12)
+    weak.wrench[:, 2] *= 0.98
+    result = evaluated(fit, weak)
+    inside = (result.lower[:, 2] <= weak.wrench[:, 2]) & (weak.wrench[:, 2] <= result.upper[:, 2])
+    assert np.mean(inside) > 0.9
+
+
 def test_parameters_are_those_that_flew_in_every_axis(fit: Fit) -> None:
     k = TERM_INDEX["torque"]
     values = {axis: own.parameters.values[k] for axis, own in fit.axes.items()}  # type: ignore[attr-defined]
