@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,10 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.logs.inspect import inspect_recording
 from quadpi_core.paths import bags_directory
+from quadpi_core.screening import consistency
 from quadpi_core.screening.consistency import checked, findings
+from quadpi_core.screening.motion_consistency import Hypothesis
+from quadpi_core.screening.rotor_consistency import RotorEvidence
 from quadpi_core.vehicle import Vehicle
 from test.core.mistakes import MISTAKES
 from test.core.screening.conftest import RECORDINGS
@@ -129,3 +133,152 @@ def test_noise_is_no_other_unit(flown, vehicle, noise_m):
         noise = np.random.default_rng(1).standard_normal(recording.pose.position.shape)
         noisy = replace(recording.pose, position=recording.pose.position + noise_m * noise)
         assert list(findings(replace(recording, pose=noisy), vehicle)) == []
+
+
+SOUND = RotorEvidence(
+    lag_s=0.0,
+    explained=0.8,
+    explained_now=0.8,
+    correlation=np.full(3, 0.8),
+    ratio=np.full(2, 0.7),
+    order=(0, 1, 2, 3),
+    spins_inverted=False,
+    order_correlation=np.full(3, 0.8),
+    mean_squares=np.ones(4),
+)
+
+
+@pytest.fixture
+def said_of_rotors(flown, vehicle, monkeypatch):
+    """said_of_rotors(evidence…) → the mistakes named, where rotors and motion agree but for those numbers."""
+
+    def said(**changes):
+        monkeypatch.setattr(consistency, "rotor_evidence", lambda *_: replace(SOUND, **changes))
+        return [finding.mistake for finding in findings(flown["train_2"], vehicle)]
+
+    return said
+
+
+SWAPPED = {"order": (1, 0, 2, 3)}
+
+
+@pytest.mark.parametrize(
+    ("mistake", "silent", "named"),
+    [
+        ("rotor stamps", {"lag_s": 0.059, "explained_now": 0.3}, {"lag_s": 0.061, "explained_now": 0.3}),
+        ("rotor stamps", {"lag_s": -0.1, "explained_now": 0.71}, {"lag_s": -0.1, "explained_now": 0.69}),
+        (
+            "rotor stamps",
+            {"lag_s": 0.1, "explained": 0.24, "explained_now": 0.0},
+            {"lag_s": 0.1, "explained": 0.26, "explained_now": 0.0},
+        ),
+        # Squares of correlations rise by a half, which follow by 0.35 and more.
+        (
+            "rotor order",
+            {**SWAPPED, "correlation": np.sqrt([0.15, 0.64, 0.64])},
+            {**SWAPPED, "correlation": np.sqrt([0.13, 0.64, 0.64])},
+        ),
+        (
+            "rotor order",
+            {**SWAPPED, "correlation": np.zeros(3), "order_correlation": np.array([0.8, 0.34, 0.8])},
+            {**SWAPPED, "correlation": np.zeros(3), "order_correlation": np.array([0.8, 0.36, 0.8])},
+        ),
+        (
+            "spins inverted",
+            {"spins_inverted": True, "correlation": np.array([0.8, 0.8, -0.29])},
+            {"spins_inverted": True, "correlation": np.array([0.8, 0.8, -0.31])},
+        ),
+        ("inertia", {"ratio": np.array([0.7, 1.34])}, {"ratio": np.array([0.7, 1.36])}),
+        (
+            "inertia",
+            {"ratio": np.array([1.5, 0.7]), "correlation": np.array([0.34, 0.8, 0.8])},
+            {"ratio": np.array([1.5, 0.7]), "correlation": np.array([0.36, 0.8, 0.8])},
+        ),
+        (
+            "one rotor",
+            {"mean_squares": np.array([1.0, 0.94**2, 1.0, 1.0])},
+            {"mean_squares": np.array([1.0, 0.92**2, 1.0, 1.0])},
+        ),
+    ],
+)
+def test_rotors_are_blamed_beyond_what_real_flights_have(said_of_rotors, mistake, silent, named):
+    assert said_of_rotors(**silent) == []
+    assert said_of_rotors(**named) == [mistake]
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.34, True), (0.36, False)])
+def test_one_rotor_is_blamed_if_it_explains_all_but_a_third_of_what_is_unbalanced(
+    said_of_rotors, vehicle, left, named
+):
+    """Roll, pitch and yaw, in units of a rotor's lever."""
+    places = vehicle.rotor_positions[:, :2] / np.abs(vehicle.rotor_positions[:, :2]).mean(axis=0)
+    levers = np.stack((-places[:, 1], places[:, 0], -vehicle.rotor_spins))
+    along = -levers[:, 1] / np.linalg.norm(levers[:, 1])
+    across = np.cross(along, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    wanted = 0.5 * (np.sqrt(1.0 - left**2) * along + left * across)
+    # The squares of that imbalance, whose mean is one.
+    squares = np.linalg.pinv(np.vstack((levers, np.ones(4)))) @ [*wanted, 4.0]
+    assert ("one rotor" in said_of_rotors(mean_squares=squares)) == named
+
+
+@pytest.mark.parametrize(("ratio", "named"), [(0.39, True), (0.41, False), (1.17, False), (1.19, True)])
+def test_a_thrust_is_blamed_beyond_what_flying_through_air_changes(
+    said_of_rotors, flown, vehicle, monkeypatch, ratio, named
+):
+    known = replace(vehicle, thrust_coefficient=0.02)
+    monkeypatch.setattr(consistency, "thrust_coefficient", lambda *_: 0.02 * ratio)
+    said_of_rotors()
+    assert [one.mistake for one in findings(flown["train_2"], known)] == ["thrust"] * named
+
+
+@pytest.fixture
+def said_of_motion(flown, monkeypatch):
+    """said_of_motion(cost, (cost once undone, size…)…) → findings; hypotheses are named by their place."""
+
+    def said(before, *tried):
+        def judged(sample):
+            return SimpleNamespace(price=sample.price, motion=(0.0, 0.0), turn_rad_s=1.0, fall_m_s2=1.0)
+
+        def named(*_):
+            for place, (price, sizes) in enumerate(tried):
+                undone = SimpleNamespace(price=price)
+                yield Hypothesis(f"{place}", lambda _, undone=undone: undone, "looks", "remedy", **sizes)
+
+        monkeypatch.setattr(consistency, "excerpt", lambda *_: SimpleNamespace(price=before))
+        monkeypatch.setattr(consistency, "innovation", judged)
+        monkeypatch.setattr(consistency, "cost", lambda found, _: found.price)
+        monkeypatch.setattr(consistency, "hypotheses", named)
+        return list(findings(flown["train_2"], None))
+
+    return said
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sizes", "named", "certain"),
+    [
+        (1.9, 0.1, {}, False, False),
+        (2.1, 0.1, {}, True, False),
+        (6.0, 3.1, {}, False, False),
+        (6.0, 2.9, {}, True, False),
+        (9.9, 0.1, {}, True, False),
+        (10.1, 0.1, {}, True, True),
+        (12.0, 2.5, {}, True, False),
+        (12.0, 2.3, {}, True, True),
+        (5.0, 0.1, {"angle_deg": 5.9}, False, False),
+        (5.0, 0.1, {"angle_deg": 6.1}, True, False),
+        (5.0, 0.1, {"scale": 1.11}, False, False),
+        (5.0, 0.1, {"scale": 1.0 / 1.11}, False, False),
+        (5.0, 0.1, {"scale": 1.0 / 1.13}, True, False),
+    ],
+)
+def test_motion_is_blamed_beyond_what_real_flights_differ_by(
+    said_of_motion, before, after, sizes, named, certain
+):
+    found = said_of_motion(before, (after, sizes))
+    assert [finding.certain for finding in found] == [certain] * named
+
+
+@pytest.mark.parametrize(("price", "name"), [(1.09, "0"), (1.11, "1")])
+def test_of_mistakes_that_explain_equally_well_the_simplest_is_named(said_of_motion, price, name):
+    assert [one.mistake for one in said_of_motion(8.0, (price, {}), (1.0, {}))] == [name]

@@ -165,3 +165,19 @@ def test_a_clock_that_is_set_back_begins_a_stretch(flown: Recording) -> None:
     assert all(taken(kept, block) is None for block in blocks[:500])
     (stretch,) = [found for block in blocks if (found := taken(kept, block)) is not None]
     assert stretch.imu.time_ns[0] < flown.imu.time_ns[0] + 100_000_000
+
+
+@pytest.mark.parametrize(("rate_rad_s", "moves"), [(0.098, False), (0.102, True)])
+def test_a_stretch_is_15_s_and_moves_from_a_tenth_of_a_radian_per_second_on(
+    rate_rad_s: float, moves: bool
+) -> None:
+    """Of three stretches, in all axes together."""
+    kept = FirstSeconds("test")
+    found: list[float] = []
+    for k in range(50):
+        stamp = np.array([k * 1_000_000_000])
+        turning = np.array([[0.6, 0.0, 0.8]]) * rate_rad_s
+        if kept.take(ImuStream, stamp, turning, turning) is not None:
+            found.append(float(k))
+    assert found == [15.0, 31.0, 47.0] * moves
+    assert kept.complete == moves

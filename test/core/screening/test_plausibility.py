@@ -4,11 +4,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from quadpi_core.flight import ImuStream, PoseStream, Recording
-from quadpi_core.screening.plausibility import implausibilities
+from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.screening.plausibility import implausibilities, missing_topics, thrust_coefficient
+from quadpi_core.vehicle import Vehicle
 
 RATE_HZ, FLOWN_S = 200, 20.0
 NOISE_RAD = 0.01
@@ -48,3 +52,95 @@ def test_turning_through_noise_is_held_against_the_gyro(yawing):
     assert list(implausibilities(yawing(0.4), None)) == []
     (problem,) = implausibilities(yawing(0.4, np.pi / 180.0), None)
     assert "looks like rad/s taken for deg/s" in problem
+
+
+def hover(force, *, tilt_rad=None, gyro=0.0, turning=0.0, seconds=20.0, rate_hz=RATE_HZ):
+    """A steady specific force (3,) m/s² and gyro [rad/s]; with an attitude, tilted and turning, if given."""
+    time = np.arange(int(rate_hz * seconds)) / rate_hz
+    time_ns, none = np.round(1e9 * time).astype(np.int64), np.zeros((len(time), 3))
+    pose = None
+    if tilt_rad is not None:
+        turned = Rotation.from_euler("x", tilt_rad) * Rotation.from_euler("z", (turning * time)[:, None])
+        pose = PoseStream(time_ns, none, turned.as_quat(scalar_first=True))
+    imu = ImuStream(time_ns, none + np.array([0.0, 0.0, gyro]), none + force)
+    return Recording(name="hover", vehicle="bebop2", source="test", imu=imu, pose=pose)
+
+
+def said(recording, vehicle=None):
+    return " ".join(implausibilities(recording, vehicle))
+
+
+@pytest.mark.parametrize(
+    ("up_m_s2", "words"),
+    [
+        (0.39, "expected about 9.8"),
+        (0.41, "looks like g"),
+        (2.49, "looks like g"),
+        (2.51, "expected about 9.8"),
+        (3.9, "expected about 9.8"),
+        (4.1, ""),
+        (59.0, ""),
+        (61.0, "expected about 9.8"),
+        (-3.99, "expected about 9.8"),
+        (-4.1, "points down in flight: looks like forward-left-up"),
+    ],
+)
+def test_a_specific_force_is_gs_or_metres_per_second_squared_and_points_up(up_m_s2, words):
+    found = said(hover([0.0, 0.0, -up_m_s2]))
+    assert words in found
+    assert bool(found) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("up_m_s2", "seconds", "doubted"),
+    [(4.8, 6.0, True), (5.0, 6.0, False), (14.6, 6.0, False), (14.8, 6.0, True), (14.8, 4.9, False)],
+)
+def test_over_five_seconds_the_mean_specific_force_is_half_to_one_and_a_half_g(up_m_s2, seconds, doubted):
+    found = said(hover([0.0, 0.0, -up_m_s2], tilt_rad=0.0, seconds=seconds))
+    assert ("gravity counted twice" in found) == doubted
+
+
+@pytest.mark.parametrize(("share", "doubted"), [(0.29, True), (0.31, False)])
+def test_less_than_0_3_of_the_specific_force_upward_is_another_frame(share, doubted):
+    found = said(hover([0.0, 0.0, -9.8], tilt_rad=np.arccos(share), seconds=3.0))
+    assert ("disagree on what is up" in found) == doubted
+
+
+@pytest.mark.parametrize(
+    ("gyro", "turning", "words"),
+    [
+        (3.0, 0.31, ""),
+        (3.0, 0.29, "looks like deg/s"),
+        (0.29, 0.01, ""),
+        (0.31, 0.01, "looks like deg/s"),
+        (0.1, 2.9, ""),
+        (0.1, 3.1, "looks like rad/s taken for deg/s"),
+        (0.009, 0.29, ""),
+        (0.009, 0.31, "looks like rad/s taken for deg/s"),
+    ],
+)
+def test_gyro_and_attitude_differ_by_ten_or_thirty_where_something_turns(gyro, turning, words):
+    found = said(hover([0.0, 0.0, -9.8], tilt_rad=0.0, gyro=gyro, turning=turning))
+    assert words in found
+    assert bool(found) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("coefficient", "doubted"), [(0.0009, True), (0.0011, False), (0.29, False), (0.31, True)]
+)
+def test_a_thrust_coefficient_of_no_rotor_is_doubted(coefficient, doubted):
+    vehicle = Vehicle.load("bebop2")
+    recording = hover([0.0, 0.0, -9.8])
+    disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+    speed = np.sqrt(vehicle.mass_kg * 9.8 / (4.0 * disc * coefficient))
+    vehicle = replace(vehicle, rotor_speed_max_rad_s=2.0 * speed)
+    rotors = RotorSpeedStream(recording.imu.time_ns, np.full((len(recording.imu), 4), speed))
+    recording = replace(recording, rotor_speeds=rotors)
+    assert thrust_coefficient(recording, vehicle) == pytest.approx(coefficient)
+    assert ("wrong unit or pole pairs" in said(recording, vehicle)) == doubted
+
+
+@pytest.mark.parametrize(("rate_hz", "slow"), [(44.0, True), (46.0, False)])
+def test_an_imu_of_less_than_nine_tenths_of_50_hz_is_too_slow(rate_hz, slow):
+    sentences = list(missing_topics(hover([0.0, 0.0, -9.8], rate_hz=rate_hz)))
+    assert any("too slow" in sentence for sentence in sentences) == slow

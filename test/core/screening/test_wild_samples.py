@@ -11,12 +11,20 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import MAX_GAP_NS, Recording
+from quadpi_core.flight import (
+    MAX_GAP_NS,
+    ImuStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+    Stream,
+    WindStream,
+)
 from quadpi_core.logs import decode_recording, read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.sample_limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, usable_imu
 from quadpi_core.screening.plausibility import check_plausible
-from quadpi_core.screening.wild_samples import screened
+from quadpi_core.screening.wild_samples import beyond_limits, screened, usable_samples
 from quadpi_core.vehicle import Vehicle
 
 BAG = Path(__file__).parents[3] / "bags" / "train_1.mcap"
@@ -113,3 +121,79 @@ def test_a_bag_with_a_wild_sample_is_read_without_it(clean, vehicle, tmp_path):
         f"topic imu: left out 1 of {len(clean.imu)} samples beyond 70 rad/s; the first is sample {FIRST}, "
         "at 1.400 s"
     ]
+
+
+COUNT = 1000
+STAMPS = 2_000_000 * np.arange(COUNT)
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def still(kind: type[Stream], rng: np.random.Generator, noise: float = 0.0) -> Stream:
+    """A sensor of a vehicle at rest: its first column has noise."""
+    none = np.zeros((COUNT, 3))
+    first = noise * rng.standard_normal((COUNT, 3))
+    if kind is PoseStream:
+        return PoseStream(STAMPS, first, np.tile(LEVEL, (COUNT, 1)))
+    if kind is RotorSpeedStream:
+        return RotorSpeedStream(STAMPS, 500.0 + np.hstack((first, first[:, :1])))
+    if kind is WindStream:
+        return WindStream(STAMPS, first)
+    return ImuStream(STAMPS, first, none)
+
+
+def struck(stream: Stream, column: str, size: float, count: int = 1) -> Stream:
+    """With single samples, evenly spread, farther from their neighbours by so much."""
+    values = getattr(stream, column).copy()
+    values[np.linspace(10, COUNT - 10, count).astype(int), 0] += size
+    return replace(stream, **{column: values})
+
+
+def outliers(stream: Stream, vehicle: Vehicle | None = None) -> int:
+    usable = usable_samples(beyond_limits(stream, vehicle))
+    return 0 if usable is None else int(np.count_nonzero(~usable))
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "least"),
+    [
+        (ImuStream, "angular_velocity", 5.0),
+        (ImuStream, "specific_force", 20.0),
+        (PoseStream, "position", 0.5),
+        (WindStream, "velocity", 5.0),
+        (RotorSpeedStream, "speeds", None),
+    ],
+)
+def test_a_spike_is_farther_from_its_neighbours_than_a_vehicle_moves(vehicle, kind, column, least):
+    """In rad/s, m/s², m and m/s; of rotor speeds a fifth of the largest."""
+    least = 0.2 * vehicle.rotor_speed_max_rad_s if least is None else least
+    stream = still(kind, np.random.default_rng(1))
+    for size, found in ((0.98 * least, 0), (1.02 * least, 1)):
+        assert outliers(struck(stream, column, size), vehicle) == found
+
+
+@pytest.mark.parametrize(("noises", "found"), [(17.0, 0), (23.0, 1)])
+def test_a_spike_is_twenty_times_farther_than_four_fifths_of_the_samples(noises, found):
+    """From the median of five, of noise that is uniform but for a fifth that is far larger."""
+    rng = np.random.default_rng(2)
+    noise = np.where(rng.random((COUNT, 3)) < 0.15, 3.0, 1.0) * rng.uniform(-1.0, 1.0, (COUNT, 3))
+    near = np.median(np.lib.stride_tricks.sliding_window_view(noise[:, 0], 5), axis=1)
+    typical = np.percentile(np.abs(noise[2:-2, 0] - near), 80.0)
+    imu = replace(still(ImuStream, rng), angular_velocity=noise)
+    noisy = replace(imu, angular_velocity=noise * [1.0, 0.0, 0.0])
+    assert outliers(struck(noisy, "angular_velocity", noises * typical)) == found
+
+
+@pytest.mark.parametrize("size", [1e4, 30.0])
+@pytest.mark.parametrize(("count", "left_out"), [(100, True), (101, False)])
+def test_a_tenth_of_the_samples_may_be_spikes(size, count, left_out):
+    stream = struck(still(ImuStream, np.random.default_rng(3)), "angular_velocity", size, count)
+    assert outliers(stream) == count * left_out
+
+
+@pytest.mark.parametrize(("count", "left_out"), [(9, True), (12, False)])
+def test_a_hundredth_of_the_samples_may_be_beyond_a_limit_for_long(count, left_out):
+    """In runs that are no spikes: more is another unit."""
+    stream = still(ImuStream, np.random.default_rng(4))
+    rates = stream.angular_velocity.copy()
+    rates[500 : 500 + count] = 100.0
+    assert outliers(replace(stream, angular_velocity=rates)) == count * left_out
