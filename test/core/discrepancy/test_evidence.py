@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, multivariate_normal
 
-from quadpi_core.discrepancy.evidence import Block, fit
+from quadpi_core.discrepancy.evidence import Block, fit, null_gains
 
 NONE = np.array([], dtype=np.intp)
 RESIDUAL, LAW, FORM = range(3)
@@ -54,3 +55,52 @@ def test_form_columns_that_would_flip_the_sign_of_a_law_are_left_out(shapes):
     found = fit(table, NONE, [block(np.array([FORM]))])
     assert found is not None
     assert found.of(np.array([LAW]))[0] == exact.of(np.array([LAW]))[0] > 0.0
+
+
+def test_evidence_is_the_probability_of_the_residual_without_the_coefficients():
+    """r = X b + noise with b, noise ~ N(0, 1): r ~ N(0, 1 + X Xᵀ)."""
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((30, 4))
+    residual = columns[:, :3] @ [0.5, -1.0, 1.5] + rng.standard_normal(30)
+    table = np.column_stack((residual, columns))
+    tolerances = np.array([1])
+
+    def log_probability(chosen):
+        X = table[:, chosen]
+        return multivariate_normal.logpdf(residual, cov=np.eye(30) + X @ X.T)
+
+    none = log_probability([1])
+    for parameters in ([2], [3, 4], [2, 3, 4]):
+        wide = np.full(len(parameters), 99.0)
+        effect = Block(np.array(parameters), NONE, 1.0, None, -wide, wide)
+        found = fit(table.T @ table, tolerances, [effect])
+        gain = found.log_evidence - fit(table.T @ table, tolerances, []).log_evidence
+        assert gain == pytest.approx(log_probability([1, *parameters]) - none)
+        X = table[:, [1, *parameters]]
+        posterior = np.linalg.inv(X.T @ X + np.eye(X.shape[1]))
+        np.testing.assert_allclose(found.coefficients, posterior @ X.T @ residual)
+        np.testing.assert_allclose(found.covariance, posterior)
+        np.testing.assert_allclose(table @ found.left, residual - X @ found.coefficients)
+        assert found.deviation(np.array([1, 0])).tolist() == [pytest.approx(posterior[0, 0] ** 0.5), 0.0]
+
+
+def test_a_parameter_beyond_its_bound_is_nothing_and_the_rest_is_fitted_again():
+    rng = np.random.default_rng(2)
+    columns = rng.standard_normal((200, 2))
+    table = np.column_stack((columns @ [1.0, -1.0], columns))
+    both = Block(np.array([1, 2]), NONE, 1.0, None, np.array([-9.0, 0.0]), np.array([9.0, 9.0]))
+    alone = Block(np.array([1]), NONE, 1.0, None, np.array([-9.0]), np.array([9.0]))
+    bounded, one = (fit(table.T @ table, NONE, [block]) for block in (both, alone))
+    assert bounded.of(np.array([2])).tolist() == [0.0]
+    np.testing.assert_allclose(bounded.of(np.array([1])), one.of(np.array([1])))
+
+
+def test_draws_without_effects_gain_as_their_distribution_says():
+    """One column a: the gain is ½ a²/(1 + a²) z² − ½ ln(1 + a²), with z a projection of unit variance."""
+    squares = np.diag([0.0, 4.0])
+    bounds = np.array([-9.0]), np.array([9.0])
+    effect = Block(np.array([1]), NONE, 1.0, None, *bounds)
+    gains = null_gains(squares, NONE, [effect], 20_000, np.random.default_rng(3))
+    chi_square = (gains + 0.5 * np.log(5.0)) / (0.5 * 4.0 / 5.0)
+    assert chi_square.mean() == pytest.approx(1.0, rel=0.04)
+    assert np.mean(chi_square > chi2.isf(0.05, 1)) == pytest.approx(0.05, rel=0.15)

@@ -1,15 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Functions that know no physics: points of the ground, where flights meet."""
+"""Functions that know no physics: places, courses, and what other flights predict of a flight."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.unexplained import functions_of_place
+from quadpi_core.discrepancy.unexplained import (
+    functions_of_course,
+    functions_of_place,
+    left_out_gain,
+    predicted,
+)
+from quadpi_core.discrepancy.whitening import Spectrum
 
 
 def test_points_lie_where_flights_meet_however_far_others_are(simulation, flights):
@@ -32,3 +40,69 @@ def test_shares_of_a_place_are_a_whole_at_most(simulation, flights):
     for own in values:
         assert own[:, 0, north].sum(axis=1).max() <= 1.0 + 1e-12
         assert not own[:, 1, north].any()
+
+
+def test_gain_is_what_a_fit_of_the_other_flights_takes_from_each():
+    """Squares of the residual less those after the prediction, flight by flight, with the best ridge."""
+    rng = np.random.default_rng(0)
+    truth = np.array([1.0, 0.0, -0.5])
+    flights = [rng.standard_normal((40, 3)) for _ in range(5)]
+    residuals = [X @ truth + rng.standard_normal(40) for X in flights]
+    grams = np.array([X.T @ X for X in flights])
+    projections = np.array([X.T @ y for X, y in zip(flights, residuals, strict=True)])
+    scale = np.diag(np.diag(grams.sum(axis=0)))
+    gains = []
+    for ridge in (1e-4, 1e-3, 1e-2, 0.1):
+        gain = 0.0
+        for place, (X, y) in enumerate(zip(flights, residuals, strict=True)):
+            rest = [k for k in range(5) if k != place]
+            others, theirs = (np.concatenate([of[k] for k in rest]) for of in (flights, residuals))
+            fitted = np.linalg.solve(others.T @ others + ridge * scale, others.T @ theirs)
+            gain += np.sum(y**2) - np.sum((y - X @ fitted) ** 2)
+        gains.append(gain)
+    found, coefficients = left_out_gain(grams, projections)
+    assert found == pytest.approx(max(gains))
+    best = (1e-4, 1e-3, 1e-2, 0.1)[int(np.argmax(gains))]
+    total = grams.sum(axis=0) + best * scale
+    np.testing.assert_allclose(coefficients, np.linalg.solve(total, projections.sum(axis=0)))
+
+
+def noise_and_function(size, rows=300, flights=4):
+    """Rows of six axes, of noise and in Fx of a function of some size, and spectra of it and two others."""
+    rng = np.random.default_rng(1)
+    left, spectra = [], []
+    for _ in range(flights):
+        functions = rng.standard_normal((6, rows, 3))
+        residual = rng.standard_normal((6, rows))
+        residual[0] += size * functions[0, :, 1]
+        left.append(residual)
+        spectra.append(Spectrum(functions, np.arange(rows) % 3))
+    return left, spectra
+
+
+def test_what_other_flights_predict_is_named_and_is_no_noise():
+    left, spectra = noise_and_function(2.0)
+    found = predicted(left, spectra, ["one", "two", "three"])
+    assert found.functions[0][0] == "two"
+    # Two standard deviations of noise in 1200 rows.
+    assert found.gain[0] == pytest.approx(4.0 * 1200.0, rel=0.15)
+    np.testing.assert_allclose(found.noise.mean(axis=1), 1.0, rtol=0.15)
+    assert np.all(np.abs(found.gain[1:]) < 30.0)
+
+
+def test_noise_is_predicted_by_nothing():
+    left, spectra = noise_and_function(0.0)
+    assert np.all(predicted(left, spectra, ["one", "two", "three"]).gain < 15.0)
+
+
+def test_functions_of_course_are_the_airspeed_of_the_world(simulation, flights):
+    """Each component of it, and its size, along each axis of the body."""
+    compared = Compared(flights[0], simulation)
+    names, values = functions_of_course(compared)
+    turn = Rotation.from_quat(np.roll(compared.thinned.attitude, -1, axis=1))
+    world = turn.apply(compared.states["velocity_air"]) / simulation.vehicle.hover_induced_velocity
+    north_in_body = turn.inv().apply([1.0, 0.0, 0.0])
+    east_of_north = values[:, :, names.index("flight east along north")]
+    np.testing.assert_allclose(east_of_north, world[:, [1]] * north_in_body, atol=1e-9)
+    size = values[:, :, names.index("speed down along north")]
+    np.testing.assert_allclose(size, np.abs(world[:, [2]]) * north_in_body, atol=1e-9)
