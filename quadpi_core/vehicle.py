@@ -5,14 +5,23 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
-from quadpi_core.config_schema import Expected, OneOf, Positive, Section, Vector, Within, load_config
+from quadpi_core.config_schema import (
+    Expected,
+    OneOf,
+    Positive,
+    Section,
+    Vector,
+    Within,
+    load_config,
+    parse_config,
+)
 from quadpi_core.errors import VehicleError
 from quadpi_core.frames import Array
 
@@ -84,6 +93,35 @@ class Vehicle:
         """
         path, content = load_config("vehicle", name_or_path, _VehicleFile, VehicleError)
         return content.vehicle(path.stem)
+
+    @classmethod
+    def of_file(cls, data: Any, name: str, where: str) -> Vehicle:
+        """The vehicle of a vehicle file's content, as of :meth:`to_file`.
+
+        Raises:
+            VehicleError: that begins with `where`, naming the key that is missing, unknown or impossible.
+        """
+        return parse_config(_VehicleFile, data, where, VehicleError).vehicle(name)
+
+    def to_file(self) -> dict[str, Any]:
+        """Content of a vehicle file that :meth:`load` reads as this vehicle, without a simulation."""
+        spins = {sign: word for word, sign in SPIN_SIGN.items()}
+        numbers = {
+            name: getattr(self, name)
+            for name in (
+                *("mass_kg", "rotor_radius_m", "rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2"),
+                *("pole_pairs", "thrust_coefficient"),
+            )
+        }
+        return {
+            **numbers,
+            "inertia_kg_m2": self.inertia.tolist(),
+            "rotors": [
+                {"position_m": position.tolist(), "spin": spins[float(spin)]}
+                for position, spin in zip(self.rotor_positions, self.rotor_spins, strict=True)
+            ],
+            "noise": asdict(self.noise),
+        }
 
     @cached_property
     def hover_induced_velocity(self) -> float:

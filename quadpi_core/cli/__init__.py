@@ -20,6 +20,7 @@ from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.cli.demo_command import demo
 from quadpi_core.cli.discrepancy_command import discrepancy
 from quadpi_core.cli.evaluate_command import evaluate
+from quadpi_core.cli.export_command import export
 from quadpi_core.cli.identify_command import identify
 from quadpi_core.cli.import_command import import_logs
 from quadpi_core.cli.info_command import info
@@ -64,7 +65,7 @@ app = typer.Typer(
 )
 app.command("import")(import_logs)
 # In the order in which `--help` lists them.
-for command in (info, identify, evaluate, replay, view, simulate, validate, discrepancy, demo):
+for command in (info, identify, evaluate, replay, view, simulate, validate, discrepancy, export, demo):
     app.command(cls=KindCommand if command is identify else None)(command)
 
 

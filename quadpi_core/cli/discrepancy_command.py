@@ -60,6 +60,12 @@ def discrepancy(
     print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
     with console.status("Searching"):
         found = study(the_simulation, flights, names=names, seed=seed)
+    for name, flight in study_json(found)["flights"].items():
+        if flight["unjudged_samples"]:
+            console.print(
+                f"{name}: {flight['unjudged_samples']} samples left out, which the simulation cannot judge",
+                soft_wrap=True,
+            )
     with whole_outputs(output) as staging, console.status("Writing"):
         added = [file.name for file in write_addition(found.discovery, staging)]
         data: dict[str, Any] = {**study_json(found), "files": added}

@@ -30,10 +30,18 @@ def simulate(
         list[str] | None, typer.Option(help="Only this flight of the scenario; may be repeated.")
     ] = None,
     vehicle: Annotated[
-        str | None, typer.Option(help="Vehicle in config/vehicles, or a YAML file; default: the scenario's.")
+        str | None,
+        typer.Option(
+            help="Vehicle in config/vehicles, a YAML file, or the folder of a physical model; default: the "
+            "scenario's."
+        ),
     ] = None,
     noise: Annotated[
-        str | None, typer.Option(help="Sensors in config/noise, or a YAML file; default: the scenario's.")
+        str | None,
+        typer.Option(
+            help="Sensors in config/noise, a YAML file, or the folder of a model: those of its vehicle; "
+            "default: the scenario's."
+        ),
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of noise and gusts; default: the scenario's.")
@@ -52,14 +60,21 @@ def simulate(
         typer.Option("--list", callback=_print_catalogue, is_eager=True, help="Show scenarios and effects."),
     ] = False,
 ) -> None:
-    """Fly a scenario in the rotor-local simulation: a bag per flight, with its truth on /truth/…."""
+    """Fly a scenario: a bag per flight, with its truth on /truth/…."""
     from quadpi_core.config import is_config_path
     from quadpi_core.parallel import Workers
     from quadpi_core.report.progress_bar import progress_bar
-    from quadpi_core.report.simulation_page import flight_json, flight_table, summarise, write_simulation_page
+    from quadpi_core.report.simulation_page import (
+        excursion_sentences,
+        flight_json,
+        flight_table,
+        summarise,
+        write_simulation_page,
+    )
     from quadpi_core.report.table import terminal_table
     from quadpi_core.simulation.run import simulate as fly
     from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
+    from quadpi_core.simulation.simulated_file import model_folder
 
     the_scenario = load_scenario(scenario)
     plans = choose_flights(
@@ -70,7 +85,8 @@ def simulate(
         seed=seed,
         effects=parse_effects(effect or ()),
     )
-    files = [Path(name) for name in (scenario, vehicle, noise) if name and is_config_path(name)]
+    given = [Path(name) for name in (scenario, vehicle, noise) if name]
+    files = [path for path in given if is_config_path(path) or model_folder(path) is not None]
     check_outputs(files, *(output / f"{plan.name}.mcap" for plan in plans), json_file, html_file)
     console = open_console()
     with progress_bar(console) as progress:
@@ -78,6 +94,8 @@ def simulate(
     summaries = [summarise(flown.plan, flown.truth) for flown in flights]
     bags = [flown.bag for flown in flights]
     console.print(terminal_table(flight_table(summaries, bags)))
+    for sentence in excursion_sentences(flown.truth for flown in flights):
+        console.print(sentence, soft_wrap=True)
     write_result(json_file, flight_json(the_scenario.name, summaries, bags))
     if html_file is not None:
         write_simulation_page(html_file, [(flown.plan, flown.truth) for flown in flights])

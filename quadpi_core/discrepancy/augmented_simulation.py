@@ -15,21 +15,21 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from quadpi_core.config import is_config_path, read_config
+from quadpi_core.config import is_config_path
 from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.discrepancy_result import Discovery
 from quadpi_core.discrepancy.effect_formulas import write_formulas
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, VehicleSimulation
-from quadpi_core.errors import DiscrepancyError, VehicleError
+from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, effect_wrench
 from quadpi_core.simulation.effect_definition import Effect, Effects
 from quadpi_core.simulation.effect_registry import EFFECTS
-from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
+from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -110,6 +110,10 @@ class AugmentedSimulation(Simulation):
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; with the effects in the wrench."""
         return self._physics(self.corrected(flight))
+
+    def unjudged(self, flight: Flight) -> int:
+        """See :class:`Simulation`: those of the base."""
+        return self.base.unjudged(flight)
 
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """See :class:`Simulation`: those of the base."""
@@ -338,20 +342,12 @@ def _absolute(text: str) -> str:
 
 
 def _vehicle_file(simulation: AugmentedSimulation, base: VehicleSimulation) -> str:
-    path, data = read_config("vehicle", base.vehicle_file, VehicleError)
+    name, data = vehicle_content(base.vehicle_file)
     section = dict(data["simulation"])
-    coefficients = base.model.coefficients
-    section["rotor_local"] = {
-        name: getattr(coefficients, name)
-        if isinstance(getattr(coefficients, name), float)
-        else getattr(coefficients, name).tolist()
-        for name in RotorLocalCoefficients.__dataclass_fields__
-    }
+    section[base.model.key] = base.model.to_section()
     section["effects"] = {name: dict(values) for name, values in simulation.effects.items()}
     text: str = yaml.safe_dump(
         {**data, "simulation": section}, sort_keys=False, default_flow_style=None, width=110
     )
-    head = (
-        f"# {path.name} with what flights showed to be missing; coefficients moved within their tolerances."
-    )
+    head = f"# {name} with what flights showed to be missing; coefficients moved within their tolerances."
     return f"{head}\n{text}"

@@ -98,12 +98,15 @@ class Rollouts:
     Attributes:
         horizon_s: duration of each.
         starts: number of roll-outs.
-        errors: errors by quantity, with its unit in the name.
+        errors: errors by quantity, with its unit in the name; none where every roll-out was lost.
+        lost: number of roll-outs that diverged, `before`, `after` and with the measured wrench, `floor`;
+            they are left out of the errors.
     """
 
     horizon_s: float
     starts: int
     errors: Mapping[str, BeforeAfter]
+    lost: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,7 @@ def study_json(study: Study) -> dict[str, Any]:
             flight.name: {
                 "duration_s": float(flight.time[-1] - flight.time[0]),
                 "data_quality": flight.quality.to_json(),
+                "unjudged_samples": study.simulation.unjudged(flight),
             }
             for flight in study.flights
         },
@@ -242,6 +246,7 @@ def reflights_json(flown: Reflights) -> dict[str, Any]:
         "rollout": {
             "horizon_s": rollout.horizon_s,
             "starts": rollout.starts,
+            **({"lost": dict(rollout.lost)} if any(rollout.lost.values()) else {}),
             **{name: asdict(error) for name, error in rollout.errors.items()},
         },
         "closed_loop": closed,

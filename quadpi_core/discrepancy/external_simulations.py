@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, axis_columns, read_tolerances
 from quadpi_core.errors import DiscrepancyError
@@ -22,7 +23,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, flight_derivatives, flight_inputs
 from quadpi_core.logs import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.model_kind import CUTOFF_HZ
+from quadpi_core.models.model_kind import CUTOFF_HZ, Evaluation
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.resample import (
     first_gap,
@@ -31,9 +32,17 @@ from quadpi_core.signals.resample import (
     nominal_rate,
     uniform_stamps,
 )
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _HOVER_ROUNDS = 10
+UNJUDGED_MOST = Threshold(
+    "samples that a model cannot judge",
+    0.05,
+    "of a flight",
+    "beyond, what bridges them would be compared rather than the model",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True)
@@ -65,10 +74,17 @@ class CallableSimulation(Simulation):
                 f"{(len(flight), len(AXES))}, found {wrench.shape}"
             )
         finite = np.isfinite(wrench).all(axis=1)
-        if not finite.all():
-            sample = int(np.argmin(finite))
-            raise DiscrepancyError(f"{self.name}: flight {flight.name}: sample {sample}: not finite")
-        return wrench
+        return wrench if finite.all() else self._without_gaps(flight, wrench, finite)
+
+    def _without_gaps(
+        self,
+        flight: Flight,
+        wrench: Array,  # noqa: ARG002 - for those that can bridge them
+        finite: npt.NDArray[np.bool_],
+    ) -> Array:
+        """The wrench (N, 6) of a flight of which some samples are no numbers."""
+        sample = int(np.argmin(finite))
+        raise DiscrepancyError(f"{self.name}: flight {flight.name}: sample {sample}: not finite")
 
     @cached_property
     def hover_rotor_speed(self) -> float:
@@ -143,12 +159,39 @@ class ModelSimulation(CallableSimulation):
 
         return cls(str(folder), flown, predict, read_tolerances(file), file, model=model)
 
+    def unjudged(self, flight: Flight) -> int:
+        """See :class:`Simulation`; those that the model gives no finite wrench for."""
+        return int(np.sum(~np.isfinite(self.function(flight)).all(axis=1)))
+
+    def _without_gaps(self, flight: Flight, wrench: Array, finite: npt.NDArray[np.bool_]) -> Array:
+        """The wrench with the samples left out that the model cannot judge: their neighbours bridge them.
+
+        Raises:
+            DiscrepancyError: where those are too many to say anything of the flight.
+        """
+        share = 1.0 - float(np.mean(finite))
+        if share > UNJUDGED_MOST.value:
+            raise DiscrepancyError(
+                f"{self.name}: flight {flight.name}: the model gives no finite wrench for {share:.0%} of it, "
+                f"first for sample {int(np.argmin(finite))}"
+            )
+        rows = np.arange(len(wrench))
+        return np.column_stack([np.interp(rows, rows[finite], axis[finite]) for axis in wrench.T])
+
     def intervals(self, flight: Flight) -> tuple[Array, Array]:
         """Lower and upper bounds (N, 6) at the confidence of the model."""
+        found = self._evaluated(flight)
+        return found.lower, found.upper
+
+    def margins(self, flight: Flight) -> tuple[Array, Array] | None:
+        """See :class:`Simulation`; at the confidence of the model."""
+        found = self._evaluated(flight)
+        return found.lower - found.predicted, found.upper - found.predicted
+
+    def _evaluated(self, flight: Flight) -> Evaluation:
         assert self.model is not None  # by load
         inputs = flight_inputs(flight, self.vehicle)
-        found = self.model.evaluate(inputs, derivatives=flight_derivatives(flight))
-        return found.lower, found.upper
+        return self.model.evaluate(inputs, derivatives=flight_derivatives(flight))
 
     @property
     def _about_hover(self) -> float:

@@ -93,7 +93,7 @@ def load_simulation(
     if path.suffix == ".json":
         return _addition(path, vehicle, bags, mapping, allow_code, within)
     if path.is_dir():
-        return ModelSimulation.load(path, vehicle)
+        return _of_model(path, vehicle)
     if _names_code(text):
         return _callable(text, _required(text, vehicle))
     if not is_config_path(path) and not (config_directory() / "vehicles" / f"{text}.yaml").is_file():
@@ -102,10 +102,27 @@ def load_simulation(
             f"{text}: no simulation: neither a vehicle ({', '.join(known)}, or a .yaml file), nor the "
             f"folder of a model, module:function, `{RECORDED}` or an addition.json{nearest(text, known)}"
         )
+    return _of_vehicle(text, vehicle)
+
+
+def _of_model(folder: Path, vehicle: str | Path | None) -> Simulation:
+    """The model in a folder, as a simulation that flies where it is one, else as predictions."""
+    predictions = ModelSimulation.load(folder, vehicle)
+    assert predictions.model is not None  # by load
+    if not predictions.model.kind.is_simulation:
+        return predictions
+    return _with_own_effects(replace(VehicleSimulation.load(folder), intervals_of=predictions))
+
+
+def _of_vehicle(text: str, vehicle: str | Path | None) -> Simulation:
     simulation = VehicleSimulation.load(text)
     if vehicle is not None and Vehicle.load(vehicle).fingerprint != simulation.vehicle.fingerprint:
         raise DiscrepancyError(f"{text}: another vehicle than {vehicle}: mass, inertia or rotors differ")
-    effects = own_effects(text)
+    return _with_own_effects(simulation)
+
+
+def _with_own_effects(simulation: VehicleSimulation) -> Simulation:
+    effects = own_effects(simulation.vehicle_file)
     return AugmentedSimulation(simulation, effects) if effects else simulation
 
 

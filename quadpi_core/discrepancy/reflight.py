@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, augmented
@@ -28,7 +29,6 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Rollouts,
 )
 from quadpi_core.discrepancy.effect_response import residual
-from quadpi_core.discrepancy.external_simulations import ModelSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
@@ -42,12 +42,18 @@ from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.simulated_bags import read_truth
 from quadpi_core.simulation.truth import STEP_HZ
+from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Duration of a roll-out: long enough for a missing force to show, and before an unstable vehicle diverges.
 HORIZON_S = 0.5
 # Time between starts [s]: the errors of neighbours are then about independent.
 _EVERY_S = 0.25
+_NO_VEHICLE_DOES = "twice what the fastest real flights reach: a roll-out beyond it has diverged"
+DIVERGED_SPEED = Threshold("speed of a lost roll-out", 50.0, "m/s", _NO_VEHICLE_DOES, "flights up to 22 m/s")
+DIVERGED_RATE = Threshold(
+    "body rate of a lost roll-out", 60.0, "rad/s", _NO_VEHICLE_DOES, "flights up to 1 330 degrees/s"
+)
 # Steps of the integration per second.
 _ROLLOUT_HZ = 100.0
 
@@ -59,13 +65,15 @@ class RolloutError(NamedTuple):
         velocity_m_s: over ground.
         attitude_deg: angle of rotation.
         rates_rad_s: body rates.
-        starts: number of roll-outs.
+        starts: number of roll-outs, those lost left out.
+        lost: roll-outs that diverged, beyond which no simulation can judge.
     """
 
     velocity_m_s: float
     attitude_deg: float
     rates_rad_s: float
     starts: int
+    lost: int = 0
 
 
 class _Motion(NamedTuple):
@@ -81,6 +89,18 @@ class _Motion(NamedTuple):
             value + step * change for value, change in zip(self, slope, strict=True)
         )
         return _Motion(position, velocity, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), rates)
+
+    def lost(self) -> npt.NDArray[np.bool_]:
+        """Bodies (K,) that fly or turn as no vehicle does."""
+        speed, rates = (np.linalg.norm(own, axis=1) for own in (self.velocity, self.rates))
+        with np.errstate(invalid="ignore"):
+            kept = (speed < DIVERGED_SPEED.value) & (rates < DIVERGED_RATE.value)
+        lost: npt.NDArray[np.bool_] = ~kept
+        return lost
+
+    def where(self, chosen: npt.NDArray[np.bool_], other: _Motion) -> _Motion:
+        """These bodies, but another's motion where chosen (K,)."""
+        return _Motion(*(np.where(chosen[:, None], b, a) for a, b in zip(self, other, strict=True)))
 
 
 # Wrench (K, 6) of K bodies in their states, each at its own time [s] of the flight.
@@ -152,19 +172,28 @@ def _rolled_out(flight: Flight, vehicle: Vehicle, wrench: _Wrench, horizon_s: fl
     motion = _measured(flight, time)
     steps = max(1, round(horizon_s * _ROLLOUT_HZ))
     step = horizon_s / steps
+    begin, lost = motion, np.zeros(len(time), dtype=np.bool_)
     for _ in range(steps):
         slope = _slope(vehicle, wrench(time, motion), motion)
         halfway = motion.moved(slope, 0.5 * step)
+        lost |= halfway.lost()
+        # A model is asked for nothing beyond numbers: what is lost waits at its start.
+        halfway = halfway.where(lost, begin)
         slope = _slope(vehicle, wrench(time + 0.5 * step, halfway), halfway)
         motion = motion.moved(slope, step)
+        lost |= motion.lost()
+        motion = motion.where(lost, begin)
         time = time + step
-    true = _measured(flight, time)
+    if lost.all():
+        return RolloutError(0.0, 0.0, 0.0, starts=0, lost=len(lost))
+    motion, true = (_Motion(*(own[~lost] for own in both)) for both in (motion, _measured(flight, time)))
     cosine = np.abs(np.sum(motion.attitude * true.attitude, axis=1)).clip(max=1.0)
     return RolloutError(
         velocity_m_s=_rms(motion.velocity - true.velocity),
         attitude_deg=float(np.degrees(np.sqrt(np.mean(np.square(2.0 * np.arccos(cosine)))))),
         rates_rad_s=_rms(motion.rates - true.rates),
-        starts=len(time),
+        starts=int(np.sum(~lost)),
+        lost=int(np.sum(lost)),
     )
 
 
@@ -248,14 +277,17 @@ def reflights(discovery: Discovery) -> Reflights:
     return Reflights(
         rollout=rollouts(flights, [before] * len(flights), after),
         closed_loop=closed_loops(flights, before, after),
-        coverage=coverages(flights, base, before, after) if isinstance(base, ModelSimulation) else {},
+        coverage=coverages(flights, base, before, after),
     )
 
 
 def rollouts(
     flights: Sequence[Flight], before: Sequence[Simulation], after: Sequence[Simulation]
 ) -> Rollouts:
-    """Errors of roll-outs before, after, and with the measured wrench, over all flights."""
+    """Errors of roll-outs before, after, and with the measured wrench, over all flights.
+
+    There are none where every roll-out of one of the three is lost.
+    """
     first = [rollout(flight, simulation) for flight, simulation in zip(flights, before, strict=True)]
     then = [rollout(flight, simulation) for flight, simulation in zip(flights, after, strict=True)]
     floor = [
@@ -264,15 +296,21 @@ def rollouts(
     starts = [error.starts for error in first]
 
     def rms(errors: Sequence[RolloutError], name: str) -> float:
-        return float(np.sqrt(np.average(np.square([getattr(e, name) for e in errors]), weights=starts)))
+        weights = [error.starts for error in errors]
+        return float(np.sqrt(np.average(np.square([getattr(e, name) for e in errors]), weights=weights)))
 
+    judged = all(any(error.starts for error in errors) for errors in (first, then, floor))
     return Rollouts(
         horizon_s=HORIZON_S,
         starts=sum(starts),
+        lost={
+            when: sum(error.lost for error in errors)
+            for when, errors in (("before", first), ("after", then), ("floor", floor))
+        },
         errors={
             name: BeforeAfter(rms(first, name), rms(then, name), rms(floor, name))
             for name in RolloutError._fields
-            if name != "starts"
+            if judged and name not in ("starts", "lost")
         },
     )
 
@@ -367,17 +405,22 @@ def _true_track(flight: Flight) -> Track:
 
 
 def coverages(
-    flights: Sequence[Flight], model: ModelSimulation, before: Simulation, after: Iterable[Simulation]
+    flights: Sequence[Flight], model: Simulation, before: Simulation, after: Iterable[Simulation]
 ) -> dict[str, Coverage]:
-    """Share of samples inside a model's intervals, per axis, about its predictions before and after."""
+    """Share of samples inside a model's intervals, per axis, about its predictions before and after.
+
+    Nothing for a simulation without intervals.
+    """
     inside = {"before": np.zeros(len(AXES)), "after": np.zeros(len(AXES))}
     samples = 0
     for flight, added in zip(flights, after, strict=True):
-        predicted = model.wrench(flight)
-        lower, upper = model.intervals(flight)
+        margins = model.margins(flight)
+        if margins is None:
+            return {}
+        lower, upper = margins
         for when, simulation in (("before", before), ("after", added)):
             left = residual(flight, simulation)
-            inside[when] += inside_interval(left, lower - predicted, upper - predicted).sum(axis=0)
+            inside[when] += inside_interval(left, lower, upper).sum(axis=0)
         samples += len(flight)
     return {
         axis: Coverage(**{when: float(count[index]) / samples for when, count in inside.items()})

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +24,10 @@ from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
-from quadpi_core.simulation.rotor_local import (
-    RotorLocalCoefficients,
-    RotorLocalModel,
-    read_simulation,
-    vehicle_record,
-)
+from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
+from quadpi_core.simulation.simulated_file import read_simulation
 from quadpi_core.simulation.state_records import STATE
+from quadpi_core.simulation.vehicle_aerodynamics import load_aerodynamics
 from quadpi_core.vehicle import Vehicle
 
 
@@ -62,7 +59,7 @@ def read_tolerances(vehicle: str | Path) -> Tolerances:
     Raises:
         VehicleError: naming the file and the key that is unknown or impossible.
     """
-    path, section = read_simulation(vehicle)
+    path, _, section = read_simulation(vehicle)
     given = {} if section.tolerances is None else section.tolerances
     return parse_config(Tolerances, given, str(path), VehicleError, ("simulation", "tolerances"))
 
@@ -126,6 +123,14 @@ class Simulation(ABC):
     def hover_rotor_speed(self) -> float:
         """Rotor speed [rad/s] that carries the weight in still air."""
 
+    def margins(self, flight: Flight) -> tuple[Array, Array] | None:  # noqa: ARG002 - for those that have any
+        """Bounds (N, 6), (N, 6) of its intervals less its wrench; None for a simulation without intervals."""
+        return None
+
+    def unjudged(self, flight: Flight) -> int:  # noqa: ARG002 - for those that leave samples out
+        """Number of samples of a flight that the simulation cannot judge and leaves out."""
+        return 0
+
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """Records `simulation.state_records.STATE` (N,), the input of effects."""
         states = np.zeros(len(flight), dtype=STATE)
@@ -152,39 +157,29 @@ def airspeed(flight: Flight) -> Array:
     return velocity
 
 
-# Coefficients that one factor scales, by the name of their column: the first (static), all others, or all.
-_SCALED = {
-    "thrust": ("thrust", slice(0, 1)),
-    "torque": ("torque", slice(0, 1)),
-    "thrust in airflow": ("thrust", slice(1, None)),
-    "torque in airflow": ("torque", slice(1, None)),
-    **{
-        name: (name, slice(None))
-        for name in (
-            *("rotor_force_along", "rotor_force_across", "rotor_moment_along", "rotor_moment_across"),
-            *("airframe_fx", "airframe_fy", "airframe_fz", "airframe_mx", "airframe_my", "airframe_mz"),
-        )
-    },
-}
-
-
 @dataclass(frozen=True)
 class VehicleSimulation(Simulation):
-    """quadpi's own simulation: rotor-local aerodynamics of a vehicle file, without effects."""
+    """quadpi's own simulation: the aerodynamics of a vehicle file or of a model folder, without effects.
 
-    model: RotorLocalModel
+    Attributes:
+        intervals_of: the model whose intervals are those of the simulation; None without intervals.
+    """
+
+    model: SimulatedAerodynamics
     tolerances: Tolerances = field(default_factory=Tolerances)
     vehicle_file: str = ""
-    memoryless: ClassVar[bool] = True
+    intervals_of: Simulation | None = None
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> VehicleSimulation:
-        """Read a vehicle file with the section `simulation`; its effects are left to `load_simulation`.
+        """Read a vehicle file with the section `simulation`, or the folder of a model that is one.
+
+        Effects in it are left to `load_simulation`.
 
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
         """
-        model, tolerances = RotorLocalModel.load(name_or_path), read_tolerances(name_or_path)
+        model, tolerances = load_aerodynamics(name_or_path), read_tolerances(name_or_path)
         return cls(model, tolerances, str(name_or_path))
 
     @property
@@ -202,13 +197,22 @@ class VehicleSimulation(Simulation):
         """See :class:`Simulation`."""
         return self.model.hover_rotor_speed
 
+    @property
+    def memoryless(self) -> bool:  # type: ignore[override]
+        """See :class:`Simulation`."""
+        return self.model.memoryless
+
     def wrench(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""
         return self._wrench(self.model, flight)
 
+    def margins(self, flight: Flight) -> tuple[Array, Array] | None:
+        """See :class:`Simulation`."""
+        return None if self.intervals_of is None else self.intervals_of.margins(flight)
+
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """See :class:`Simulation`."""
-        states = self.model.states(airspeed(flight), flight.rates, flight.rotor_speeds)
+        states = self._states(self.model, flight)
         return states["thrusts"].copy(), states["torques"].copy()
 
     def record(self) -> npt.NDArray[np.void]:
@@ -219,28 +223,42 @@ class VehicleSimulation(Simulation):
         """One factor on each kind of coefficient, and separate ones on static thrust and torque."""
         base = self.wrench(flight)
         return [
-            Column(name, (self._wrench(self._scaled({name: 1.0}), flight) - base) * self._tolerance(name))
-            for name in _SCALED
+            Column(
+                name, (self._wrench(self.model.scaled({name: 1.0}), flight) - base) * self._tolerance(name)
+            )
+            for name in self.model.coefficients_by_name
         ]
 
     def adjusted(self, multiples: Mapping[str, float]) -> VehicleSimulation:
         """The simulation with other coefficients: each column of tolerances times a multiple, by its name."""
         shares = {name: self._tolerance(name) * multiple for name, multiple in multiples.items()}
-        return replace(self, model=self._scaled(shares))
+        return replace(self, model=self.model.scaled(shares))
 
     def _tolerance(self, name: str) -> float:
         return self.tolerances.thrust if name == "thrust" else self.tolerances.coefficient
 
-    def _scaled(self, shares: Mapping[str, float]) -> RotorLocalModel:
-        """The model with each named group of coefficients grown by a share."""
-        changed: dict[str, Any] = dict(vars(self.model.coefficients))
-        for name, share in shares.items():
-            key, part = _SCALED[name]
-            value = np.array(changed[key], dtype=float, ndmin=1)
-            value[part] *= 1.0 + share
-            changed[key] = value if np.ndim(changed[key]) else float(value[0])
-        return replace(self.model, coefficients=RotorLocalCoefficients(**changed))
+    @staticmethod
+    def _wrench(model: SimulatedAerodynamics, flight: Flight) -> Array:
+        return VehicleSimulation._states(model, flight)["wrench"].copy()
 
     @staticmethod
-    def _wrench(model: RotorLocalModel, flight: Flight) -> Array:
-        return model.wrench(airspeed(flight), flight.rates, flight.rotor_speeds)
+    def _states(model: SimulatedAerodynamics, flight: Flight) -> npt.NDArray[np.void]:
+        speeds, accelerations = flight.rotor_speeds, None
+        if not model.memoryless:
+            accelerations = np.gradient(speeds, flight.time, axis=0)
+            delay = model.rotor_delay_s
+            if delay > 0.0:
+                # By neighbours alone, as roll-outs give them; delays are of milliseconds.
+                jerks = _second_derivative(flight.time, speeds)
+                speeds = np.maximum(speeds - delay * accelerations + 0.5 * delay**2 * jerks, 0.0)
+                accelerations = accelerations - delay * jerks
+        return model.states(airspeed(flight), flight.rates, speeds, rotor_accelerations=accelerations)
+
+
+def _second_derivative(time: Array, values: Array) -> Array:
+    """Second derivative (N, K) of values (N, K) at times (N,) from the two neighbours; zero at the ends."""
+    before, after = np.diff(time)[:-1, np.newaxis], np.diff(time)[1:, np.newaxis]
+    slopes = np.diff(values, axis=0) / np.diff(time)[:, np.newaxis]
+    second = np.zeros_like(values)
+    second[1:-1] = 2.0 * (slopes[1:] - slopes[:-1]) / (before + after)
+    return second

@@ -89,6 +89,7 @@ def identify(
         name="",
         vehicle=vehicle.name,
         vehicle_fingerprint=vehicle.fingerprint,
+        flown=vehicle,
         settings=options.settings,
         cutoff_hz=options.cutoff_hz,
         confidence=options.confidence,

@@ -74,6 +74,7 @@ class AerodynamicModel:
             empty under the paper's settings.
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
         alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
+        flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
         compiled: `fitted` packed for evaluation; packed at first use unless given.
     """
 
@@ -91,6 +92,7 @@ class AerodynamicModel:
     held_out_coverage: dict[str, list[float]]
     identity: str = ""
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
+    flown: Vehicle | None = field(default=None, repr=False, compare=False)
     compiled: CompiledAxes | None = field(default=None, repr=False, compare=False)
 
     @cached_property
@@ -136,6 +138,18 @@ class AerodynamicModel:
                 f"model {self.name} was identified with another mass, inertia or rotor geometry than vehicle "
                 f"file {vehicle.name} gives now"
             )
+
+    def simulation_section(self) -> dict[str, Any]:
+        """The key `simulation` of a vehicle file that flies as the model says, its motors apart.
+
+        Raises:
+            ModelError: for a model of some axes, or of a kind that is no simulation.
+        """
+        lacking = [axis for axis in AXES if axis not in self.fitted]
+        if lacking:
+            raise ModelError(f"model {self.name}: lacks {', '.join(lacking)}; a simulation has all six axes")
+        with named_in(f"model {self.name}"):
+            return self.kind.simulation_section(self.fitted)
 
     def calibration(self) -> str:
         """A sentence that says how the width of the intervals was calibrated."""
@@ -239,6 +253,7 @@ class AerodynamicModel:
             "settings": self.settings,
             "vehicle": self.vehicle,
             "vehicle_fingerprint": self.vehicle_fingerprint,
+            **({} if self.flown is None else {"vehicle_file": self.flown.to_file()}),
             "cutoff_hz": self.cutoff_hz,
             "confidence": self.confidence,
             "axes": axes,
@@ -286,6 +301,7 @@ class AerodynamicModel:
                 held_out_coverage={axis: entry.held_out_coverage for axis, entry in axes.items()},
                 identity=identity,
                 alarm_limits=described.alarm,
+                flown=described.flown(),
             )
             # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
             for fitted in model.fitted.values():
@@ -333,3 +349,15 @@ class _Description:
     alarm: Annotated[AlarmLimits, PlainValidator(AlarmLimits.from_json)]
     flights: tuple[TrainingFlight, ...]
     arrays_sha256: str
+    vehicle_file: dict[str, Any] | None = None
+
+    def flown(self) -> Vehicle | None:
+        """The vehicle of the flights, where the model holds it."""
+        if self.vehicle_file is None:
+            return None
+        flown = Vehicle.of_file(self.vehicle_file, self.vehicle, f"{MODEL_FILE}: vehicle_file")
+        if flown.fingerprint != self.vehicle_fingerprint:
+            raise ModelError(
+                f"{MODEL_FILE}: vehicle_file: is another vehicle than the model was identified for"
+            )
+        return flown

@@ -225,6 +225,7 @@ class Kind(Section, ABC):
         colour: in figures, #rrggbb; empty for one that is left.
         normal_errors: whether an interval is that of a normal distribution, so that CRPS is defined.
         has_paper_settings: whether it can be fitted by the paper's rules.
+        is_simulation: whether it holds beyond single samples, so that a vehicle can fly by it.
         axis_type: of the fitted axes.
     """
 
@@ -233,6 +234,7 @@ class Kind(Section, ABC):
     colour: ClassVar[str] = ""
     normal_errors: ClassVar[bool] = False
     has_paper_settings: ClassVar[bool] = False
+    is_simulation: ClassVar[bool] = False
     axis_type: ClassVar[type[FittedAxis]]
 
     def having(self, **options: Any) -> Self:
@@ -275,6 +277,17 @@ class Kind(Section, ABC):
         Predicted forces are then compared with those of such a flight as it would have recorded them.
         """
         return None
+
+    def simulation_section(self, fitted: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ARG002 - for kinds that are one
+        """The key `simulation` of a vehicle file that flies as the model says, its motors apart.
+
+        Raises:
+            ModelError: for a kind that is no simulation, saying why.
+        """
+        raise ModelError(
+            f"a model of method {self.name} cannot be simulated: it knows forces and moments where its "
+            "flights have been, and nothing that holds in trim and beyond; identify with --method physical"
+        )
 
     def facts(self, fitted: Mapping[str, Any]) -> list[Facts]:  # noqa: ARG002 - for kinds that have any
         """What there is to say of a fitted model beside its terms."""

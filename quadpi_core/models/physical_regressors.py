@@ -166,7 +166,7 @@ def fill_regressors(motion: Any, vehicle: Any, row: Any) -> None:
     mean_induced = 0.0
     for rotor in range(ROTORS):
         mean_speed += 0.25 * motion.rotor_speeds[rotor]
-        mean_induced += 0.25 * _fill_rotor(rotor, motion, vehicle, row)
+        mean_induced += 0.25 * fill_rotor(rotor, motion, vehicle, row)
     _fill_airframe(mean_speed, mean_induced, motion, row)
 
     speed = np.sqrt(motion.velocity[0] ** 2 + motion.velocity[1] ** 2 + motion.velocity[2] ** 2)
@@ -202,7 +202,7 @@ class _Hub(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _fill_rotor(rotor: int, motion: Any, vehicle: Any, row: Any) -> float:
+def fill_rotor(rotor: int, motion: Any, vehicle: Any, row: Any) -> float:
     """Add the terms of a rotor; returns its induced velocity [m/s]."""
     p, q, r = motion.rates[0], motion.rates[1], motion.rates[2]
     x, y, z = vehicle.positions[rotor, 0], vehicle.positions[rotor, 1], vehicle.positions[rotor, 2]

@@ -41,6 +41,8 @@ class FlightSummary:
         tilt_max_deg: greatest angle between the thrust axis and the vertical.
         rotor_speed_range_rad_s: lowest and highest of all rotors.
         saturated_fraction: share of the time in which a rotor stands still or turns as fast as it can.
+        beyond_identified: how the flight left those that its vehicle was identified on; None where it did
+            not, and for a vehicle that was not identified.
     """
 
     name: str
@@ -57,6 +59,7 @@ class FlightSummary:
     tilt_max_deg: float
     rotor_speed_range_rad_s: Sequence[float]
     saturated_fraction: float
+    beyond_identified: Mapping[str, float | str] | None = None
 
 
 def summarise(plan: FlightPlan, truth: Truth) -> FlightSummary:
@@ -82,7 +85,13 @@ def summarise(plan: FlightPlan, truth: Truth) -> FlightSummary:
         tilt_max_deg=float(np.degrees(np.arccos(1 - 2 * (x * x + y * y))).max()),
         rotor_speed_range_rad_s=[float(speeds.min()), float(speeds.max())],
         saturated_fraction=float(saturated.mean()),
+        beyond_identified=None if truth.excursion is None else truth.excursion._asdict(),
     )
+
+
+def excursion_sentences(truths: Iterable[Truth]) -> list[str]:
+    """A sentence for each flight that left those that its vehicle was identified on."""
+    return [f"{truth.name}: {truth.excursion.sentence()}" for truth in truths if truth.excursion is not None]
 
 
 def effects_text(effects: Mapping[str, Mapping[str, float]]) -> str:

@@ -4,13 +4,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import NumbaExperimentalFeatureWarning, types
 
 from quadpi_core.compiled import njit, once
 from quadpi_core.config import nearest
@@ -28,20 +26,15 @@ from quadpi_core.simulation.effect_definition import (
     shaped,
 )
 from quadpi_core.simulation.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
-from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
+from quadpi_core.simulation.state_records import State, VehicleNumbers
+from quadpi_core.simulation.wrench_functions import SIGNATURE, passable
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
-# Signature of the function that `compose` returns: (state, vehicle, parameters (K, P)).
-SIGNATURE = types.void(STATE_TYPE, VEHICLE_TYPE, types.float64[:, ::1])
-FUNCTION_TYPE = types.FunctionType(SIGNATURE)
 # In place of a registry index: a function that is not in the registry.
 _EXTRA = -1
 # A row of parameters ends with the shape of its law and that index.
 _SHAPES = len(SHAPE)
 _SHAPE_AT = -1 - _SHAPES
-
-# Numba has called functions as arguments of kernels experimental since 2020.
-warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
 
 def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ()) -> tuple[Any, Array]:
@@ -56,8 +49,9 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
             with its parameters. They act before the effects.
 
     Returns:
-        A function of type :data:`FUNCTION_TYPE` that adds to `state.wrench`, one effect after the other, and
-        its parameters (K, P): a row for each, with the shape of its law and its index in the last columns.
+        A function of type `wrench_functions.FUNCTION_TYPE` that adds to `state.wrench`, one effect after the
+        other, and its parameters (K, P): a row for each, with the shape of its law and its index in the last
+        columns.
     """
     rows = [(np.asarray(values, dtype=float), _shape({}), _EXTRA) for _, values in extra]
     for effect, own in _of_kind(effects, "wrench"):
@@ -70,7 +64,7 @@ def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ())
         row[-1] = index
     if not rows:
         # A flight without effects need not wait until all effects are compiled for the first time.
-        return _passable_whole(_none), parameters
+        return passable(_none), parameters
     return _chain(tuple(function for function, _ in extra)), parameters
 
 
@@ -87,14 +81,6 @@ def _none(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
     pass
 
 
-@once
-def _passable_whole(function: Any) -> Any:
-    """A function as numba accepts it as an argument: compiled for one signature and closed for others."""
-    function.compile(SIGNATURE)
-    function.disable_compile()
-    return function
-
-
 @njit(cache=True)
 def _add(state: State, wrench: Wrench) -> None:
     total = state.wrench
@@ -106,7 +92,7 @@ def _add(state: State, wrench: Wrench) -> None:
 def _chain(extra: tuple[Any, ...], row: int = 0) -> Any:
     """The functions `extra`, whose parameters begin at a row, then the registered effects."""
     if not extra:
-        return _passable_whole(_registered)
+        return passable(_registered)
     first, others = extra[0], _chain(extra[1:], row + 1)
 
     @njit(SIGNATURE)

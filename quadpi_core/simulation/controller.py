@@ -72,7 +72,6 @@ class Controls(NamedTuple):
 
     Attributes:
         nominal: record VEHICLE (1,).
-        thrust_slope: N per (rad/s)² of one rotor in hover.
         allocation: (4, 4) squares of the rotor speeds from thrust and moments.
         effectiveness: (4, 4) its inverse.
         disturbance: (6,) wrench of the last instant less that of the rotors in hover.
@@ -80,30 +79,25 @@ class Controls(NamedTuple):
     """
 
     nominal: Records
-    thrust_slope: float
     allocation: Array
     effectiveness: Array
     disturbance: Array
     command: Array
 
     @classmethod
-    def of(cls, nominal: Records) -> Controls:
-        """For a nominal vehicle, a record VEHICLE (1,)."""
-        vehicle = nominal[0]
-        disc = vehicle["air_density"] * np.pi * vehicle["rotor_radius"] ** 4
-        slope = vehicle["thrust"][0] * disc
-        yaw_slope = vehicle["torque"][0] * disc * vehicle["rotor_radius"]
-        x, y, _ = vehicle["rotor_positions"].T
-        effectiveness = np.stack(
-            (np.full(ROTORS, slope), -y * slope, x * slope, vehicle["rotor_spins"] * yaw_slope)
-        )
+    def of(cls, nominal: Records, effectiveness: Array) -> Controls:
+        """For a nominal vehicle.
+
+        Args:
+            nominal: record VEHICLE (1,).
+            effectiveness: (4, 4) change of thrust and moments by the squared speed of each rotor, in hover.
+        """
         return cls(
             nominal=nominal,
-            thrust_slope=float(slope),
             allocation=inverse(effectiveness),
             effectiveness=effectiveness,
             disturbance=np.zeros(6),
-            command=np.full(ROTORS, float(vehicle["hover_rotor_speed"])),
+            command=np.full(ROTORS, float(nominal[0]["hover_rotor_speed"])),
         )
 
 

@@ -18,12 +18,11 @@ from quadpi_core.compiled import njit, once
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
-from quadpi_core.simulation.applied_effects import FUNCTION_TYPE
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.linear_algebra import cross, product3
-from quadpi_core.simulation.rotor_local import aerodynamics
 from quadpi_core.simulation.state_records import STATE, STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
 from quadpi_core.simulation.truth import STEP_HZ
+from quadpi_core.simulation.wrench_functions import FUNCTION_TYPE
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS
 
@@ -77,6 +76,20 @@ class Memory(NamedTuple):
         return cls(motions, motions.view(np.float64).reshape(len(motions), -1), np.zeros(1, dtype=STATE))
 
 
+class PhysicsNumbers(NamedTuple):
+    """What the compiled functions of a flight take.
+
+    Attributes:
+        vehicle: record VEHICLE (1,) as it flies.
+        aerodynamics: parameters (K, P) of the aerodynamics.
+        effects: parameters (L, Q) of the effects.
+    """
+
+    vehicle: Records
+    aerodynamics: Array
+    effects: Array
+
+
 _NO_RECOVERY = "a vehicle does not recover beyond it"
 TILT_COSINE_MIN = Threshold(
     "least cosine of the tilt", -0.2, "that of 102 degrees", f"nearly upside down: {_NO_RECOVERY}", CONVENTION
@@ -92,9 +105,9 @@ _COSINE, _RATE, _DISTANCE = TILT_COSINE_MIN.value, RATE_MAX_RAD_S.value, POSITIO
 
 @njit(cache=True, nogil=True)
 def fly(
-    vehicle: Records,
+    numbers: PhysicsNumbers,
+    aerodynamics: Any,
     effects: Any,
-    parameters: Array,
     controls: Controls,
     demand: Demand,
     memory: Memory,
@@ -104,9 +117,9 @@ def fly(
     """Fly until the demand ends, or until the vehicle is out of control or below the ground.
 
     Args:
-        vehicle: record VEHICLE (1,) as it flies; one step lasts 1 / STEP_HZ.
+        numbers: of vehicle, aerodynamics and effects; one step lasts 1 / STEP_HZ.
+        aerodynamics: compiled, see `simulated_aerodynamics.SimulatedAerodynamics.function`.
         effects: compiled effects, see `applied_effects.compose`.
-        parameters: (K, P) of the effects.
         controls: parameters and memory of the controller.
         demand: N instants.
         memory: holds the initial state, and the last one at the end.
@@ -118,12 +131,14 @@ def fly(
     every = (steps - 1) // (len(log) - 1)
     step = 1.0 / STEP_HZ
     motion = motions[0]
-    _differentiate(motion, controls.command, demand.wind[0], vehicle, effects, parameters, state, motions[2])
+    _differentiate(
+        motion, controls.command, demand.wind[0], numbers, aerodynamics, effects, state, motions[2]
+    )
     observe(controls, motion.rotor_speeds, state[0].wrench)
     for k in range(steps):
         control(controls, motion, demand, k)
         wind, command = demand.wind[k], controls.command
-        _differentiate(motion, command, wind, vehicle, effects, parameters, state, motions[2])
+        _differentiate(motion, command, wind, numbers, aerodynamics, effects, state, motions[2])
         observe(controls, motion.rotor_speeds, state[0].wrench)
         if k % every == 0:
             _record(motion, motions[2], state[0], log[k // every])
@@ -134,7 +149,9 @@ def fly(
             ahead = step if stage == 2 else 0.5 * step
             for j in range(flat.shape[1]):
                 flat[1, j] = flat[0, j] + ahead * flat[2 + stage, j]
-            _differentiate(motions[1], command, wind, vehicle, effects, parameters, state, motions[3 + stage])
+            _differentiate(
+                motions[1], command, wind, numbers, aerodynamics, effects, state, motions[3 + stage]
+            )
         for j in range(flat.shape[1]):
             flat[0, j] += step / 6.0 * (flat[2, j] + 2.0 * flat[3, j] + 2.0 * flat[4, j] + flat[5, j])
         _normalise(motion.attitude)
@@ -142,20 +159,21 @@ def fly(
 
 @once
 def flight_kernel() -> Any:
-    """:func:`fly`, compiled once and cached on disk for every function that `applied_effects.compose` gives.
+    """:func:`fly`, compiled once and cached for every function that `wrench_functions.passable` gives.
 
     Without an explicit signature, numba would compile it again for each of these functions in each process.
     """
     series, vectors, named_tuple = types.float64[::1], types.float64[:, ::1], cast(Any, types.NamedTuple)
     vehicle, log = VEHICLE_TYPE[::1], from_dtype(LOGGED)[::1]
-    controls = named_tuple((vehicle, types.float64, vectors, vectors, series, series), Controls)
+    controls = named_tuple((vehicle, vectors, vectors, series, series), Controls)
     demand = named_tuple(
         (vectors, vectors, vectors, vectors, series, series, vectors, series, vectors), Demand
     )
     memory = named_tuple((from_dtype(MOTION)[::1], vectors, STATE_TYPE[::1]), Memory)
     kernel = cast(Any, fly)
+    numbers = named_tuple((vehicle, vectors, vectors), PhysicsNumbers)
     kernel.compile(
-        types.void(vehicle, FUNCTION_TYPE, vectors, controls, demand, memory, log, types.int64[::1])
+        types.void(numbers, FUNCTION_TYPE, FUNCTION_TYPE, controls, demand, memory, log, types.int64[::1])
     )
     kernel.disable_compile()
     return kernel
@@ -166,14 +184,14 @@ def _differentiate(
     motion: Motion,
     command: Array,
     wind: Array,
-    vehicles: Records,
+    numbers: PhysicsNumbers,
+    aerodynamics: Any,
     effects: Any,
-    parameters: Array,
     states: Records,
     slope: Motion,
 ) -> None:
     """Equations of motion: m (v̇ − g) = R F, I Ω̇ = M − Ω × IΩ, q̇ = ½ q (0, Ω), ω̇ = (ω_c − ω)/τ."""
-    vehicle: VehicleNumbers = vehicles[0]
+    vehicle: VehicleNumbers = numbers.vehicle[0]
     state: State = states[0]
     rotation = rotations.matrix(motion.attitude)
     for axis in range(3):
@@ -190,8 +208,8 @@ def _differentiate(
         slope.rotor_speeds[rotor] = lag / vehicle.motor_time_constant
         state.rotor_speeds[rotor] = motion.rotor_speeds[rotor]
         state.rotor_accelerations[rotor] = slope.rotor_speeds[rotor]
-    aerodynamics(state, vehicle)
-    effects(state, vehicle, parameters)
+    aerodynamics(state, vehicle, numbers.aerodynamics)
+    effects(state, vehicle, numbers.effects)
 
     wrench = state.wrench
     for world in range(3):

@@ -19,13 +19,16 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose
 from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.dynamics import LOGGED, Memory, flight_kernel
+from quadpi_core.simulation.dynamics import LOGGED, Memory, PhysicsNumbers, flight_kernel
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.excursion import excursion
 from quadpi_core.simulation.linear_algebra import inverse, matrix_times
-from quadpi_core.simulation.rotor_local import RotorLocalModel, read_simulation
 from quadpi_core.simulation.sensor_noise import generator
+from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
+from quadpi_core.simulation.simulated_file import IdentifiedRange, read_simulation
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth
+from quadpi_core.simulation.vehicle_aerodynamics import load_aerodynamics
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # First stamp of every simulated flight: fixed, so that equal plans give equal bytes.
@@ -46,28 +49,32 @@ class SimulatedVehicle:
     """Aerodynamics and motors of a vehicle.
 
     Attributes:
-        aerodynamics: its rotor-local model; holds the vehicle.
+        aerodynamics: its law; holds the vehicle.
         motor_time_constant: time constant [s] of the first-order response of a rotor's speed.
         effects: effects that the vehicle always has.
+        identified: ranges of the flights that the aerodynamics were identified on; None where they are not
+            known from flights.
     """
 
-    aerodynamics: RotorLocalModel
+    aerodynamics: SimulatedAerodynamics
     motor_time_constant: float
     effects: Effects = field(default_factory=dict)
+    identified: IdentifiedRange | None = None
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> SimulatedVehicle:
-        """Read a vehicle by the name of a file in config/vehicles, or by path.
+        """Read a vehicle by the name of a file in config/vehicles, by path, or from the folder of a model.
 
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
+            ModelError: for a folder whose model is no simulation, saying why.
             SimulationError: for effects that are unknown or impossible.
         """
-        path, section = read_simulation(name_or_path)
-        aerodynamics = RotorLocalModel.load(path)
+        path, _, section = read_simulation(name_or_path)
+        aerodynamics = load_aerodynamics(path)
         if section.motor_time_constant_s is None:
             raise VehicleError(f"{path}: simulation: missing key `motor_time_constant_s`")
-        return cls(aerodynamics, section.motor_time_constant_s, own_effects(path))
+        return cls(aerodynamics, section.motor_time_constant_s, own_effects(path), section.identified_range)
 
     @property
     def vehicle(self) -> Vehicle:
@@ -87,7 +94,7 @@ class SimulatedVehicle:
 
     def altered(self, vehicle: Vehicle) -> SimulatedVehicle:
         """The same aerodynamics and motors under another mass and inertia."""
-        return replace(self, aerodynamics=replace(self.aerodynamics, vehicle=vehicle))
+        return replace(self, aerodynamics=self.aerodynamics.carrying(vehicle))
 
     def record(self) -> npt.NDArray[np.void]:
         """Record VEHICLE (1,) for the compiled physics."""
@@ -101,7 +108,7 @@ def own_effects(name_or_path: str | Path) -> Effects:
         VehicleError: naming the file and the key that is unknown or impossible.
         SimulationError: naming the effect or parameter that is unknown or out of bounds.
     """
-    path, section = read_simulation(name_or_path)
+    path, _, section = read_simulation(name_or_path)
     return read_effects(section.effects, f"{path}: simulation.effects")
 
 
@@ -152,25 +159,29 @@ def simulate_flight(
     # The quantities that coefficients of effects refer to do not change with a payload.
     for hover in ("hover_rotor_speed", "hover_induced_velocity"):
         altered[hover] = nominal[hover]
-    controls = Controls.of(nominal)
+    controls = Controls.of(nominal, vehicle.aerodynamics.effectiveness)
     if not np.all(np.isfinite(controls.allocation)):
         raise SimulationError(f"vehicle {vehicle.vehicle.name}: its rotors cannot turn it about every axis")
     controls.command[:] = start.rotor_speeds
     log = np.zeros(samples, dtype=LOGGED)
     done = np.zeros(1, dtype=np.int64) if done is None else done
     flight_kernel()(
-        altered,
+        PhysicsNumbers(altered, flown.aerodynamics.numbers, parameters),
+        flown.aerodynamics.function,
         function,
-        parameters,
         controls,
         _demand(reference, wind, last=(samples - 1) * every),
         memory,
         log,
         done,
     )
+    flown_wind = wind[::every][:samples].copy()
     if done[0] < (samples - 1) * every:
+        logged = int(done[0]) // every
+        before = excursion(vehicle.identified, vehicle.vehicle, log[:logged], flown_wind[:logged])
+        why = "" if before is None else f"; it was {before.sentence()}"
         raise SimulationError(
-            f"flight {name}: {_lost(memory.motions[0], reference.position[done[0]], done[0])}"
+            f"flight {name}: {_lost(memory.motions[0], reference.position[done[0]], done[0])}{why}"
         )
     return Truth(
         name=name,
@@ -185,9 +196,10 @@ def simulate_flight(
         rotor_speeds=log["rotor_speeds"].copy(),
         rotor_accelerations=log["rotor_accelerations"].copy(),
         wrench=log["wrench"].copy(),
-        wind=wind[::every][:samples].copy(),
+        wind=flown_wind,
         known_wind=None if known_wind is None else np.tile(known_wind, (samples, 1)),
         reference=reference.every(every),
+        excursion=excursion(vehicle.identified, vehicle.vehicle, log, flown_wind),
     )
 
 
@@ -230,7 +242,7 @@ class Trim(NamedTuple):
     rotor_speeds: Array
 
 
-def trim(model: RotorLocalModel, wind: Array, yaw: float = 0.0) -> Trim:
+def trim(model: SimulatedAerodynamics, wind: Array, yaw: float = 0.0) -> Trim:
     """Equilibrium in a wind (3,) m/s of the world, nose at a yaw [rad].
 
     Newton's method on six unknowns, a tilt about two axes and four rotor speeds, for six equations.
@@ -257,7 +269,7 @@ def trim(model: RotorLocalModel, wind: Array, yaw: float = 0.0) -> Trim:
     return Trim(_tilted(heading, unknowns), rotor_speeds)
 
 
-def _solve(model: RotorLocalModel, wind: Array, heading: Array, start: Array) -> Array | None:
+def _solve(model: SimulatedAerodynamics, wind: Array, heading: Array, start: Array) -> Array | None:
     """Unknowns (6,) at which the accelerations vanish, near a start; None without convergence."""
     unknowns = start.copy()
     for _ in range(_NEWTON_STEPS_MAX):
@@ -273,7 +285,7 @@ def _solve(model: RotorLocalModel, wind: Array, heading: Array, start: Array) ->
     return None
 
 
-def _unbalance(model: RotorLocalModel, wind: Array, heading: Array, unknowns: Array) -> Array:
+def _unbalance(model: SimulatedAerodynamics, wind: Array, heading: Array, unknowns: Array) -> Array:
     """Residuals (K, 6) of force over weight, and of moment over weight and arm, for unknowns (K, 6)."""
     vehicle = model.vehicle
     turns = np.array([rotations.matrix(_tilted(heading, row)) for row in unknowns])

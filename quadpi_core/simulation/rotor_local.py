@@ -9,24 +9,25 @@ fit are kept: at standstill the slope of the thrust jumps, and slow climb and sl
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import PlainValidator
 
 from quadpi_core.compiled import njit
-from quadpi_core.config_schema import Numbers, Real, Section, Text, Within, check_config, parse_config
+from quadpi_core.config_schema import Numbers, Real, Section, Text, check_config, parse_config
 from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
-from quadpi_core.records import Records
-from quadpi_core.simulation.linear_algebra import inverse
-from quadpi_core.simulation.state_records import STATE, VEHICLE, State, VehicleNumbers
+from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, airframe_area
+from quadpi_core.simulation.simulated_file import SimulatedFile, read_simulation
+from quadpi_core.simulation.state_records import State, VehicleNumbers
+from quadpi_core.simulation.wrench_functions import passable
 from quadpi_core.thresholds import Threshold
-from quadpi_core.vehicle import ROTORS, Vehicle, simulation_section
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 FITTED_ADVANCE_RATIO = Threshold(
     "largest advance ratio",
@@ -96,7 +97,9 @@ class ScaledAerodynamics(Section):
     scaled_from: Text
 
 
-def _read_aerodynamics(data: Any) -> RotorLocalCoefficients | ScaledAerodynamics:
+def _read_aerodynamics(data: Any) -> RotorLocalCoefficients | ScaledAerodynamics | None:
+    if data is None:
+        return None
     if not isinstance(data, Mapping):
         raise ValueError("must be coefficients, or `scaled_from` and a vehicle")
     if "scaled_from" in data:
@@ -105,38 +108,36 @@ def _read_aerodynamics(data: Any) -> RotorLocalCoefficients | ScaledAerodynamics
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationSection(Section):
-    """The key `simulation` of a vehicle file.
+class _Section(Section):
+    """What of the mapping `simulation` concerns this law."""
 
-    Attributes:
-        motor_time_constant_s: time constant of the first-order response of a rotor's speed.
-        rotor_local: aerodynamics; None for a vehicle that cannot be simulated.
-        effects: effects, read by :func:`quadpi_core.simulation.flying.own_effects`.
-        tolerances: tolerances, read where simulations are compared with flights.
-    """
-
-    motor_time_constant_s: Annotated[float, Within(0.001, 1.0)] | None = None
     rotor_local: Annotated[
         RotorLocalCoefficients | ScaledAerodynamics | None, PlainValidator(_read_aerodynamics)
     ] = None
-    effects: Any = None
-    tolerances: Any = None
 
 
-def read_simulation(name_or_path: str | Path) -> tuple[Path, SimulationSection]:
-    """Path and key `simulation` of a vehicle file.
-
-    Raises:
-        VehicleError: naming the file and the key that is unknown or impossible.
-    """
-    path, data = simulation_section(name_or_path)
-    return path, parse_config(SimulationSection, data, str(path), VehicleError, ("simulation",))
+# Coefficients that one factor scales, by the name of their group: the first (static), all others, or all.
+_SCALED = {
+    "thrust": ("thrust", slice(0, 1)),
+    "torque": ("torque", slice(0, 1)),
+    "thrust in airflow": ("thrust", slice(1, None)),
+    "torque in airflow": ("torque", slice(1, None)),
+    **{
+        name: (name, slice(None))
+        for name in (
+            *("rotor_force_along", "rotor_force_across", "rotor_moment_along", "rotor_moment_across"),
+            *("airframe_fx", "airframe_fy", "airframe_fz", "airframe_mx", "airframe_my", "airframe_mz"),
+        )
+    },
+}
 
 
 @dataclass(frozen=True)
-class RotorLocalModel:
-    """Aerodynamic wrench of a vehicle from its motion through the air and its rotor speeds."""
+class RotorLocalModel(SimulatedAerodynamics):
+    """The rotor-local law with the coefficients of a vehicle."""
 
+    key: ClassVar[str] = "rotor_local"
+    coefficients_by_name: ClassVar[tuple[str, ...]] = tuple(_SCALED)
     vehicle: Vehicle
     coefficients: RotorLocalCoefficients
 
@@ -147,21 +148,27 @@ class RotorLocalModel:
         Raises:
             VehicleError: naming the file and the key that is missing, unknown or impossible.
         """
-        path, aerodynamics = read_simulation(name_or_path)
-        vehicle = Vehicle.load(path)
-        if aerodynamics.rotor_local is None:
+        file = read_simulation(name_or_path)
+        own = cls._read(file)
+        if own is None:
             raise VehicleError(
-                f"{path}: cannot be simulated: `simulation.rotor_local` is missing; give its coefficients, "
-                "or `scaled_from: bebop2`"
+                f"{file.path}: cannot be simulated: `simulation.rotor_local` is missing; give its "
+                "coefficients, or `scaled_from: bebop2`"
             )
-        if isinstance(aerodynamics.rotor_local, RotorLocalCoefficients):
-            return cls(vehicle, aerodynamics.rotor_local)
-        with named_in(f"{path}: `simulation.rotor_local.scaled_from`"):
-            source_path, source = read_simulation(aerodynamics.rotor_local.scaled_from)
+        if isinstance(own, RotorLocalCoefficients):
+            return cls(file.vehicle, own)
+        with named_in(f"{file.path}: `simulation.rotor_local.scaled_from`"):
+            other = read_simulation(own.scaled_from)
+            source = cls._read(other)
             # One step only: the vehicle that others are scaled from has coefficients of its own.
-            if not isinstance(source.rotor_local, RotorLocalCoefficients):
-                raise VehicleError(f"{source_path}: `simulation.rotor_local` has no coefficients of its own")
-            return cls(vehicle, source.rotor_local.scaled(Vehicle.load(source_path), vehicle))
+            if not isinstance(source, RotorLocalCoefficients):
+                raise VehicleError(f"{other.path}: `simulation.rotor_local` has no coefficients of its own")
+            return cls(file.vehicle, source.scaled(other.vehicle, file.vehicle))
+
+    @staticmethod
+    def _read(file: SimulatedFile) -> RotorLocalCoefficients | ScaledAerodynamics | None:
+        given = {"rotor_local": file.section.rotor_local}
+        return parse_config(_Section, given, str(file.path), VehicleError, ("simulation",)).rotor_local
 
     @cached_property
     def hover_rotor_speed(self) -> float:
@@ -177,107 +184,52 @@ class RotorLocalModel:
         per_square_speed = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
         return float(np.sqrt(weight / (ROTORS * self.coefficients.thrust[0] * per_square_speed)))
 
-    def wrench(self, velocity: Array, rates: Array, rotor_speeds: Array) -> Array:
-        """Wrench (N, 6) [N, Nm], body axes, columns as `flight.AXES`.
+    @property
+    def function(self) -> Any:
+        """See :class:`.SimulatedAerodynamics`."""
+        return passable(_rotor_local)
 
-        Args:
-            velocity: (N, 3) m/s relative to the air, body axes.
-            rates: (N, 3) rad/s.
-            rotor_speeds: (N, 4) rad/s.
+    @property
+    def numbers(self) -> Array:
+        """None: the record of the vehicle holds the coefficients."""
+        return np.zeros((0, 0))
 
-        Raises:
-            SimulationError: for another shape, and for values that are not finite.
-        """
-        return self.states(velocity, rates, rotor_speeds)["wrench"].copy()
+    def scaled(self, shares: Mapping[str, float]) -> RotorLocalModel:
+        """See :class:`.SimulatedAerodynamics`; the names are those of `_SCALED`."""
+        changed: dict[str, Any] = dict(vars(self.coefficients))
+        for name, share in shares.items():
+            key, part = _SCALED[name]
+            value = np.array(changed[key], dtype=float, ndmin=1)
+            value[part] *= 1.0 + share
+            changed[key] = value if np.ndim(changed[key]) else float(value[0])
+        return replace(self, coefficients=RotorLocalCoefficients(**changed))
 
-    def states(
-        self,
-        velocity: Array,
-        rates: Array,
-        rotor_speeds: Array,
-        *,
-        rotor_accelerations: Array | None = None,
-        position: Array | None = None,
-        attitude: Array | None = None,
-    ) -> npt.NDArray[np.void]:
-        """Records STATE (N,) with the aerodynamics of each instant, the input of effects.
+    def carrying(self, vehicle: Vehicle) -> RotorLocalModel:
+        """See :class:`.SimulatedAerodynamics`."""
+        return replace(self, vehicle=vehicle)
 
-        Args:
-            velocity: (N, 3) m/s relative to the air, body axes.
-            rates: (N, 3) rad/s.
-            rotor_speeds: (N, 4) rad/s.
-            rotor_accelerations: (N, 4) rad/s²; zero where not given.
-            position: (N, 3) m, world; the origin where not given.
-            attitude: (N, 4) body to world; level where not given.
-
-        Raises:
-            SimulationError: for another shape, and for values that are not finite.
-        """
-        states = np.zeros(len(velocity), dtype=STATE)
-        states["attitude"][:, 0] = 1.0
-        given = {
-            "velocity_air": velocity,
-            "rates": rates,
-            "rotor_speeds": rotor_speeds,
-            "rotor_accelerations": rotor_accelerations,
-            "position": position,
-            "attitude": attitude,
+    def to_section(self) -> dict[str, Any]:
+        """See :class:`.SimulatedAerodynamics`."""
+        return {
+            name: value if isinstance(value, float) else value.tolist()
+            for name, value in vars(self.coefficients).items()
         }
-        for name, values in given.items():
-            if values is None:
-                continue
-            if np.shape(values) != states[name].shape:
-                raise SimulationError(
-                    f"{name}: expected shape {states[name].shape}, found {np.shape(values)}"
-                )
-            if not np.all(np.isfinite(values)):
-                raise SimulationError(f"{name}: holds values that are not finite")
-            states[name] = values
-        _aerodynamics_of_all(states, self.record())
-        return states
+
+    @cached_property
+    def effectiveness(self) -> Array:
+        """See :class:`.SimulatedAerodynamics`; of the coefficients at rest."""
+        vehicle, c = self.vehicle, self.coefficients
+        disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+        slope, yaw_slope = c.thrust[0] * disc, c.torque[0] * disc * vehicle.rotor_radius_m
+        x, y, _ = vehicle.rotor_positions.T
+        return np.stack((np.full(ROTORS, slope), -y * slope, x * slope, vehicle.rotor_spins * yaw_slope))
 
     def record(self, motor_time_constant: float = np.inf) -> npt.NDArray[np.void]:
         """Record VEHICLE (1,) for the compiled physics."""
-        record = vehicle_record(self.vehicle, self.hover_rotor_speed, motor_time_constant)
+        record = super().record(motor_time_constant)
         for column in fields(self.coefficients):
             record[column.name] = getattr(self.coefficients, column.name)
         return record
-
-
-def vehicle_record(
-    vehicle: Vehicle, hover_rotor_speed: float, motor_time_constant: float = np.inf
-) -> npt.NDArray[np.void]:
-    """Record VEHICLE (1,) of a vehicle without aerodynamics.
-
-    Args:
-        vehicle: vehicle.
-        hover_rotor_speed: rotor speed [rad/s] that carries the weight in still air.
-        motor_time_constant: time constant [s] of the rotors.
-    """
-    record = np.zeros(1, dtype=VEHICLE)
-    for name, value in {
-        "mass": vehicle.mass_kg,
-        "gravity": vehicle.gravity_m_s2,
-        "air_density": vehicle.air_density_kg_m3,
-        "inertia": vehicle.inertia,
-        "inverse_inertia": inverse(vehicle.inertia),
-        "rotor_positions": vehicle.rotor_positions,
-        "rotor_spins": vehicle.rotor_spins,
-        "rotor_radius": vehicle.rotor_radius_m,
-        "hover_induced_velocity": vehicle.hover_induced_velocity,
-        "hover_rotor_speed": hover_rotor_speed,
-        "motor_time_constant": motor_time_constant,
-        "rotor_speed_max": vehicle.rotor_speed_max_rad_s,
-        "airframe_area": airframe_area(vehicle),
-    }.items():
-        record[name] = value
-    return record
-
-
-def airframe_area(vehicle: Vehicle) -> float:
-    """Area S = 4 b l [m²] of the rectangle whose corners are the rotors."""
-    half_length, half_width, _ = np.abs(vehicle.rotor_positions).mean(axis=0)
-    return float(4.0 * half_length * half_width)
 
 
 @njit(cache=True, nogil=True)
@@ -372,6 +324,5 @@ def _airframe_moment(c: Array, x: float, y: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _aerodynamics_of_all(states: Records, vehicles: Records) -> None:
-    for i in range(len(states)):
-        aerodynamics(states[i], vehicles[0])
+def _rotor_local(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:  # noqa: ARG001
+    aerodynamics(state, vehicle)

@@ -23,7 +23,8 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.rotations import from_rotation_vector, product
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.simulation.simulated_file import model_folder, model_vehicle
+from quadpi_core.vehicle import SensorNoise, Vehicle
 
 Rate: TypeAlias = Annotated[float, Within(0.1)]
 Delay: TypeAlias = Annotated[float, Within(0.0, 10.0)]
@@ -169,6 +170,10 @@ class _SuiteFile(Section):
     states: StateNoise = StateNoise()
 
 
+# Suite whose rates are those of a vehicle's own sensors.
+_USUAL = "paper"
+
+
 @dataclass(frozen=True)
 class SensorSuite:
     """All sensors of a vehicle and of the room that it flies in; `name` is the stem of its file."""
@@ -182,13 +187,38 @@ class SensorSuite:
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> SensorSuite:
-        """Read a suite by the name of a file in config/noise, or by path.
+        """Read a suite by the name of a file in config/noise, by path, or from the folder of a model.
+
+        A model says what its vehicle file does: noise of IMU and motion capture, and their delay.
 
         Raises:
             SimulationError: naming the file and the key that is unknown or impossible.
+            ModelError, VehicleError: for a folder that is no model, or whose vehicle is not known.
         """
+        folder = model_folder(name_or_path)
+        if folder is not None:
+            return cls.of_vehicle(folder.name, model_vehicle(folder).noise)
         path, file = load_config("noise", name_or_path, _SuiteFile, SimulationError)
         return cls(path.stem, file.imu, file.rotor_speeds, file.mocap, file.wind, file.states)
+
+    @classmethod
+    def of_vehicle(cls, name: str, noise: SensorNoise) -> SensorSuite:
+        """The noise that a vehicle file states; rates, drifts and all else are those of the usual suite."""
+        usual = cls.load(_USUAL)
+        # Walks of a vehicle file are room for the estimator's corrections rather than measured drifts.
+        gyro = replace(usual.imu.gyro, noise=noise.gyro_noise_rad_s, noise_density=0.0)
+        accelerometer = replace(
+            usual.imu.accelerometer, noise=noise.accelerometer_noise_m_s2, noise_density=0.0
+        )
+        mocap = replace(
+            usual.mocap,
+            position_noise=noise.mocap_position_m,
+            attitude_noise=noise.mocap_attitude_rad,
+            latency=max(noise.mocap_delay_s, 0.0),
+        )
+        return replace(
+            usual, name=name, imu=replace(usual.imu, gyro=gyro, accelerometer=accelerometer), mocap=mocap
+        )
 
 
 def generator(seed: int, name: str) -> np.random.Generator:

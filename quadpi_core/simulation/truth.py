@@ -11,6 +11,7 @@ import numpy as np
 from quadpi_core.flight import Flight, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.simulation.excursion import Excursion
 from quadpi_core.vehicle import Vehicle
 
 # Instants per second at which a flight is simulated, and a reference followed.
@@ -76,6 +77,8 @@ class Truth:
         wind: (N, 3) m/s of the air over ground, world.
         known_wind: (N, 3) m/s, the part of it that an anemometer measures; None without one.
         reference: reference of the controller at the same instants.
+        excursion: where the flight goes beyond those that the vehicle was identified on; None where it
+            does not, and for a vehicle that was not identified.
     """
 
     name: str
@@ -93,6 +96,7 @@ class Truth:
     wind: Array
     known_wind: Array | None
     reference: Reference
+    excursion: Excursion | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)

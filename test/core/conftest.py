@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,10 @@ from quadpi_core.discrepancy.discrepancy_result import Study
 from quadpi_core.discrepancy.study import study
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.identification.prepared_flights import read_flight
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_flights, read_flight
+from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.vehicle import Vehicle
@@ -59,6 +63,19 @@ def pushed(flight: Flight, vehicle: Vehicle, wrench: Array) -> Flight:
 def pushed_fixture() -> Callable[[Flight, Vehicle, Array], Flight]:
     """See :func:`pushed`."""
     return pushed
+
+
+@pytest.fixture(scope="session")
+def physical_folder(tmp_path_factory) -> Path:
+    """Folder of a physical model of the Bebop 2, identified on four bundled bags."""
+    vehicle = Vehicle.load("bebop2")
+    bags = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
+    model = identify(
+        prepare_flights(bags, vehicle), vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical")
+    )
+    folder = tmp_path_factory.mktemp("physical") / "flown"
+    model.save(folder)
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,9 @@ from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.effect_regression import refined
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight
 from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.external_simulations import ModelSimulation
 from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight
@@ -244,7 +246,8 @@ def tilted_to(cosine):
 
 def commanded(acceleration):
     """Commanded rotor speeds of a level vehicle at rest that is to accelerate."""
-    controls = Controls.of(SimulatedVehicle.load("bebop2").record())
+    vehicle = SimulatedVehicle.load("bebop2")
+    controls = Controls.of(vehicle.record(), vehicle.aerodynamics.effectiveness)
     motion = np.zeros(1, dtype=MOTION)
     motion["attitude"][0, 0], motion["rotor_speeds"] = 1.0, 600.0
     none, level = np.zeros((1, 3)), np.zeros(1)
@@ -293,6 +296,38 @@ def largest_jitter():
     return np.abs(1e-7 * (poses.time_ns - START_NS) % 1.0 - 0.5).max()
 
 
+def steady(*, speed=0.0, yaw_rate=0.0, samples=500):
+    """A flight straight ahead that turns about its vertical."""
+    none, time = np.zeros((samples, 3)), np.arange(samples) / 500.0
+    yaw = yaw_rate * time
+    return Flight(
+        *("steady", "bebop2", "steady", 0),
+        time=time,
+        position=np.outer(speed * time, [1.0, 0.0, 0.0]),
+        attitude=np.column_stack((np.cos(yaw / 2), 0.0 * yaw, 0.0 * yaw, np.sin(yaw / 2))),
+        velocity=speed * np.column_stack((np.cos(yaw), -np.sin(yaw), 0.0 * yaw)),
+        rates=np.tile([0.0, 0.0, yaw_rate], (samples, 1)),
+        angular_acceleration=none,
+        specific_force=none - [0.0, 0.0, BEBOP.gravity_m_s2],
+        rotor_speeds=np.full((samples, 4), 700.0),
+        wind=none,
+    )
+
+
+def rolls_out(**motion):
+    return rollout_floor(steady(**motion), BEBOP, horizon_s=0.05).starts > 0
+
+
+def bridged(share):
+    """Whether a model that gives nothing for a share of a flight is taken."""
+
+    def predict(flight):
+        return np.where(np.arange(len(flight))[:, None] < share * len(flight), np.nan, np.ones((1, 6)))
+
+    simulation = ModelSimulation("test", BEBOP, predict)
+    return not refused(DiscrepancyError, lambda: simulation.wrench(steady(samples=10_000)))
+
+
 # What a value in the unit of a threshold leads to, and where that turns over. The values are those of the
 # thresholds, so that neither changes alone.
 EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
@@ -317,6 +352,9 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "PART_OF_AXIS": (0.2, lambda x: share(first_axis(1e3 * x), first_axis(1e3, 1e9), 1) > 0.1),
     "UNEXPLAINED": (0.05, lambda x: acceptance.judge_unexplained(x).passed),
     # The others of the room, file by file.
+    "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),
+    "DIVERGED_RATE": (60.0, lambda x: rolls_out(yaw_rate=x)),
+    "UNJUDGED_MOST": (0.05, bridged),
     "BULK": (0.8, lambda x: holding_bulk(np.array([x, 1.0 - x]), np.ones(2), np.full(2, True)).all()),
     "LEAST_SHARE": (0.03, lambda x: Range("Fx", "u", 0.0, 1.0, x, 0.1, 0.0).is_large),
     "LIFT": (1.5, lambda x: Range("Fx", "u", 0.0, 1.0, 0.1 * x, 0.1, 0.0).is_informative),
@@ -386,6 +424,8 @@ ALONE = {
         "EDGES_HZ",
         "LAGS_S",
         "MOST_EFFECTS",
+        # In test_simulated_file.
+        "MOTOR_TIME_CONSTANT",
     ),
     "RIDGES",
 }

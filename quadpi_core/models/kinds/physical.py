@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from quadpi_core.models.physical_fit import PhysicalFit, thrust_variance
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_regressors import acting_terms
 from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
+from quadpi_core.models.physical_terms import TERM_NAMES
 from quadpi_core.parallel import Progress, ReportProgress
 from quadpi_core.signals.force_bandwidth import as_recorded
 
@@ -49,6 +50,7 @@ class Physical(Kind):
     label = "physical model"
     colour = "#332288"
     normal_errors = True
+    is_simulation = True
     axis_type = FittedPhysical
 
     def fit(
@@ -117,6 +119,22 @@ class Physical(Kind):
     def force_bandwidth_hz(self, fitted: Mapping[str, Any]) -> float | None:
         """As it was found."""
         return _shared(fitted).sensing.force_bandwidth_hz
+
+    def simulation_section(self, fitted: Mapping[str, Any]) -> dict[str, Any]:
+        """The parameters; the place of the accelerometer, which moves no body, as an effect on sensors."""
+        shared = _shared(fitted)
+        values = {TERM_NAMES[k]: float(shared.values[k]) for k in shared.kept}
+        lever_arm = {f"{axis}_m": values.pop(f"imu_{axis}", 0.0) for axis in "xyz"}
+        section: dict[str, Any] = {
+            "physical": {
+                "reference_thrust_n_s2": float(shared.vehicle["reference_thrust"][0]),
+                "parameters": values,
+                **asdict(shared.sensing),
+            }
+        }
+        if any(lever_arm.values()):
+            section["effects"] = {"imu_lever_arm": lever_arm}
+        return section
 
     def facts(self, fitted: Mapping[str, Any]) -> list[Facts]:
         """Parameters, the pairs told apart worst, and the log of the fit."""

@@ -242,3 +242,25 @@ def test_columns_of_a_table_become_a_simulated_wrench(tmp_path):
     assert len(again.wrench) == 20
     np.testing.assert_allclose(again.wrench[7], [0.007, -0.001, -2.0, 0.1, -0.2, -0.3])
     assert np.array_equal(again.time_ns, recording.imu.time_ns)
+
+
+def test_samples_that_a_model_cannot_judge_are_left_out_and_counted(model, bags):
+    simulation, vehicle = load_simulation(str(model)), Vehicle.load("neurobem")
+    flight = fuse_airborne(read_recording(bags[0], vehicle), vehicle, 30.0)
+    whole = simulation.wrench(flight)
+
+    def gappy(share):
+        def predict(asked):
+            wrench = whole.copy()
+            wrench[: int(share * len(asked))] = np.nan
+            return wrench
+
+        return replace(simulation, function=predict)
+
+    few = gappy(0.01)
+    assert few.unjudged(flight) == int(0.01 * len(flight))
+    left = few.wrench(flight)
+    assert np.all(np.isfinite(left))
+    np.testing.assert_array_equal(left[few.unjudged(flight) :], whole[few.unjudged(flight) :])
+    with pytest.raises(DiscrepancyError, match=r"no finite wrench for 6% of it, first for sample 0"):
+        gappy(0.06).wrench(flight)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from quadpi_core.discrepancy import (
     AugmentedSimulation,
     load_simulation,
 )
+from quadpi_core.discrepancy.simulations import VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError
+from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effect_registry import read_effects
 
 
@@ -86,3 +89,25 @@ def test_code_that_an_addition_names_is_not_even_imported(tmp_path, monkeypatch)
     with pytest.raises(DiscrepancyError, match="cannot be imported: AttributeError"):
         load_simulation(str(tmp_path / "two.json"), allow_code=True)
     assert (tmp_path / "sprung").exists()
+
+
+def test_a_physical_model_serves_as_a_vehicle_file_does(physical_folder, flights):
+    """It flies, has groups of coefficients, intervals, and the place of its accelerometer as an effect."""
+    simulation = load_simulation(str(physical_folder))
+    assert list(simulation.effects) == ["imu_lever_arm"]
+    base = simulation.base
+    assert isinstance(base, VehicleSimulation)
+    lower, upper = base.margins(flights[0])
+    assert np.all(lower < 0.0)
+    assert np.all(upper > 0.0)
+    names = [column.name for column in base.uncertain(flights[0])]
+    assert {"thrust", "rotor drag"} <= set(names)
+    error = measured_wrench(flights[0], base.vehicle) - simulation.wrench(flights[0])
+    assert np.all(np.sqrt(np.mean(error**2, axis=0)) < [0.05, 0.05, 0.2, 0.005, 0.005, 0.002])
+
+
+def test_another_model_serves_by_its_predictions(flights):
+    simulation = load_simulation(str(Path(__file__).parents[2] / "golden" / "model"))
+    assert not isinstance(simulation, VehicleSimulation)
+    assert simulation.margins(flights[0]) is not None
+    assert simulation.unjudged(flights[0]) == 0

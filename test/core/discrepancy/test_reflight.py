@@ -9,9 +9,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import AugmentedSimulation, discover, load_simulation
+from quadpi_core.discrepancy import AugmentedSimulation, VehicleSimulation, discover, load_simulation
 from quadpi_core.discrepancy.discrepancy_result import reflights_json
-from quadpi_core.discrepancy.reflight import Track, coverages, fly_again, reflights, rollout, rollout_floor
+from quadpi_core.discrepancy.reflight import (
+    Track,
+    coverages,
+    fly_again,
+    reflights,
+    rollout,
+    rollout_floor,
+    rollouts,
+)
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.logs import read_recording
@@ -137,8 +145,8 @@ def test_coverage_before_and_after(truth):
         def wrench(self, flight):
             return good.wrench(flight) + 0.2
 
-        def intervals(self, flight):
-            return self.wrench(flight) - 0.1, self.wrench(flight) + 0.1
+        def margins(self, flight):
+            return np.full((len(flight), 6), -0.1), np.full((len(flight), 6), 0.1)
 
         vehicle = good.vehicle
 
@@ -147,3 +155,33 @@ def test_coverage_before_and_after(truth):
     for axis in found.values():
         assert axis.before == 0.0
         assert axis.after > 0.95
+
+
+class Runaway(VehicleSimulation):
+    """A simulation that pushes ever harder beyond the speeds of a flight, as a polynomial may."""
+
+    def wrench(self, flight):
+        speed = np.linalg.norm(flight.velocity, axis=1)
+        assert np.all(np.isfinite(speed))
+        push = np.zeros((len(flight), 6))
+        push[:, 0] = np.where(speed > self.limit, 1e3, 0.0) * self.vehicle.mass_kg
+        return super().wrench(flight) + push
+
+
+def test_roll_outs_that_diverge_are_left_out_and_counted(truth):
+    simulation = Runaway.load("bebop2")
+    median = float(np.median(np.linalg.norm(truth.velocity, axis=1)))
+    for limit, least, most in ((100.0, 0.0, 0.0), (median, 0.3, 0.9), (-1.0, 1.0, 1.0)):
+        object.__setattr__(simulation, "limit", limit)
+        error = rollout(truth, simulation)
+        assert least <= error.lost / (error.starts + error.lost) <= most
+        assert np.all(np.isfinite([error.velocity_m_s, error.attitude_deg, error.rates_rad_s]))
+    assert error.starts == 0
+
+
+def test_no_errors_where_every_roll_out_is_lost(truth):
+    simulation = Runaway.load("bebop2")
+    object.__setattr__(simulation, "limit", -1.0)
+    found = rollouts([truth], [simulation], [load_simulation("bebop2")])
+    assert found.errors == {}
+    assert found.lost["before"] > 0 == found.lost["after"]

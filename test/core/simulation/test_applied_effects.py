@@ -10,9 +10,10 @@ from numba import types
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import SimulationError
-from quadpi_core.simulation.applied_effects import FUNCTION_TYPE, compose, effect_wrench
+from quadpi_core.simulation.applied_effects import compose, effect_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
+from quadpi_core.simulation.wrench_functions import FUNCTION_TYPE
 
 WRENCH = [name for name, effect in EFFECTS.items() if effect.kind == "wrench"]
 _STATES, _VEHICLES = types.Array(STATE_TYPE, 1, "C"), types.Array(VEHICLE_TYPE, 1, "C")

@@ -39,7 +39,10 @@ def wanted(vehicle):
     effect = slope * np.stack((np.ones(4), -y, x, model.vehicle.rotor_spins * ratio))
 
     def ask(*, acceleration=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), yaw_rate=0.0, wrench=None):
-        controls, motion = Controls.of(vehicle.record()), np.zeros(1, dtype=MOTION)
+        controls, motion = (
+            Controls.of(vehicle.record(), vehicle.aerodynamics.effectiveness),
+            np.zeros(1, dtype=MOTION),
+        )
         motion["attitude"][0, 0], motion["velocity"] = 1.0, velocity
         speeds = motion["rotor_speeds"][0]
         speeds[:] = model.hover_rotor_speed

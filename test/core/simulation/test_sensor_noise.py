@@ -19,6 +19,7 @@ from quadpi_core.simulation.sensor_noise import (
     inertial_samples,
     turned,
 )
+from quadpi_core.vehicle import Vehicle
 
 STILL = np.zeros((20_000, 3))
 RATE_HZ = 500.0
@@ -222,3 +223,13 @@ def assert_only_differ(one: Flight, other: Flight, names: set[str]):
         and not np.array_equal(getattr(one, column.name), getattr(other, column.name))
     }
     assert different == names
+
+
+def test_a_model_folder_says_the_noise_of_its_vehicle(physical_folder):
+    suite, stated = SensorSuite.load(physical_folder), Vehicle.load("bebop2").noise
+    assert suite.imu.gyro.noise == stated.gyro_noise_rad_s
+    assert suite.imu.accelerometer.noise == stated.accelerometer_noise_m_s2
+    assert (suite.mocap.position_noise, suite.mocap.rate) == (
+        stated.mocap_position_m,
+        SensorSuite.load("paper").mocap.rate,
+    )

@@ -1,0 +1,231 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Aerodynamics by the terms of the physical model, identified from flights (see `models.physical_terms`).
+
+The terms of the accelerometer's position move no body: in a vehicle file they are the effect `imu_lever_arm`.
+What remains of the forces and moments at rest, and of the inclination of the rotors, acts on the body as in
+the identified model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.compiled import njit
+from quadpi_core.config_schema import NotNegative, Positive, Section, parse_config
+from quadpi_core.errors import SimulationError, VehicleError
+from quadpi_core.frames import Array
+from quadpi_core.models.physical_regressors import (
+    MOTION,
+    PHYSICAL_VEHICLE,
+    REGRESSORS,
+    fill_regressors,
+    fill_rotor,
+)
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
+from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
+from quadpi_core.simulation.simulated_file import read_simulation
+from quadpi_core.simulation.state_records import STATE, State, VehicleNumbers
+from quadpi_core.simulation.wrench_functions import apply_to_all, passable
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+_HOVER_ROUNDS = 20
+# Rows of the numbers of the compiled function.
+_VALUES, _TORQUE, _REFERENCE = 0, 1, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicalCoefficients(Section):
+    """The key `simulation.physical` of a vehicle file.
+
+    Attributes:
+        reference_thrust_n_s2: thrust of a rotor over ω² that the induced velocity refers to.
+        parameters: by name, SI; those without a value are zero.
+        rotor_delay_s: that recorded rotor speeds act after their stamps, in the flights identified on.
+        force_bandwidth_hz: of the forces measured in those flights, where it ends below that of the other
+            signals. Neither changes how the vehicle flies.
+    """
+
+    reference_thrust_n_s2: Positive
+    parameters: dict[str, float]
+    rotor_delay_s: NotNegative = 0.0
+    force_bandwidth_hz: Positive | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.parameters.items():
+            if name not in _FLYING:
+                raise ValueError(f"`parameters`: unknown parameter `{name}`")
+            if not np.isfinite(value):
+                raise ValueError(f"`parameters.{name}` must be a number")
+
+
+_FLYING = {term.name: term for term in TERMS if term.group != "imu position"}
+# Groups that one factor scales, with how the names of their parameters begin; the first that fits counts.
+_FAMILY_STARTS: dict[str, tuple[str, ...]] = {
+    "differences of rotors": ("thrust_rotor_", "torque_rotor_"),
+    "thrust in airflow": ("thrust_",),
+    "thrust": ("thrust",),
+    "arms": ("arm_",),
+    "wakes": ("wake_",),
+    "torque in airflow": ("torque_",),
+    "torque": ("torque",),
+    "rotor inertia": ("rotor_inertia_",),
+    "rotor drag": ("rotor_drag",),
+    "rotor side force": ("rotor_side",),
+    "hub moment": ("hub_",),
+    "airframe in the wake": ("body_",),
+    "airframe": ("drag_", "lift_", "pitch_", "roll_", "yaw_", "damping_", "inertia_"),
+    "at rest": ("bias_", "incline_", "gravity_centre_"),
+}
+
+
+def _family(name: str) -> str:
+    return next(family for family, starts in _FAMILY_STARTS.items() if name.startswith(starts))
+
+
+_FAMILIES = {name: _family(name) for name in _FLYING}
+
+
+@dataclass(frozen=True)
+class PhysicalAerodynamics(SimulatedAerodynamics):
+    """The physical model with the parameters of a vehicle."""
+
+    key: ClassVar[str] = "physical"
+    memoryless: ClassVar[bool] = False
+    coefficients_by_name: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys(_FAMILIES.values()))
+    vehicle: Vehicle
+    coefficients: PhysicalCoefficients
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> PhysicalAerodynamics:
+        """See :class:`.SimulatedAerodynamics`."""
+        file = read_simulation(name_or_path)
+        if file.section.physical is None:
+            raise VehicleError(f"{file.path}: cannot be simulated: `simulation.physical` is missing")
+        above = ("simulation", "physical")
+        return cls(
+            file.vehicle,
+            parse_config(PhysicalCoefficients, file.section.physical, str(file.path), VehicleError, above),
+        )
+
+    @property
+    def rotor_delay_s(self) -> float:  # type: ignore[override]
+        """See :class:`.SimulatedAerodynamics`."""
+        return self.coefficients.rotor_delay_s
+
+    @property
+    def function(self) -> Any:
+        """See :class:`.SimulatedAerodynamics`."""
+        return passable(_physical)
+
+    @cached_property
+    def numbers(self) -> Array:
+        """Values of all terms, those of the torque alone, and the reference thrust."""
+        numbers = np.zeros((3, len(TERMS)))
+        for name, value in self.coefficients.parameters.items():
+            numbers[_VALUES, TERM_INDEX[name]] = value
+        torque = np.array([name.startswith("torque") for name in TERM_NAMES])
+        numbers[_TORQUE, torque] = numbers[_VALUES, torque]
+        numbers[_REFERENCE, 0] = self.coefficients.reference_thrust_n_s2
+        return numbers
+
+    @cached_property
+    def hover_rotor_speed(self) -> float:
+        """See :class:`.SimulatedAerodynamics`; by iteration, as thrust is about quadratic in the speed."""
+        weight = self.vehicle.mass_kg * self.vehicle.gravity_m_s2
+        speed = float(np.sqrt(weight / (ROTORS * self.coefficients.reference_thrust_n_s2)))
+        hover = np.zeros(1, STATE)
+        for _ in range(_HOVER_ROUNDS):
+            hover["rotor_speeds"] = speed
+            apply_to_all(hover, vehicle_record(self.vehicle, speed), self.function, self.numbers)
+            thrust = -float(hover["wrench"][0, 2])
+            if not thrust > 0.0:
+                raise SimulationError(f"vehicle {self.vehicle.name}: its rotors give no thrust at rest")
+            speed *= float(np.sqrt(weight / thrust))
+        return speed
+
+    def record(self, motor_time_constant: float = np.inf) -> npt.NDArray[np.void]:
+        """Record VEHICLE (1,) with the coefficients of the rotors that effects refer to."""
+        record = super().record(motor_time_constant)
+        values = self.coefficients.parameters
+        # Rotor-local forces and moments point along the motion, these against it.
+        for name, term, sign in (
+            ("rotor_force_along", "rotor_drag", -1.0),
+            ("rotor_force_across", "rotor_side", -1.0),
+            ("rotor_moment_along", "hub_height", -1.0),
+            ("rotor_moment_across", "hub_roll", 1.0),
+        ):
+            record[name] = sign * values.get(term, 0.0)
+        return record
+
+    def scaled(self, shares: Mapping[str, float]) -> PhysicalAerodynamics:
+        """See :class:`.SimulatedAerodynamics`."""
+        parameters = {
+            name: value * (1.0 + shares.get(_FAMILIES[name], 0.0))
+            for name, value in self.coefficients.parameters.items()
+        }
+        return replace(self, coefficients=replace(self.coefficients, parameters=parameters))
+
+    def carrying(self, vehicle: Vehicle) -> PhysicalAerodynamics:
+        """See :class:`.SimulatedAerodynamics`."""
+        return replace(self, vehicle=vehicle)
+
+    def to_section(self) -> dict[str, Any]:
+        """See :class:`.SimulatedAerodynamics`."""
+        return {name: value for name, value in vars(self.coefficients).items() if value is not None}
+
+
+@njit(cache=True, nogil=True)
+def _physical(state: State, vehicle: VehicleNumbers, numbers: Array) -> None:
+    """Fill hub velocities, thrusts, torques and wrench of a STATE from the rest of it."""
+    motions, bodies = np.zeros(1, MOTION), np.zeros(1, PHYSICAL_VEHICLE)
+    rows = np.zeros(1, REGRESSORS)
+    motion, body, row = motions[0], bodies[0], rows[0]
+    regressors = rows.view(np.float64)
+    body.mass, body.reference_thrust = vehicle.mass, numbers[_REFERENCE, 0]
+    body.disc = 2.0 * vehicle.air_density * np.pi * vehicle.rotor_radius**2
+    for axis in range(3):
+        motion.velocity[axis], motion.rates[axis] = state.velocity_air[axis], state.rates[axis]
+    for rotor in range(ROTORS):
+        motion.rotor_speeds[rotor] = state.rotor_speeds[rotor]
+        motion.rotor_accelerations[rotor] = state.rotor_accelerations[rotor]
+        body.spins[rotor] = vehicle.rotor_spins[rotor]
+        for axis in range(3):
+            body.positions[rotor, axis] = vehicle.rotor_positions[rotor, axis]
+    _set_hubs(state, vehicle)
+
+    # Each rotor by itself, for the effects that scale thrusts and torques.
+    lift, torque = 0.0, 0.0
+    for rotor in range(ROTORS):
+        fill_rotor(rotor, motion, body, row)
+        lift_so_far, torque_so_far = 0.0, 0.0
+        for term in range(numbers.shape[1]):
+            lift_so_far -= numbers[_VALUES, term] * regressors[6 * term + 2]
+            torque_so_far += numbers[_TORQUE, term] * regressors[6 * term + 5]
+        state.thrusts[rotor], state.torques[rotor] = lift_so_far - lift, torque_so_far - torque
+        lift, torque = lift_so_far, torque_so_far
+
+    regressors[:] = 0.0
+    fill_regressors(motion, body, row)
+    for axis in range(6):
+        state.wrench[axis] = 0.0
+    for term in range(numbers.shape[1]):
+        for axis in range(6):
+            state.wrench[axis] += numbers[_VALUES, term] * regressors[6 * term + axis]
+
+
+@njit(cache=True, nogil=True)
+def _set_hubs(state: State, vehicle: VehicleNumbers) -> None:
+    p, q, r = state.rates[0], state.rates[1], state.rates[2]
+    for rotor in range(ROTORS):
+        place = vehicle.rotor_positions[rotor]
+        state.hub_velocity[rotor, 0] = state.velocity_air[0] + q * place[2] - r * place[1]
+        state.hub_velocity[rotor, 1] = state.velocity_air[1] + r * place[0] - p * place[2]
+        state.hub_velocity[rotor, 2] = state.velocity_air[2] + p * place[1] - q * place[0]

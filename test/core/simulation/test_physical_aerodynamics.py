@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The physical model as a law that flies: the model's own wrench, and flights like those of its vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+
+from quadpi_core.errors import SimulationError, VehicleError
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.physical_regressors import MOTION, physical_vehicle, wrenches
+from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
+from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_file import vehicle_content
+from quadpi_core.simulation.truth import STEP_HZ
+
+
+@pytest.fixture(scope="module")
+def law(physical_folder):
+    return PhysicalAerodynamics.load(physical_folder)
+
+
+def random_motion(samples, seed):
+    rng = np.random.default_rng(seed)
+    motion = np.zeros(samples, MOTION)
+    motion["velocity"] = rng.normal(0.0, 3.0, (samples, 3))
+    motion["rates"] = rng.normal(0.0, 2.0, (samples, 3))
+    motion["rotor_speeds"] = rng.uniform(400.0, 1100.0, (samples, 4))
+    motion["rotor_accelerations"] = rng.normal(0.0, 500.0, (samples, 4))
+    return motion
+
+
+def test_the_wrench_is_that_of_the_model_without_its_accelerometer(law, physical_folder):
+    fitted = AerodynamicModel.load(physical_folder).fitted["Fx"].parameters
+    values = np.where([term.name.startswith("imu_") for term in TERMS], 0.0, fitted.values)
+    motion = random_motion(50, seed=1)
+    expected = wrenches(motion, fitted.vehicle, values)
+    found = law.wrench(
+        motion["velocity"], motion["rates"], motion["rotor_speeds"], motion["rotor_accelerations"]
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    assert np.ptp(expected, axis=0).min() > 1e-3
+
+
+def test_thrusts_and_torques_are_those_of_single_rotors(law):
+    """The forces of terms of the rotors add up; the torque is the moment about z that no arm gives."""
+    motion = random_motion(20, seed=2)
+    motion["rates"] = 0.0
+    states = law.states(motion["velocity"], motion["rates"], motion["rotor_speeds"])
+    rotors_alone = np.array([term.name.startswith(("thrust", "wake_")) for term in TERMS])
+    values = np.where(rotors_alone, law.numbers[0], 0.0)
+    record = physical_vehicle(law.vehicle, law.coefficients.reference_thrust_n_s2)
+    np.testing.assert_allclose(
+        states["thrusts"].sum(axis=1), -wrenches(motion, record, values)[:, 2], rtol=1e-9
+    )
+    torque = np.where([term.name.startswith("torque") for term in TERMS], law.numbers[0], 0.0)
+    np.testing.assert_allclose(
+        states["torques"].sum(axis=1), wrenches(motion, record, torque)[:, 5], rtol=1e-9, atol=1e-12
+    )
+    turned = np.sign(states["torques"].mean(axis=0))
+    np.testing.assert_array_equal(turned, -law.vehicle.rotor_spins)
+
+
+def test_hover_carries_the_weight(law):
+    still = np.zeros((1, 3))
+    hover = law.wrench(still, still, np.full((1, 4), law.hover_rotor_speed))
+    assert -hover[0, 2] == pytest.approx(law.vehicle.mass_kg * law.vehicle.gravity_m_s2, rel=1e-9)
+
+
+def test_a_share_scales_the_named_coefficients_alone(law):
+    grown = law.scaled({"rotor drag": 0.5})
+    before, after = law.coefficients.parameters, grown.coefficients.parameters
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {name for name in before if name.startswith("rotor_drag")}
+    assert after["rotor_drag"] == 1.5 * before["rotor_drag"]
+    assert len(law.coefficients_by_name) == len(set(law.coefficients_by_name)) < 20
+
+
+# Of the deviation of each axis over the flight; limits are about twice what was found when they were set.
+LIMITS = (0.03, 0.03, 0.06, 0.3, 0.3, 0.3)
+
+
+@pytest.mark.parametrize("name", ["train_1", "train_3"])
+def test_the_folder_flies_as_the_vehicle_that_it_was_identified_from(physical_folder, name):
+    """Closed loops of the truth and of the model: rotor speeds, attitude, wrench, position."""
+    (plan,) = (plan for plan in load_scenario("bundled").flights if plan.name == name)
+    true, identified = (
+        simulate_flight(name, SimulatedVehicle.load(source), plan.reference(STEP_HZ), seed=1)
+        for source in ("bebop2", physical_folder)
+    )
+    assert identified.excursion is None
+    speeds = identified.rotor_speeds / true.rotor_speeds - 1.0
+    assert np.sqrt(np.mean(speeds**2)) < 0.03
+    cosine = np.abs(np.sum(identified.attitude * true.attitude, axis=1)).clip(max=1.0)
+    assert np.degrees(np.sqrt(np.mean((2.0 * np.arccos(cosine)) ** 2))) < 1.5
+    error = np.sqrt(np.mean((identified.wrench - true.wrench) ** 2, axis=0)) / np.std(true.wrench, axis=0)
+    assert np.all(error < LIMITS), error
+    assert np.linalg.norm(identified.position - true.position, axis=1).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: p["parameters"].update(thurst=1.0), "unknown parameter `thurst`"),
+        (lambda p: p.update(reference_thrust_n_s2=-1.0), "`reference_thrust_n_s2` must be"),
+        (lambda p: p.pop("parameters"), "missing key `parameters`"),
+        (lambda p: p.update(rotor_delay_s=-0.1), "`rotor_delay_s` must"),
+    ],
+)
+def test_bad_sections_are_refused(physical_folder, tmp_path, change, message):
+    _, data = vehicle_content(physical_folder)
+    change(data["simulation"]["physical"])
+    file = tmp_path / "own.yaml"
+    file.write_text(yaml.safe_dump(data))
+    with pytest.raises(VehicleError, match=rf"own\.yaml: simulation\.physical: .*{message}"):
+        PhysicalAerodynamics.load(file)
+
+
+def test_rotors_without_thrust_do_not_fly(physical_folder, tmp_path):
+    _, data = vehicle_content(physical_folder)
+    data["simulation"]["physical"]["parameters"] = {"rotor_drag": 1e-5}
+    file = tmp_path / "own.yaml"
+    file.write_text(yaml.safe_dump(data))
+    with pytest.raises(SimulationError, match="vehicle own: its rotors give no thrust at rest"):
+        _ = PhysicalAerodynamics.load(file).hover_rotor_speed
+
+
+def test_the_terms_that_no_law_flies_are_those_of_the_accelerometer(law):
+    flying = set(law.coefficients.parameters)
+    assert not any(name.startswith("imu_") for name in flying)
+    assert flying <= set(TERM_INDEX)
