@@ -79,3 +79,12 @@ def test_noise_is_no_less_than_a_thousandth_of_the_target() -> None:
     line = rng.uniform(-1.0, 1.0, size=(600, 1))
     exact = BootstrapEnsemble(**QUICK | {"epochs": 60, "calibration": "none", "members": 3})
     assert exact.fit(line, line[:, 0], np.repeat(np.arange(20), 30)).fitted_.floor < 0.01
+
+
+def test_noise_is_no_less_than_the_typical_offset_of_a_flight() -> None:
+    """As for bounds (see `test_quality_driven`), without the quantile."""
+    X, _, flights = table(5)
+    y = np.where(flights % 2, 1.0, -1.0)
+    settings = QUICK | {"epochs": 3, "calibration": "none"}
+    fitted = BootstrapEnsemble(**settings).fit(X, y, flights).fitted_
+    assert fitted.floor == pytest.approx(1.2 / 7.0**0.5, rel=0.1)
