@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,11 +20,23 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from quadpi_ros import callbacks, sensor_node
 from quadpi_ros.callbacks import GuardedNode, SlowService
+from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.processes import Child
 
 from .failing_live import ESTIMATOR_FAILS_HZ, MONITOR_FAILS_HZ
-from .rig import STARTED_S, Rig, arguments, assert_alive, assert_whole, spinning, values_of, wait_until
+from .rig import (
+    STARTED_S,
+    Rig,
+    arguments,
+    assert_alive,
+    assert_whole,
+    spinning,
+    started,
+    values_of,
+    wait_until,
+)
 
 
 def fail(*_: Any) -> Any:
@@ -76,6 +89,29 @@ def test_every_kind_of_callback_may_fail(capfd: pytest.CaptureFixture[str]) -> N
     assert int(values_of(status)["topic /words"]) == 5
     executor.remove_node(node)
     node.destroy_node()
+
+
+def test_what_goes_on_is_said_every_five_seconds(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exceptions of one kind and place, and warnings of one subject."""
+    with started(ros_domain, "-p", "vehicle:=neurobem"):
+        node = EstimatorNode()
+        said: list[str] = []
+        monkeypatch.setattr(
+            node, "get_logger", lambda: SimpleNamespace(error=said.append, warning=said.append)
+        )
+        for seconds, spoken in ((100.0, 3), (104.9, 0), (105.1, 2)):
+            for module in (callbacks, sensor_node):
+                monkeypatch.setattr(
+                    module, "time", SimpleNamespace(monotonic=lambda seconds=seconds: seconds)
+                )
+            said.clear()
+            node.exceptions.take("topic imu", ValueError("of the test"))
+            if seconds == 100.0:
+                node.exceptions.take("topic imu", KeyError("of another kind"))
+            node.warn("topic imu", "refused")
+            assert len(said) == spoken, said
+        assert said[0] == "exception in topic imu: ValueError: of the test (4 so far)"
+        node.destroy_node()
 
 
 @pytest.fixture(scope="module")

@@ -95,3 +95,25 @@ def test_an_odometry_bears_the_stamp_of_its_estimate(
     assert len(odometry) == 1
     assert odometry.position[0, 0] == pytest.approx(1e-9 * odometry.time_ns[0], abs=0.01)
     assert 0.8 < odometry.position[0, 0] < 0.96
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "problems"),
+    [(0.9, [None, None, None, "a second of both is needed"]), (1.1, ["stamped 1.1 s apart: by different"])],
+)
+def test_samples_that_give_no_state_are_a_problem_after_three_seconds(
+    ros_domain: int, apart_s: float, problems: list[str | None]
+) -> None:
+    """One diagnostics a second; at once where stamps are more than a second apart."""
+    stamp, zeros = np.array([5_000_000_000]), np.zeros((1, 3))
+    pose = PoseStream(stamp + round(1e9 * apart_s), zeros, np.array([[1.0, 0.0, 0.0, 0.0]]))
+    with started(ros_domain, "-p", "vehicle:=neurobem"):
+        node = EstimatorNode()
+        start([node])
+        take = {one.topic_name: one.callback for one in node.subscriptions}
+        take["/imu"](sensor_messages.pack_imu(ImuStream(stamp, zeros, zeros))[0])
+        take["/mocap/pose"](sensor_messages.pack_pose(pose)[0])
+        for expected in problems:
+            found = node.problem()
+            assert found is None if expected is None else expected in str(found)
+        node.destroy_node()

@@ -117,6 +117,35 @@ def test_latency_from_the_stamp_where_both_are_of_one_clock(ahead_s, expected_s)
         assert report.stamp == pytest.approx((expected_s, expected_s))
 
 
+@pytest.mark.parametrize(
+    ("age_s", "comparable"), [(-0.011, False), (-0.009, True), (4.9, True), (5.1, False)]
+)
+def test_results_before_their_stamps_or_long_after_are_of_another_clock(age_s, comparable):
+    latency = Latency()
+    latency.arrived(0, 0)
+    latency.published(0, round(1e9 * age_s))
+    assert (latency.report(0).stamp is not None) == comparable
+
+
+def test_latency_is_that_of_the_last_4096_results():
+    latency = Latency()
+    for stamp in range(4196):
+        latency.arrived(stamp, 0)
+        latency.published(stamp, 10**9 if stamp < 100 else 10**6)
+    assert latency.report(None).arrival == pytest.approx((1e-3, 1e-3))
+
+
+@pytest.mark.parametrize(("steps", "gaps"), [(2.4, 0), (2.6, 1)])
+@pytest.mark.parametrize("nominal_hz", [100.0, None])
+def test_a_step_of_two_and_a_half_is_a_gap(steps, gaps, nominal_hz):
+    health = TopicHealth(nominal_hz)
+    for time_ns in range(0, 100 * MS, 10 * MS):
+        health.take(time_ns)
+    health.report(1.0)
+    health.take(90 * MS + round(10 * MS * steps))
+    assert health.report(1.0).gaps == gaps
+
+
 class Watched:
     """A pairing, a clock and what is said of them every tenth of a second."""
 

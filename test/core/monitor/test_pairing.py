@@ -137,6 +137,20 @@ def test_buffers_are_bounded() -> None:
     assert len(taken(pairing)) == 15
 
 
+@pytest.mark.parametrize(("timeout_s", "left"), [(0.1, 101), (10.0, 255)])
+def test_a_sample_waits_for_a_tenth_of_a_second_and_256_samples_at_most(timeout_s: float, left: int) -> None:
+    """What is left to be completed, of 300 samples a millisecond apart."""
+    pairing = Pairing() if timeout_s == 0.1 else Pairing(timeout_s)
+    add_state(pairing, 0)
+    add_rotors(pairing, 0)
+    for k in range(1, 301):
+        add_state(pairing, k * MS)
+        add_imu(pairing, k * MS)
+        pairing.take()
+    add_rotors(pairing, 300 * MS)
+    assert len(taken(pairing)) == left
+
+
 def test_a_bag_that_starts_over_is_followed() -> None:
     pairing = Pairing()
     for start_ns in (100_000 * MS, 0):
