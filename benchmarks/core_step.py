@@ -22,7 +22,12 @@ from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.vehicle import Vehicle
@@ -38,6 +43,15 @@ def run() -> list[Result]:
     recording = swings(vehicle, FLOWN_S)
     with tempfile.TemporaryDirectory() as folder:
         models = three_models(Path(folder), vehicle)
+        bags = [Path(folder) / f"{k}.mcap" for k in range(2)]
+        for k, bag in enumerate(bags):
+            write_bag(bag, swings(vehicle, seed=k))
+        models["physical"] = identify(
+            prepare_flights(bags, vehicle),
+            vehicle,
+            load_pools("quadrotor"),
+            IdentifyOptions(method="physical"),
+        )
     turns = [
         {method: microseconds(model, vehicle, recording) for method, model in models.items()}
         for _ in range(TURNS)

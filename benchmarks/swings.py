@@ -60,9 +60,9 @@ def three_models(folder: Path, vehicle: Vehicle) -> dict[str, AerodynamicModel]:
     return models
 
 
-def swings(vehicle: Vehicle, seconds: float = FLIGHT_S) -> Recording:
+def swings(vehicle: Vehicle, seconds: float = FLIGHT_S, seed: int = 7) -> Recording:
     """Swings along three axes, rolling and pitching, with the noise of the vehicle's sensors."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed)
     noise = vehicle.noise
     imu_ns, rotor_ns, mocap_ns = (_stamps(rate, seconds) for rate in (IMU_HZ, ROTOR_HZ, MOCAP_HZ))
     acceleration = -_SWING_M * _SWING_RAD_S**2 * np.sin(_phase(imu_ns))

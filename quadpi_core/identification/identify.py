@@ -53,7 +53,7 @@ def identify(
     check_options(options, pools)
     _require_samples(flights, options.settings)
     kind = kind_of(options.method)
-    samples = _joined(flights, vehicle)
+    samples = joined(flights, vehicle)
     axes = [axis for axis in AXES if axis in pools]
     fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
     fitted = dict(fit.axes)
@@ -120,7 +120,7 @@ def check_options(options: IdentifyOptions, pools: Pools) -> None:
     kind_of(options.method).check(options, pools)
 
 
-def _joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSamples:
+def joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSamples:
     """The samples of all flights."""
     return TrainingSamples(
         vehicle,

@@ -23,7 +23,7 @@ from quadpi_core.config_schema import Real, Text
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_regressors import physical_vehicle
+from quadpi_core.models.physical_regressors import acting_terms, physical_vehicle
 from quadpi_core.models.physical_terms import TERM_NAMES, TERMS, scales
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
@@ -64,13 +64,12 @@ class Information:
     @classmethod
     def of(cls, z: Array, wrench: Array) -> Information:
         """Of regressors (N, P, 6) and the measured wrench (N, 6)."""
-        by_axis = np.ascontiguousarray(np.moveaxis(z, 2, 0))
-        return cls(
-            np.matmul(by_axis.transpose(0, 2, 1), by_axis),
-            np.einsum("anp,na->ap", by_axis, wrench),
-            np.sum(np.square(wrench), axis=0),
-            len(wrench),
-        )
+        matrix, moment = np.zeros((len(AXES), len(TERMS), len(TERMS))), np.zeros((len(AXES), len(TERMS)))
+        for axis, acting in enumerate(acting_terms().T):
+            own = z[:, acting, axis]
+            matrix[axis][np.ix_(acting, acting)] = own.T @ own
+            moment[axis, acting] = wrench[:, axis] @ own
+        return cls(matrix, moment, np.sum(np.square(wrench), axis=0), len(wrench))
 
     def __add__(self, other: Information) -> Information:
         return Information(
