@@ -15,6 +15,8 @@ export class Store {
     this.width = 0;
     this.blockS = 0.05;
     this.asked = new Map();
+    this.places = [];
+    this.first = Infinity;
   }
 
   // Take the description of a vehicle; blocks of other columns are worth nothing.
@@ -76,8 +78,18 @@ export class Store {
     return wanted;
   }
 
+  // Look up the places of a range once, for all figures that draw it.
+  prepare(first, last) {
+    this.first = Infinity;
+    const places = [];
+    for (let block = Math.max(0, first); block <= last; block++) places.push(this.at(block));
+    this.places = places;
+    this.first = Math.max(0, first);
+  }
+
   // Place of a block in the rows of its page: [rows, offset], or null.
   at(block) {
+    if (block >= this.first && block < this.first + this.places.length) return this.places[block - this.first];
     const page = block < 0 ? null : this.pages.get(Math.floor(block / PAGE));
     return page ? [page.rows, (block % PAGE) * this.width] : null;
   }

@@ -12,6 +12,8 @@ const WORDS = ["TRUSTED", "WARNING", "ALARM", "NO DATA", "NOT JUDGED"], SIGNS = 
 const NO_DATA = 3;
 // Reasons in the banner, the strongest; the others are in its title.
 const REASONS = 3;
+// The longest coverage: all that is drawn lies in it.
+const COVERED_S = 60;
 const COVERAGE_EVERY_MS = 250;
 const RETRY_MS = 500, RETRY_MOST_MS = 2000, CONNECT_MS = 3000;
 
@@ -20,7 +22,7 @@ const store = new Store();
 const page = {
   socket: null, retry: RETRY_MS, live: true, follow: true, playing: true, cursor: 0, selected: null, chosen: 0,
   vehicles: new Map(), overview: {events: [], track: [], codes: "", health: []}, wanted: true, before: 0, coveredAt: 0,
-  frames: 0, rate: 0, rateAt: 0, said: {},
+  frames: 0, rate: 0, rateAt: 0, drawMs: 0, urgent: false, said: {},
 };
 // For those who measure the page: what it shows, and when it was drawn.
 window.quadpi = {page, store, drawn: null};
@@ -90,7 +92,9 @@ function take(message) {
     page.follow = page.live;
     if (page.selected !== null) send({select: page.selected});
   } else if (message.type === "state") {
+    const before = here()?.state;
     page.vehicles = new Map(message.vehicles.map((one) => [one.id, one]));
+    page.urgent = here()?.state !== before;
     if (!page.vehicles.has(page.selected) && page.vehicles.size) select([...page.vehicles.keys()][0]);
     showVehicles();
     followNewest();
@@ -192,6 +196,8 @@ function showModels() {
     const made = element("button", model.identity || model.name, {type: "button", "aria-pressed": String(k === page.chosen)});
     made.addEventListener("click", () => { page.chosen = k; showModels(); redraw(); });
     cell.append(made);
+    // The colour of its lines, where they are drawn beside the chosen one's.
+    made.style.borderColor = k === page.chosen ? colour("--band") : modelColour(k);
     row.append(cell, element("td", "–"), element("td", "–"), element("td", percent(model.confidence)));
     return row;
   }));
@@ -312,7 +318,7 @@ function drawAxes() {
     const measured = {low: column("measured_min", k), high: column("measured_max", k), colour: colour("--measured")};
     if (!models[m]?.axes.includes(AXES[k][0])) { chart.draw(store, page.cursor, [measured]); return; }
     const outlines = models.map((_, other) => other).filter((other) => other !== m).map((other) => ({
-      edges: [column(`${other}.lower`, k), column(`${other}.upper`, k)], colour: modelColour(other), dash: [5, 3], width: 1}));
+      edges: [column(`${other}.lower`, k), column(`${other}.upper`, k)], colour: modelColour(other), width: 1}));
     chart.draw(store, page.cursor, [
       measured,
       {low: column(`${m}.predicted_min`, k), high: column(`${m}.predicted_max`, k), colour: colour("--predicted")},
@@ -360,21 +366,29 @@ function draw(now) {
     for (const canvas of document.querySelectorAll("main canvas")) cleared(canvas);
     return;
   }
+  store.prepare(block() - Math.round(COVERED_S / store.blockS), block());
   drawAxes();
   drawStrips();
   const farthest = drawEnvelope($("envelope"), store, page.cursor);
   say("farthest", farthest && farthest.out > 0 ? `farthest: ${farthest.input.words}, ${(100 * farthest.out).toFixed(0)} % of the range outside` : "");
   flight.draw(store, page.cursor, page.overview.track.filter(([time]) => time <= page.cursor));
   showCoverage(now);
-  window.quadpi.drawn = {newest: store.recent(newest(), "time", 0, 1), state: moment().state, at: Date.now()};
+  store.prepare(0, -1);
+  window.quadpi.drawn = {newest: store.recent(block(), "time", 0, 1), state: moment().state, at: Date.now()};
 }
 
 function frame(now) {
   advance(now);
   fetchBlocks();
-  if (page.wanted) {
+  if (page.urgent) {
+    // Another state is painted at once; the figures follow in the next frame.
+    page.urgent = false;
+    showBanner();
+  } else if (page.wanted) {
     page.wanted = false;
+    const begun = performance.now();
     draw(now);
+    page.drawMs = performance.now() - begun;
     page.frames++;
   }
   if (now - page.rateAt > 2000) {

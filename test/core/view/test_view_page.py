@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from test.chromium import PROGRAM, Tab, chromium
+from benchmarks.chromium import PROGRAM, Tab, chromium
 
 from .conftest import BAG, MODEL_FOLDER
 

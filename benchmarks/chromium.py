@@ -66,7 +66,8 @@ class Tab:
             self._note(message)
             if message.get("id") == self._number:
                 assert "error" not in message, message["error"]
-                return message["result"]
+                result: dict[str, Any] = message["result"]
+                return result
 
     def _note(self, message: dict[str, Any]) -> None:
         parameters = message.get("params", {})
