@@ -86,6 +86,7 @@ class Tab:
     def open(self, url: str) -> None:
         """Go to a page."""
         self.call("Page.navigate", url=url)
+        self.wait(f"location.href === {json.dumps(url)} && document.readyState === 'complete'")
 
     def value(self, expression: str) -> Any:
         """Of a JavaScript expression, as JSON; promises are awaited."""

@@ -107,58 +107,84 @@ def live_page() -> tuple[Array, float]:
     return latency[np.isfinite(latency)], frames
 
 
-def publish(tab: Tab) -> list[tuple[str, float]]:
-    """Publish predictions of three models and an alarm that changes at random; each change and its time."""
-    from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
-    from rclpy.context import Context
-    from rclpy.node import Node
+class Publisher:
+    """Publishes what a monitor of three models would at 500 Hz, with stamps of this computer's clock."""
 
-    from quadpi_core.flight import AXES
-    from quadpi_core.messages.result_messages import pack_predictions
-    from quadpi_core.results import Predictions
-    from quadpi_ros.dds_profile import OUTPUT_QOS
+    def __init__(self) -> None:
+        from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
+        from rclpy.context import Context
+        from rclpy.node import Node
 
-    context = Context()
-    context.init()
-    node = Node("publisher", context=context)
-    names = ("prediction", "prediction/second", "prediction/third")
-    outputs = [node.create_publisher(WrenchPrediction, name, OUTPUT_QOS) for name in names]
-    alarm_out = node.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
-    rng = np.random.default_rng(1)
-    alarm = ExtrapolationAlarm()
-    changes: list[tuple[str, float]] = []
-    count = round(_STEP_S * _RATE_HZ)
-    next_change_s = next_alarm_s = float("inf")
-    observed = False
-    due_s, begun_s = time.monotonic(), time.time()
-    while len(changes) < CHANGES or time.monotonic() < next_change_s - 0.2:
-        now_ns = time.time_ns()
+        from quadpi_ros.dds_profile import OUTPUT_QOS
+
+        self._context = Context()
+        self._context.init()
+        self._node = Node("publisher", context=self._context)
+        names = ("prediction", "prediction/second", "prediction/third")
+        self._outputs = {
+            name: self._node.create_publisher(WrenchPrediction, name, OUTPUT_QOS) for name in names
+        }
+        self._alarms = self._node.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
+        self._alarm = ExtrapolationAlarm()
+        self._rng = np.random.default_rng(1)
+        self._begun_ns = time.time_ns()
+        self._due_s = time.monotonic()
+        self._next_alarm_s = self._due_s
+
+    def step(self, change: bool = False) -> str:
+        """Publish 20 ms, and the alarm when it is due or changes; gives the word that the page is to show."""
+        from quadpi_core.flight import AXES
+        from quadpi_core.messages.result_messages import pack_predictions
+        from quadpi_core.results import Predictions
+
+        now_ns, count = time.time_ns(), round(_STEP_S * _RATE_HZ)
         time_ns = now_ns - np.arange(count)[::-1] * (1_000_000_000 // _RATE_HZ)
-        wave = np.sin(1e-9 * (time_ns - int(1e9 * begun_s))[:, None] + np.arange(6))
-        noise = wave + 0.1 * rng.normal(size=(count, 6))
+        wave = np.sin(1e-9 * (time_ns - self._begun_ns)[:, None] + np.arange(6))
+        noise = wave + 0.1 * self._rng.normal(size=(count, 6))
         given = Predictions(time_ns, wave, wave - 0.2, wave + 0.2, noise, np.ones((count, 6)))
-        for name, output in zip(names, outputs, strict=True):
+        for name, output in self._outputs.items():
             for payload in pack_predictions(given, model=f"{name}@1", confidence=0.95, axes=AXES):
                 output.publish(payload)
-        now_s = time.monotonic()
-        changing = now_s >= next_change_s and len(changes) < CHANGES
-        if changing or now_s >= next_alarm_s or next_alarm_s == float("inf"):
-            alarm.level = 2 - alarm.level if changing else alarm.level
-            alarm.causes = int(alarm.level > 0)
-            alarm.header.stamp.sec, alarm.header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
-            if changing:
-                changes.append(("ALARM" if alarm.level else "TRUSTED", time.time()))
-                next_change_s = now_s + rng.uniform(0.3, 0.6)
-            alarm_out.publish(alarm)
-            next_alarm_s = now_s + 0.1
-        if not observed and now_s - due_s < _STEP_S and tab.value(_READY):
-            observed = True
-            tab.value(_OBSERVE)
-            next_change_s = time.monotonic() + 1.0
-        due_s = max(due_s + _STEP_S, time.monotonic() - 1.0)
-        time.sleep(max(0.0, due_s - time.monotonic()))
-    node.destroy_node()
-    context.try_shutdown()
+        if change or time.monotonic() >= self._next_alarm_s:
+            self._next_alarm_s = time.monotonic() + 0.1
+            self._alarm.level = 2 - self._alarm.level if change else self._alarm.level
+            self._alarm.causes = int(self._alarm.level > 0)
+            self._alarm.header.stamp.sec, self._alarm.header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
+            self._alarms.publish(self._alarm)
+        return "ALARM" if self._alarm.level else "TRUSTED"
+
+    def wait(self) -> None:
+        """Until the next step is due."""
+        self._due_s = max(self._due_s + _STEP_S, time.monotonic() - 1.0)
+        time.sleep(max(0.0, self._due_s - time.monotonic()))
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def publish(tab: Tab) -> list[tuple[str, float]]:
+    """Publish until the page is drawn, then alarms that change at random; gives each change and its time."""
+    publisher, rng = Publisher(), np.random.default_rng(2)
+    changes: list[tuple[str, float]] = []
+    next_change_s = next_look_s = float("inf")
+    next_look_s = time.monotonic() + 1.0
+    while len(changes) < CHANGES or time.monotonic() < next_change_s:
+        change = time.monotonic() >= next_change_s
+        at_s = time.time()
+        word = publisher.step(change)
+        if change:
+            changes.append((word, at_s))
+            next_change_s = time.monotonic() + rng.uniform(0.3, 0.6)
+        if time.monotonic() >= next_look_s:
+            drawn = tab.value(_READY)
+            next_look_s = float("inf") if drawn else time.monotonic() + 0.5
+            if drawn:
+                tab.value(_OBSERVE)
+                next_change_s = time.monotonic() + 1.0
+        publisher.wait()
+    publisher.close()
     return changes
 
 

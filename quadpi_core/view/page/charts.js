@@ -70,9 +70,11 @@ export class TimeChart {
     }
     context.save();
     context.beginPath(); context.rect(left, 0, span, bottom + 2); context.clip();
-    if (band) this.fill(context, store, first, last, band, x, y);
-    for (const one of outlines) for (const edge of one.edges) this.line(context, store, first, last, {...one, low: edge, high: edge}, x, y);
-    for (const one of series) this.line(context, store, first, last, one, x, y);
+    if (band) this.band(context, store, first, last, band, x, y, span);
+    for (const one of outlines) for (const edge of one.edges) this.line(context, store, first, last, {...one, low: edge, high: edge}, x, y, span);
+    for (const one of series) this.line(context, store, first, last, one, x, y, span);
+    // Above what was measured: noise would hide them.
+    if (band) for (const edge of [band.low, band.high]) this.line(context, store, first, last, {low: edge, high: edge, colour: band.colour, width: 1}, x, y, span);
     if (misses) this.mark(context, store, first, last, misses, x, y);
     context.restore();
   }
@@ -100,48 +102,51 @@ export class TimeChart {
     this.range = [low, high];
   }
 
-  line(context, store, first, last, one, x, y) {
-    context.strokeStyle = one.colour;
-    context.lineWidth = one.width ?? 1.5;
-    context.setLineDash(one.dash ?? []);
-    context.beginPath();
-    let drawing = false;
+  // Runs without a gap of [x, low, high], at most one per pixel: extremes of the blocks that share it.
+  runs(store, first, last, one, x, span) {
+    const step = Math.max(1, Math.ceil(WINDOW_S / store.blockS / span)), runs = [];
+    let run = null, group = NaN;
     for (let block = first; block <= last; block++) {
       const place = store.at(block);
       const low = place ? place[0][place[1] + one.low] : NaN, high = place ? place[0][place[1] + one.high] : NaN;
-      if (!(Number.isFinite(low) && Number.isFinite(high))) { drawing = false; continue; }
-      const at = x(block + 0.5), bottom = y(low), top = y(high);
-      if (drawing) context.lineTo(at, bottom); else context.moveTo(at, bottom);
-      if (bottom - top > 1) context.lineTo(at, top);
-      drawing = true;
+      if (!(Number.isFinite(low) && Number.isFinite(high))) { run = null; continue; }
+      if (!run) runs.push(run = []);
+      const point = run[run.length - 1];
+      if (point && Math.floor(block / step) === group) {
+        point[1] = Math.min(point[1], low);
+        point[2] = Math.max(point[2], high);
+      } else {
+        group = Math.floor(block / step);
+        run.push([x((group + 0.5) * step), low, high]);
+      }
     }
-    context.stroke();
-    context.setLineDash([]);
+    return runs;
   }
 
-  fill(context, store, first, last, band, x, y) {
+  // From low to high, at least as thick as a line: filled, as strokes of noise are slow without a GPU.
+  line(context, store, first, last, one, x, y, span) {
+    context.fillStyle = one.colour;
+    context.beginPath();
+    const half = (one.width ?? 1.6) / 2;
+    for (const run of this.runs(store, first, last, one, x, span)) this.outline(context, run, y, half);
+    context.fill();
+  }
+
+  band(context, store, first, last, band, x, y, span) {
     context.fillStyle = band.fill;
-    context.strokeStyle = band.colour;
-    context.lineWidth = 1;
-    let block = first;
-    while (block <= last) {
-      const up = [], down = [];
-      for (; block <= last; block++) {
-        const place = store.at(block);
-        const low = place ? place[0][place[1] + band.low] : NaN, high = place ? place[0][place[1] + band.high] : NaN;
-        if (!(Number.isFinite(low) && Number.isFinite(high))) break;
-        up.push([x(block + 0.5), y(high)]);
-        down.push([x(block + 0.5), y(low)]);
-      }
-      block++;
-      if (!up.length) continue;
-      context.beginPath();
-      for (const [k, point] of up.entries()) if (k) context.lineTo(...point); else context.moveTo(...point);
-      for (const point of down.reverse()) context.lineTo(...point);
-      context.closePath();
-      context.fill();
-      context.stroke();
-    }
+    context.beginPath();
+    for (const run of this.runs(store, first, last, band, x, span)) this.outline(context, run, y, 0);
+    context.fill();
+  }
+
+  outline(context, run, y, half) {
+    context.moveTo(run[0][0] - half, y(run[0][2]) - half);
+    for (const [at, , high] of run) context.lineTo(at, y(high) - half);
+    context.lineTo(run[run.length - 1][0] + half, y(run[run.length - 1][2]) - half);
+    context.lineTo(run[run.length - 1][0] + half, y(run[run.length - 1][1]) + half);
+    for (let k = run.length - 1; k >= 0; k--) context.lineTo(run[k][0], y(run[k][1]) + half);
+    context.lineTo(run[0][0] - half, y(run[0][1]) + half);
+    context.closePath();
   }
 
   mark(context, store, first, last, misses, x, y) {

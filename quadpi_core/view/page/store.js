@@ -3,7 +3,7 @@
 // Blocks of one vehicle as they come, in pages of which the browser keeps a bounded number.
 
 const PAGE = 200;
-const PAGES_KEPT = 60;
+const PAGES_KEPT = 20;
 
 export class Store {
   constructor() { this.clear(); }

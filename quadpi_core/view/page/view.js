@@ -338,7 +338,7 @@ function drawStrips() {
   const down = column("position", 2);
   strips.height.draw(mirrored(down), page.cursor, [{low: down, high: down, colour: colour("--model-1")}], {least: 1});
   strips.rotor.draw(store, page.cursor, [0, 1, 2, 3].map((k) => ({
-    low: column("rotor_min", k), high: column("rotor_max", k), colour: modelColour(k), dash: [[], [6, 3], [2, 3], [9, 3, 2, 3]][k]})), {least: 20});
+    low: column("rotor_min", k), high: column("rotor_max", k), colour: modelColour(k)})), {least: 20});
   const text = (number, unit, digits) => Number.isNaN(number) ? "" : `${number.toFixed(digits)} ${unit}`;
   say("speed_now", text(value("speed"), "m/s", 1));
   say("height_now", text(-value("position", 2), "m", 1));
