@@ -17,6 +17,9 @@ def rules(tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     for name in ("a", "b"):
         (tmp_path / "quadpi_core" / name).mkdir(parents=True)
         (tmp_path / "quadpi_core" / name / "__init__.py").touch()
+    (tmp_path / "test").mkdir()
+    for name in ("filter", "kernel"):
+        (tmp_path / "test" / f"test_{name}.py").touch()
     return tool
 
 
@@ -41,10 +44,13 @@ def test_kernels_of_many_parameters(
     assert ("kernel.py:2: step takes 9" in capsys.readouterr().out) == bool(status)
 
 
-def test_modules_without_tests_are_counted(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_module_without_a_test_file(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("tested", "untested"):
         (rules.ROOT / "quadpi_core" / "a" / f"{name}.py").touch()
-    (rules.ROOT / "test").mkdir()
+    assert rules.main() == 1
     (rules.ROOT / "test" / "test_tested.py").touch()
+    assert rules.main() == 1
+    message = "modules without a test file of their name: 1\n  quadpi_core/a/untested.py\n"
+    assert message in capsys.readouterr().out
+    (rules.ROOT / "test" / "test_untested.py").touch()
     assert rules.main() == 0
-    assert "modules without a test file of their name: 1\n" in capsys.readouterr().out
