@@ -56,6 +56,28 @@ def names_in(folder: ModuleType) -> tuple[str, ...]:
     return tuple(sorted(file.stem.replace("_", "-") for file in files))
 
 
+def imported(target: str, where: str, error: type[QuadpiError]) -> Any:
+    """What `module` or `module:attribute` names, imported.
+
+    Args:
+        target: to import.
+        where: begins the message of an error.
+        error: class of the error.
+
+    Raises:
+        QuadpiError: of that class, with the file and line where the module failed.
+    """
+    module, _, attribute = target.partition(":")
+    try:
+        value = import_module(module)
+        for part in filter(None, attribute.split(".")):
+            value = getattr(value, part)
+    except Exception as reason:  # of any kind, as it is the user's or another package's code
+        text = f"{_place(module, reason)}{type(reason).__name__}: {one_line(reason)}"
+        raise error(f"{where}: cannot be imported: {text}") from reason
+    return value
+
+
 @dataclass(frozen=True)
 class Plugins(Generic[Declared]):
     """All plug-ins of one sort, each imported when it is asked for.
@@ -118,15 +140,7 @@ class Plugins(Generic[Declared]):
         return plugin
 
     def _declared(self, plugin: Plugin) -> list[Declared]:
-        module, _, attribute = plugin.target.partition(":")
-        value: Any
-        try:
-            value = import_module(module)
-            for part in filter(None, attribute.split(".")):
-                value = getattr(value, part)
-        except Exception as error:  # of any kind, as it may be another package's code
-            reason = f"{_place(module, error)}{type(error).__name__}: {one_line(error)}"
-            raise self.error(f"{self.sort} {plugin} cannot be imported: {reason}") from error
+        value = imported(plugin.target, f"{self.sort} {plugin}", self.error)
         values = vars(value).values() if isinstance(value, ModuleType) else (value,)
         declared = [value for value in values if isinstance(value, self.of)]
         if not declared:

@@ -259,20 +259,13 @@ class RecordedSimulation(Simulation):
     name: str = "recorded"
 
     @classmethod
-    def load(
-        cls,
-        vehicle: str,
-        bags: Sequence[Path],
-        mapping: str | None = None,
-        cutoff_hz: float = CUTOFF_HZ["default"],
-    ) -> RecordedSimulation:
-        """Read the topic from bags.
+    def load(cls, vehicle: str, bags: Sequence[Path], mapping: str | None = None) -> RecordedSimulation:
+        """Read the topic from bags, and low-pass it as flights are.
 
         Args:
             vehicle: name or path of the vehicle file.
             bags: bags or logs of the flights.
             mapping: see :func:`quadpi_core.logs.read_recording`.
-            cutoff_hz: cut-off of the low-pass that flights pass.
 
         Raises:
             DiscrepancyError: for bags without the topic, or without rotor speeds.
@@ -286,7 +279,7 @@ class RecordedSimulation(Simulation):
                 raise DiscrepancyError(f"{bag}: topic {WrenchStream.topic}: missing: no simulated wrench")
             if recording.rotor_speeds is None:
                 raise DiscrepancyError(f"{bag}: topic rotor_speeds: missing")
-            found = _even(recording.simulated, str(bag), cutoff_hz)
+            found = _even(recording.simulated, str(bag))
             wrenches[recording.source] = found
             rotors = recording.rotor_speeds
             squares = np.square(rotors.speeds).sum(axis=1)
@@ -337,7 +330,7 @@ class RecordedSimulation(Simulation):
         return axis_columns({"rotors": rotors, "the rest": wrench - rotors}, self.tolerances)
 
 
-def _even(stream: WrenchStream, source: str, cutoff_hz: float) -> Recorded:
+def _even(stream: WrenchStream, source: str) -> Recorded:
     stream.check(source)
     gap = first_gap(stream.time_ns, MAX_GAP_NS)
     if gap is not None:
@@ -347,7 +340,7 @@ def _even(stream: WrenchStream, source: str, cutoff_hz: float) -> Recorded:
         )
     grid = uniform_stamps(stream.time_ns)
     wrench = interpolate(stream.time_ns, stream.wrench, grid, MAX_GAP_NS).values
-    rate_hz = nominal_rate(grid)
+    rate_hz, cutoff_hz = nominal_rate(grid), CUTOFF_HZ["default"]
     if 2.0 * cutoff_hz < rate_hz:
         wrench = zero_phase(wrench, cutoff_hz, rate_hz, slice(0)).value
     return Recorded(grid, wrench)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -23,6 +22,7 @@ from quadpi_core.discrepancy.external_simulations import (
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
 from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory
+from quadpi_core.plugins import imported
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flying import own_effects
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -138,18 +138,15 @@ def _required(text: str, vehicle: str | Path | None) -> str:
 
 
 def _callable(text: str, vehicle: str) -> CallableSimulation:
-    module, _, name = text.partition(":")
     # As for `python -m`: modules in the working directory can be imported.
     sys.path.insert(0, str(Path.cwd()))
     try:
-        function = getattr(importlib.import_module(module), name)
-    except Exception as error:  # importing runs the user's code, which may raise anything
-        raise DiscrepancyError(f"{text}: cannot be imported: {type(error).__name__}: {error}") from error
+        function = imported(text, text, DiscrepancyError)
     finally:
         sys.path.pop(0)
     if not callable(function):
         raise DiscrepancyError(f"{text}: is {type(function).__name__}, not a function")
-    file = getattr(sys.modules[module], "__file__", None)
+    file = getattr(sys.modules[text.partition(":")[0]], "__file__", None)
     code = f"{text} of {file}" if file else text
     return CallableSimulation(
         text, Vehicle.load(vehicle), function, read_tolerances(vehicle), vehicle, code=code

@@ -120,7 +120,7 @@ def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S
     return _rolled_out(flight, simulation.vehicle, _simulated(flight, simulation), horizon_s)
 
 
-def rollout_floor(flight: Flight, vehicle: Vehicle, horizon_s: float = HORIZON_S) -> RolloutError:
+def rollout_floor(flight: Flight, vehicle: Vehicle) -> RolloutError:
     """Errors of roll-outs of the measured wrench of a flight, which no simulation causes.
 
     Raises:
@@ -131,7 +131,7 @@ def rollout_floor(flight: Flight, vehicle: Vehicle, horizon_s: float = HORIZON_S
     def wrench(time: Array, _: _Motion) -> Array:
         return interpolate_columns(flight.time, measured, time)
 
-    return _rolled_out(flight, vehicle, wrench, horizon_s)
+    return _rolled_out(flight, vehicle, wrench, HORIZON_S)
 
 
 def _simulated(flight: Flight, simulation: Simulation) -> _Wrench:

@@ -4,8 +4,7 @@
 
 The search for discrepancies needs of a simulation what :class:`Simulation` declares. The known uncertainty of
 its coefficients is stated as tolerances: each is a column of wrench, the change by one standard deviation of
-    a
-coefficient. A discrepancy is a difference that no coefficient within its tolerance explains.
+a coefficient. A discrepancy is a difference that no coefficient within its tolerance explains.
 """
 
 from __future__ import annotations

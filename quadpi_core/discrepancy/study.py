@@ -23,13 +23,12 @@ from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.search import Found, search
-from quadpi_core.discrepancy.simulations import Simulation
+from quadpi_core.discrepancy.simulations import Simulation, airspeed
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
-from quadpi_core.inputs import relative_to_air
 from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
@@ -259,7 +258,7 @@ def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str
 def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
     """Whether any flight contains a manoeuvre, by its name."""
     induced = vehicle.hover_induced_velocity
-    velocity = [relative_to_air(flight.velocity, flight.attitude, flight.wind) for flight in flights]
+    velocity = list(map(airspeed, flights))
     rates = [flight.rates for flight in flights]
     loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]
     return {

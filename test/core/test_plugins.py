@@ -101,7 +101,7 @@ def test_all_of_them_in_the_order_of_files_then_packages(
 @pytest.mark.parametrize(
     ("content", "entry", "message"),
     [
-        ("", "others_tunes.reel", "(others_tunes.reel) cannot be imported: ModuleNotFoundError: No module"),
+        ("", "others_tunes.reel", "(others_tunes.reel): cannot be imported: ModuleNotFoundError: No module"),
         ("\n1 / 0", "others_tunes.jig:A", "jig.py, line 3: ZeroDivisionError: division by zero"),
         ("A = (", "others_tunes.jig:A", "SyntaxError: '(' was never closed (jig.py, line 2)"),
         ("B = 1", "others_tunes.jig:A", "AttributeError: module 'others_tunes.jig' has no attribute 'A'"),
@@ -124,7 +124,7 @@ def test_a_broken_one_is_one_line_with_package_and_file(
 def test_a_broken_file_of_the_folder_too(plugins: Plugins[Tune], folder: Path) -> None:
     (folder / "reel.py").write_text("raise ValueError('two\\nlines')\n")
     message = (
-        f"tune `reel` of tunes (tunes.reel) cannot be imported: {folder / 'reel.py'}, line 1: ValueError"
+        f"tune `reel` of tunes (tunes.reel): cannot be imported: {folder / 'reel.py'}, line 1: ValueError"
     )
     with pytest.raises(TuneError, match=re.escape(f"{message}: two lines")):
         plugins.named("reel")

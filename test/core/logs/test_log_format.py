@@ -153,5 +153,5 @@ def test_a_package_that_cannot_be_loaded_is_one_line(tmp_path, monkeypatch, quad
     outcome = quadpi("info", tmp_path / "flight.txt")
     assert outcome.status == 2
     assert outcome.errors.count("\n") == 1
-    assert "log format `text_log` of my_package 1.0 (my_package.absent_log:FORMAT)" in outcome.errors
+    assert "log format `text_log` of my_package 1.0 (my_package.absent_log:FORMAT):" in outcome.errors
     assert "cannot be imported: ModuleNotFoundError: No module named 'my_package" in outcome.errors

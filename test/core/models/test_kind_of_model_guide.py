@@ -105,7 +105,7 @@ def test_a_package_may_declare_a_kind() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("import not_there", r" cannot be imported: .*ridge.py, line 1: .*: No module named 'not_there'"),
+        ("import not_there", r": cannot be imported: .*ridge.py, line 1: .*: No module named 'not_there'"),
         (KIND.replace('name = "ridge"', 'name = "edge"'), ": nothing there has that name"),
         ("KIND = 1", ": there is no Kind"),
     ],
