@@ -6,11 +6,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
+from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalParameters
+from quadpi_core.models.fitted_polynomial import SpreadShape
+from quadpi_core.models.interval_rules import NormalRule
 from quadpi_core.models.model_kind import TrainingSamples
-from quadpi_core.models.physical_flight import PhysicalFlight
-from quadpi_core.models.physical_regressors import MOTION, physical_vehicle, wrenches
+from quadpi_core.models.physical_fit import FitStep
+from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_regressors import MOTION, acting_terms, physical_vehicle, wrenches
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS, scales
 from quadpi_core.records import Records
 from quadpi_core.rotations import from_rotation_vector, matrix, product
@@ -168,3 +173,23 @@ def samples_of(flights: list[PhysicalFlight]) -> TrainingSamples:
         np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights]),
         [flight.name for flight in flights],
     )
+
+
+def fitted_axis(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> FittedPhysical:
+    """An axis of the known model, whose terms all have the same leverage."""
+    parameters = known_parameters()
+    for name, value in values.items():
+        parameters[TERM_INDEX[name]] = value
+    acting = np.flatnonzero(acting_terms()[:, AXES.index(axis)])
+    shared = PhysicalParameters(
+        parameters,
+        np.ones(len(TERMS)),
+        physical_vehicle(VEHICLE, REFERENCE),
+        VEHICLE.inertia,
+        Sensing(delay_s),
+        {"drag_x": "not told"},
+        (("thrust", "thrust_induced", 0.99),),
+        (FitStep("rotor delay", "0 ms", 1.0),),
+    )
+    shape = SpreadShape(1.0, 0.01)
+    return FittedPhysical(shared, 1e-6 * np.eye(len(acting)), acting, shape, NormalRule(), 1.0)

@@ -9,46 +9,22 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
-from quadpi_core.models.fitted_physical import CompiledPhysical, FittedPhysical, PhysicalParameters
-from quadpi_core.models.fitted_polynomial import SpreadShape
-from quadpi_core.models.interval_rules import NormalRule
-from quadpi_core.models.physical_fit import FitStep
-from quadpi_core.models.physical_flight import Sensing
-from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, acting_terms, physical_vehicle
-from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.models.fitted_physical import CompiledPhysical, FittedPhysical
+from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, physical_vehicle
+from quadpi_core.models.physical_terms import TERMS
 from test.core.models.physical_flights import (
     REFERENCE,
     VEHICLE,
     derivatives_of,
+    fitted_axis,
     inputs_of,
-    known_parameters,
     swept,
 )
 
 
-def fitted(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> FittedPhysical:
-    """An axis of the known model, whose terms all have the same leverage."""
-    parameters = known_parameters()
-    for name, value in values.items():
-        parameters[TERM_INDEX[name]] = value
-    acting = np.flatnonzero(acting_terms()[:, AXES.index(axis)])
-    shared = PhysicalParameters(
-        parameters,
-        np.ones(len(TERMS)),
-        physical_vehicle(VEHICLE, REFERENCE),
-        VEHICLE.inertia,
-        Sensing(delay_s),
-        {"drag_x": "not told"},
-        (("thrust", "thrust_induced", 0.99),),
-        (FitStep("rotor delay", "0 ms", 1.0),),
-    )
-    shape = SpreadShape(1.0, 0.01)
-    return FittedPhysical(shared, 1e-6 * np.eye(len(acting)), acting, shape, NormalRule(), 1.0)
-
-
 def test_the_prediction_is_that_of_the_terms() -> None:
     flight = swept(1.0, 0, delay_s=0.005, noise=0.0)
-    axes = {axis: fitted(axis, delay_s=0.005, rotor_inertia_spin=1e-6) for axis in AXES}
+    axes = {axis: fitted_axis(axis, delay_s=0.005, rotor_inertia_spin=1e-6) for axis in AXES}
     result = CompiledPhysical(axes).evaluate(inputs_of(flight), np.ones(6), derivatives_of(flight))
     scale = np.std(flight.wrench, axis=0)
     assert np.all(np.abs(result.predicted - flight.wrench).max(axis=0) < 0.1 * scale)
@@ -58,7 +34,7 @@ def test_the_prediction_is_that_of_the_terms() -> None:
 
 def test_a_sample_has_the_same_bits_alone_and_in_a_block() -> None:
     flight = swept(1.0, 0)
-    compiled = CompiledPhysical({axis: fitted(axis) for axis in AXES})
+    compiled = CompiledPhysical({axis: fitted_axis(axis) for axis in AXES})
     inputs, derivatives = inputs_of(flight), derivatives_of(flight)
     block = compiled.evaluate(inputs, np.ones(6), derivatives)
     for k in (0, 17, 99):
@@ -71,7 +47,7 @@ def test_an_accelerometer_off_the_centre_feels_the_angular_acceleration() -> Non
     """The measured one where it is known, else that of the predicted moments."""
     flight = swept(1.0, 0)
     inputs, derivatives = inputs_of(flight), derivatives_of(flight)
-    here, there = (CompiledPhysical({"Fz": fitted("Fz", imu_x=x)}) for x in (0.0, 0.02))
+    here, there = (CompiledPhysical({"Fz": fitted_axis("Fz", imu_x=x)}) for x in (0.0, 0.02))
     change = (
         there.evaluate(inputs, np.ones(6), derivatives).predicted
         - here.evaluate(inputs, np.ones(6), derivatives).predicted
@@ -84,7 +60,7 @@ def test_an_accelerometer_off_the_centre_feels_the_angular_acceleration() -> Non
 
 
 def test_an_axis_reads_what_it_stored() -> None:
-    own = fitted()
+    own = fitted_axis()
     read = FittedPhysical.stored(own.to_json(), own.arrays())
     np.testing.assert_array_equal(read.parameters.values, own.parameters.values)
     assert (read.terms, read.shape, read.parameters.sensing) == (own.terms, own.shape, own.parameters.sensing)
@@ -117,13 +93,13 @@ def _vehicle(**changed: Any) -> dict[str, Any]:
     ],
 )
 def test_arrays_that_no_fit_gives_are_refused(damage: dict[str, Any], message: str) -> None:
-    own = fitted()
+    own = fitted_axis()
     with pytest.raises(ModelError, match=message):
         FittedPhysical.stored(own.to_json(), {**own.arrays(), **damage})
 
 
 def test_parameters_of_another_version_are_refused() -> None:
-    own = fitted()
+    own = fitted_axis()
     with pytest.raises(ModelError, match="parameter 'warp' is not known to this version"):
         FittedPhysical.stored({**own.to_json(), "acting": ["warp"]}, own.arrays())
     assert PHYSICAL_VEHICLE.itemsize == 8 * 19

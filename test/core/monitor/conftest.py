@@ -25,6 +25,7 @@ from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.vehicle import Vehicle
+from test.core.models.physical_flights import fitted_axis
 
 RATE_HZ = 500.0
 CUTOFF_HZ = 12.0
@@ -96,11 +97,14 @@ def model(vehicle, training_inputs) -> AerodynamicModel:
     return model_of(polynomials, vehicle, training_inputs)
 
 
-@pytest.fixture(scope="session", params=["polynomial", "bootstrap", "quality-driven"])
+@pytest.fixture(scope="session", params=["polynomial", "physical", "bootstrap", "quality-driven"])
 def each_model(request, model, vehicle, training_inputs) -> AerodynamicModel:
-    """`model`, and such of ensembles with random weights."""
+    """`model`, such of known physics, and of ensembles with random weights."""
     if request.param == model.method:
         return model
+    if request.param == "physical":
+        physical = {axis: fitted_axis(axis, 0.005, rotor_inertia_spin=1e-6) for axis in model.axes}
+        return model_of(physical, vehicle, training_inputs)
     inputs = {axis: axis_inputs for axis, axis_inputs in simulation_inputs().items() if axis in model.axes}
     return model_of(random_ensembles(request.param, training_inputs, inputs), vehicle, training_inputs)
 

@@ -57,6 +57,10 @@ def test_inputs_and_wrench_are_those_of_the_filtered_samples(vehicle, samples):
     moment = slope(rates) @ vehicle.inertia + np.cross(rates, rates @ vehicle.inertia)
     measured = np.hstack((vehicle.mass_kg * force, moment))
     np.testing.assert_allclose(prepared.measured, measured, rtol=1e-7, atol=1e-9)
+    moving = prepared.derivatives
+    np.testing.assert_allclose(moving["angular_acceleration"], slope(rates), rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(moving["rotor_accelerations"], slope(rotors), rtol=1e-7, atol=1e-5)
+    np.testing.assert_allclose(moving["rotor_jerks"], slope(slope(rotors)), rtol=1e-6, atol=1e-2)
 
 
 @pytest.mark.parametrize(("missing_s", "anew"), [(0.08, False), (0.2, True)])
