@@ -159,3 +159,23 @@ def test_fingerprint_changes_with_what_a_model_depends_on_only():
     assert replace(vehicle, name="copy", noise=SensorNoise()).fingerprint == vehicle.fingerprint
     assert replace(vehicle, mass_kg=vehicle.mass_kg + 0.05).fingerprint != vehicle.fingerprint
     assert replace(vehicle, rotor_spins=-vehicle.rotor_spins).fingerprint != vehicle.fingerprint
+
+
+@pytest.mark.parametrize(("ratio", "accepted"), [(0.021, True), (0.019, False), (9.9, True), (10.1, False)])
+def test_inertia_about_z_is_that_of_mass_at_the_rotors_within_a_factor(
+    tmp_path: Path, ratio: float, accepted: bool
+):
+    """Here 0.5 kg at 0.14 m: g m² for kg m² would be a thousand times as much."""
+    data = valid() | {"inertia_kg_m2": [ratio * 0.5 * 0.02] * 3}
+    if accepted:
+        assert load(tmp_path, data).inertia[2, 2] == pytest.approx(0.01 * ratio)
+        return
+    with pytest.raises(
+        VehicleError, match=r"`inertia_kg_m2`: about z it is .* expected 0.2 to 1: wrong unit"
+    ):
+        load(tmp_path, data)
+
+
+def test_a_measured_speed_a_tenth_above_the_largest_is_a_spike():
+    vehicle = Vehicle.load("bebop2")
+    assert vehicle.rotor_speed_spike_rad_s == pytest.approx(1.1 * vehicle.rotor_speed_max_rad_s)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import SignalError
+from quadpi_core.flight import ImuStream, PoseStream, Recording
 from quadpi_core.logs.alignment import align_pose, time_offset
 from quadpi_core.logs.formats.neurobem import read_neurobem
 from quadpi_core.vehicle import SensorNoise, Vehicle
@@ -79,3 +80,32 @@ def test_the_gyro_of_neurobem_lags_by_a_few_milliseconds(shared_data):
     _, alignment = align_pose(read_neurobem(path, Vehicle.load("neurobem")))
     assert 0.005 < alignment.offset_s < 0.009
     assert alignment.correlation > 0.99
+
+
+@pytest.mark.parametrize(("stop", "found"), [(5.95, False), (6.05, True)])
+def test_two_seconds_must_overlap(stop, found):
+    reference_ns, other_ns = stamps(0.0, 10.0, 100.0), stamps(4.0, stop, 100.0)
+    signals = (reference_ns, chirp(1e-9 * reference_ns), other_ns, chirp(1e-9 * other_ns))
+    if found:
+        assert time_offset(*signals).offset_s == pytest.approx(0.0, abs=1e-3)
+        return
+    with pytest.raises(SignalError, match=r"no overlap: reference spans .* 0 matching samples"):
+        time_offset(*signals)
+
+
+def test_what_poses_say_beyond_eight_hertz_is_filtered_out():
+    """A quadrotor turns more slowly; differentiated attitudes are mostly noise there. Here of 12 Hz."""
+    time_ns = stamps(0.0, 20.0, 200.0)
+    time = 1e-9 * time_ns
+    angle = np.cumsum(np.sin(2.0 * np.pi * 0.3 * time)) / 200.0
+    shaken = angle + np.sin(2.0 * np.pi * 12.0 * time) / (2.0 * np.pi * 12.0)
+    gyro = np.zeros((len(time), 3))
+    gyro[:, 2] = np.sin(2.0 * np.pi * 0.3 * time)
+    half = 0.5 * shaken
+    attitude = np.stack((np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)), axis=1)
+    recording = Recording(
+        *("a", "v", "a.mcap"),
+        imu=ImuStream(time_ns, gyro, np.zeros_like(gyro)),
+        pose=PoseStream(time_ns, np.zeros_like(gyro), attitude),
+    )
+    assert align_pose(recording)[1].correlation > 0.95

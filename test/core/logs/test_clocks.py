@@ -127,3 +127,94 @@ def test_a_line_of_few_arrivals_keeps_to_what_clocks_do() -> None:
     assert line.to_local(remote)[0] == TRUE
     (single,) = line_below(remote[:1], remote[:1] + TRUE).to_local(remote[:1])
     assert single == TRUE
+
+
+def set_to(clock: ClockOffset, offset_ns: int, at_ns: int, round_trip_ns: int = 0) -> None:
+    """Let an exchange say what this clock has over the other."""
+    clock.exchange(at_ns - round_trip_ns, at_ns - offset_ns - round_trip_ns // 2, at_ns)
+
+
+@pytest.mark.parametrize(
+    ("error_ms", "moved_ms"),
+    [
+        # In 20 ms of the sender: by what is left, a half, a twentieth, a thousandth of that time.
+        *((49, 10), (-990, -10), (6, 6), (4, 1), (-0.6, -0.6), (0.4, 0.02)),
+        # At once.
+        *((51, 51), (-1010, -1010)),
+    ],
+)
+def test_an_error_is_removed_at_a_share_of_the_time_that_grows_with_it(
+    error_ms: float, moved_ms: float
+) -> None:
+    clock = ClockOffset()
+    set_to(clock, TRUE, TRUE)
+    assert clock.to_local(0, TRUE) == TRUE
+    set_to(clock, TRUE + round(error_ms * MS), TRUE + 20 * MS)
+    moved = clock.to_local(20 * MS, TRUE + 20 * MS) - TRUE - 20 * MS
+    assert moved == pytest.approx(moved_ms * MS, abs=0.002 * MS)
+
+
+@pytest.mark.parametrize(("later_ms", "followed"), [(9, False), (11, True)])
+def test_the_offset_is_estimated_every_ten_milliseconds(later_ms: int, followed: bool) -> None:
+    clock = ClockOffset()
+    set_to(clock, TRUE, TRUE)
+    clock.to_local(0, TRUE)
+    set_to(clock, TRUE + MS, TRUE + MS)
+    at = later_ms * MS
+    assert (clock.to_local(at, TRUE + at) != TRUE + at) is followed
+
+
+def test_an_exchange_counts_for_ten_seconds_while_its_bound_widens_by_the_drift() -> None:
+    clock = ClockOffset()
+    set_to(clock, TRUE, TRUE)
+    estimate = clock.estimate(TRUE + 99 * S // 10)
+    assert estimate
+    # 100 parts in a million.
+    assert estimate.uncertainty_ns == pytest.approx(0.99 * MS, abs=2)
+    assert clock.estimate(TRUE + 101 * S // 10) is None
+
+
+def test_a_round_trip_of_a_second_is_the_longest() -> None:
+    clock = ClockOffset()
+    set_to(clock, TRUE, TRUE, round_trip_ns=S + 1)
+    assert clock.estimate(TRUE) is None
+    set_to(clock, TRUE, TRUE, round_trip_ns=S)
+    assert clock.estimate(TRUE) is not None
+
+
+@pytest.mark.parametrize(("others", "known"), [(63, True), (64, False)])
+def test_64_exchanges_are_remembered(others: int, known: bool) -> None:
+    clock = ClockOffset()
+    set_to(clock, TRUE, TRUE)
+    for number in range(others):
+        set_to(clock, TRUE, TRUE + (number + 1) * MS, round_trip_ns=100 * MS)
+    estimate = clock.estimate(TRUE + 100 * MS)
+    assert estimate
+    assert (estimate.uncertainty_ns < MS) is known
+
+
+@pytest.mark.parametrize(("seconds", "known"), [(9, True), (10, False)])
+def test_the_shortest_delay_of_ten_seconds_counts(seconds: int, known: bool) -> None:
+    """Arrivals are gathered by the second."""
+    clock = ClockOffset()
+    clock.arrival(0, TRUE)
+    for number in range(1, seconds + 1):
+        clock.arrival(number * S, TRUE + number * S + 30 * MS)
+    estimate = clock.estimate(TRUE + seconds * S)
+    assert estimate
+    assert estimate.offset_ns == TRUE + (0 if known else 30 * MS)
+
+
+@pytest.mark.parametrize(("back_ms", "restarts"), [(990, 0), (1010, 1)])
+def test_a_stamp_more_than_a_second_back_is_a_restart(back_ms: int, restarts: int) -> None:
+    clock = ClockOffset()
+    clock.arrival(60 * S, TRUE)
+    clock.arrival(60 * S - back_ms * MS, TRUE + MS)
+    assert clock.restarts == restarts
+
+
+@pytest.mark.parametrize("drift", [300e-6, -300e-6])
+def test_a_line_is_no_steeper_than_quartz_drifts(drift: float) -> None:
+    remote = np.arange(0, 600 * S, S)
+    line = line_below(remote, remote + TRUE + np.rint(drift * remote).astype(np.int64))
+    assert line.slope == np.sign(drift) * 100e-6

@@ -83,6 +83,14 @@ def test_gap_repeated_and_backward_stamps_are_counted(hover: Recording, vehicle:
     assert "topic imu: 1 stamps run backward" in found
 
 
+@pytest.mark.parametrize(("intervals", "gaps"), [(4.9, 0), (5.1, 1)])
+def test_an_interval_of_five_usual_ones_is_a_gap(hover: Recording, vehicle: Vehicle, intervals, gaps):
+    time_ns = hover.imu.time_ns.copy()
+    time_ns[1000:] += round((intervals - 1.0) * 2 * MILLISECOND)
+    later = replace(hover, imu=replace(hover.imu, time_ns=time_ns))
+    assert inspect_recording(later, vehicle).topics[0].gaps == gaps
+
+
 def test_arrival_times_jitter(hover: Recording, vehicle: Vehicle):
     jitter = np.random.default_rng(5).uniform(0.0, 9 * MILLISECOND, len(hover.pose)).astype(np.int64)
     spoilt = replace(hover, pose=replace(hover.pose, time_ns=hover.pose.time_ns + jitter))

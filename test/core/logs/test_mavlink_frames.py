@@ -15,7 +15,14 @@ from hypothesis import strategies as st
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from quadpi_core.logs import mavlink_frames
-from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, Verifier, frame_length, signing_key
+from quadpi_core.logs.mavlink_frames import (
+    Framer,
+    MessageDecoder,
+    Verifier,
+    frame_length,
+    signature_stamp,
+    signing_key,
+)
 
 LONGEST = 10 + 255 + 2 + 13
 
@@ -220,3 +227,11 @@ def test_a_signature_of_long_ago_is_refused(mavlink_sender: Any) -> None:
     sender = mavlink_sender(key=key)
     sender.mav.signing.timestamp = 1000
     assert numbers(Framer(Verifier(key)), attitude(sender, 1)) == []
+
+
+@pytest.mark.parametrize(("age_s", "found"), [(59, [1]), (61, [])])
+def test_a_new_sender_may_sign_a_minute_late(mavlink_sender: Any, age_s: int, found: list[int]) -> None:
+    key, now = signing_key("secret"), 1_700_000_000.0
+    sender = mavlink_sender(key=key)
+    sender.mav.signing.timestamp = signature_stamp(now - age_s)
+    assert numbers(Framer(Verifier(key, now)), attitude(sender, 1)) == found

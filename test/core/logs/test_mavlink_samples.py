@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder
-from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4, MavlinkSamples, Sample, stream_of
+from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4, MavlinkSamples, Sample, is_epoch, stream_of
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
@@ -240,6 +240,20 @@ def test_raw_rpm_comes_one_rotor_at_a_time(
     ]
     assert decoded[:3] == [None] * 3
     assert speeds(decoded[3]) == pytest.approx([4000, 1000, 2000, 3000])
+
+
+@pytest.mark.parametrize(("clock_us", "since_1970"), [(10**15, False), (10**15 + 1, True)])
+def test_stamps_after_2001_count_from_1970(clock_us: int, since_1970: bool) -> None:
+    """No autopilot has run for the 31 years that they would be since its boot."""
+    assert is_epoch(clock_us) is since_1970
+
+
+@pytest.mark.parametrize(("clock_us", "accepted"), [(4 * 10**15, True), (4 * 10**15 + 1, False)])
+def test_stamps_end_in_2096(
+    samples: MavlinkSamples, mavlink_message: Callable[..., Any], clock_us: int, accepted: bool
+) -> None:
+    message = mavlink_message("HIGHRES_IMU", clock_us, *IMU, 0x3F, 0)
+    assert (samples.decode(message, 0.0) is not None) is accepted
 
 
 def test_values_that_are_not_finite_and_impossible_stamps_are_refused(

@@ -8,6 +8,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
@@ -72,3 +73,36 @@ def test_telemetry_is_stamped_by_the_computer_that_wrote_it(
     recording = read_recording(written[".tlog"], vehicle)
     sent_ns = (1_690_000_000_000_000 + flown.time_us) * 1000
     assert recording.imu.time_ns == pytest.approx(sent_ns + 20_000_000, abs=300_000)
+
+
+def imu_log(sender: Any, clocks_us: Any, name: str = "HIGHRES_IMU") -> bytes:
+    """A record of an IMU every 10 ms, whatever its stamp."""
+    fields: tuple[Any, ...] = (*[0.1] * 13, 0x3F, 0) if name == "HIGHRES_IMU" else (*[1] * 9, 0)
+    unit = 1 if name == "HIGHRES_IMU" else 1000
+    packets = (sender.packet(name, int(clock_us) // unit, *fields) for clock_us in clocks_us)
+    return b"".join(record(packet, number) for number, packet in enumerate(packets))
+
+
+@pytest.mark.parametrize(("back_s", "restarts"), [(9.9, False), (10.1, True)])
+def test_a_clock_that_goes_back_by_ten_seconds_has_started_again(
+    mavlink_sender: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, back_s: float, restarts: bool
+) -> None:
+    """Packets overtake each other by less."""
+    before = 30_000_000 + 10_000 * np.arange(200)
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(
+        imu_log(mavlink_sender(), [*before, *(before[-1] - 1e6 * back_s + 10_000 * np.arange(50))])
+    )
+    read_tlog(path, None)
+    assert ("a clock starts again 1 times; read is the longest run" in caplog.text) is restarts
+
+
+@pytest.mark.parametrize(("best", "used"), [(51, 51), (49, 100)])
+def test_the_better_message_is_used_if_it_has_half_the_samples(
+    mavlink_sender: Any, tmp_path: Path, best: int, used: int
+) -> None:
+    sender, path = mavlink_sender(), tmp_path / "flight.tlog"
+    path.write_bytes(
+        imu_log(sender, 10_000 * np.arange(100), "SCALED_IMU") + imu_log(sender, 10_000 * np.arange(best))
+    )
+    assert len(read_tlog(path, None).imu) == used
