@@ -22,6 +22,7 @@ SHORT = {
     "discovery-real": ("DISCOVERY_ARGS=--help", "--only"),
     "fuzz": ("FUZZ_ARGS=--help", "--minutes"),
     "golden": ("GOLDEN_ARGS=--help", "--model"),
+    "models": ("MODELS_ARGS=--help", "--methods"),
     "tables": ("TABLES_ARGS=--help", "--only"),
 }
 # What they do, in a short form of its own; all but discovery-real, which takes minutes on real flights.
@@ -32,6 +33,7 @@ SHORT_FORMS = {
     "discovery": "test/discovery/test_blind.py",
     "fuzz": "test/faults/test_fuzzing.py",
     "golden": "test/golden/test_golden_trace.py",
+    "models": "test/test_model_methods.py",
     "pictures": "test/core/view/test_view_page.py",
     "tables": "test/test_paper_tables.py",
 }

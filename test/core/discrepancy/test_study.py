@@ -11,9 +11,12 @@ import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
+from quadpi_core.discrepancy.study import study
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
+
+from ..conftest import DRAG, SOUGHT
 
 ALIKE = ("payload", "thrust_coefficient", "body_drag")
 
@@ -143,3 +146,15 @@ def test_an_interval_is_that_of_95_percent(found):
     for parameter, own in zip(effect.parameters, deviation, strict=True):
         assert parameter.upper - parameter.value == pytest.approx(1.96 * own, rel=1e-6)
         assert parameter.value - parameter.lower == pytest.approx(1.96 * own, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_model_of_flights_names_what_later_flights_have_more(physical_folder, dragged):
+    """The physical model of the vehicle as the simulation: drag of the airframe was added since."""
+    found = study(load_simulation(str(physical_folder)), dragged, names=SOUGHT)
+    assert [effect.name for effect in found.discovery.effects] == ["body_drag"]
+    (drag,) = found.discovery.effects
+    for parameter in drag.parameters:
+        # The model knows the drag of its own flights to about as much as was added along x.
+        assert 0.5 < parameter.value / DRAG[parameter.name] < 2.0
+    assert set(found.flown_again.coverage) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
