@@ -26,6 +26,7 @@ from quadpi_core.cli.import_command import import_logs
 from quadpi_core.cli.info_command import info
 from quadpi_core.cli.kind_options import KindCommand
 from quadpi_core.cli.replay_command import replay
+from quadpi_core.cli.rollout_command import rollout
 from quadpi_core.cli.simulate_command import simulate
 from quadpi_core.cli.validate_command import validate
 from quadpi_core.cli.view_command import view
@@ -65,7 +66,8 @@ app = typer.Typer(
 )
 app.command("import")(import_logs)
 # In the order in which `--help` lists them.
-for command in (info, identify, evaluate, replay, view, simulate, validate, discrepancy, export, demo):
+commands = (info, identify, evaluate, rollout, replay, view, simulate, validate, discrepancy, export, demo)
+for command in commands:
     app.command(cls=KindCommand if command is identify else None)(command)
 
 

@@ -104,6 +104,7 @@ def identify(
             else []
             for axis in axes
         },
+        rollouts=fit.rollouts,
         alarm_limits=limits,
         compiled=compiled,
     )

@@ -39,10 +39,14 @@ from quadpi_core.models.model_kind import (
     StoredAxes,
     interval_factors,
 )
+from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.records import Records
 from quadpi_core.signals.force_bandwidth import as_recorded
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
+
+# Key of what predicts the state ahead in model.json, and start of its names among the arrays.
+_ROLLOUTS = "rollouts"
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,7 @@ class AerodynamicModel:
         held_out_coverage: per axis, the coverage of each of `flights` by model and intervals of the others;
             empty under the paper's settings.
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
+        rollouts: predicts the state ahead; None for a model that cannot.
         alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
         flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
         compiled: `fitted` packed for evaluation; packed at first use unless given.
@@ -91,6 +96,7 @@ class AerodynamicModel:
     selection: dict[str, list[dict[str, Any]]]
     held_out_coverage: dict[str, list[float]]
     identity: str = ""
+    rollouts: RolloutModel | None = None
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
     compiled: CompiledAxes | None = field(default=None, repr=False, compare=False)
@@ -150,6 +156,22 @@ class AerodynamicModel:
             raise ModelError(f"model {self.name}: lacks {', '.join(lacking)}; a simulation has all six axes")
         with named_in(f"model {self.name}"):
             return self.kind.simulation_section(self.fitted)
+
+    def require_rollouts(self) -> RolloutModel:
+        """What predicts the state ahead.
+
+        Raises:
+            ModelError: saying why this model cannot.
+        """
+        if self.rollouts is None:
+            why = "predicts the wrench of single samples: it is no simulation"
+            if self.kind.is_simulation:
+                why = (
+                    "was identified on flights shorter than the longest horizon, or by a version that kept "
+                    "no roll-outs: identify it again on longer flights"
+                )
+            raise ModelError(f"model {self.name} ({self.kind.label}) {why}")
+        return self.rollouts
 
     def calibration(self) -> str:
         """A sentence that says how the width of the intervals was calibrated."""
@@ -266,7 +288,11 @@ class AerodynamicModel:
                 "python": platform.python_version(),
             },
         }
-        identity = write_folder(FolderContent(description, stored.arrays, stored.files), folder)
+        arrays = dict(stored.arrays)
+        if self.rollouts is not None:
+            description[_ROLLOUTS] = self.rollouts.to_json()
+            arrays |= {f"{_ROLLOUTS}.{name}": own for name, own in self.rollouts.arrays().items()}
+        identity = write_folder(FolderContent(description, arrays, stored.files), folder)
         return replace(self, name=folder.name, identity=identity)
 
     @classmethod
@@ -300,6 +326,7 @@ class AerodynamicModel:
                 selection={axis: entries[axis]["selection"] for axis in axes},
                 held_out_coverage={axis: entry.held_out_coverage for axis, entry in axes.items()},
                 identity=identity,
+                rollouts=_stored_rollouts(content),
                 alarm_limits=described.alarm,
                 flown=described.flown(),
             )
@@ -307,6 +334,15 @@ class AerodynamicModel:
             for fitted in model.fitted.values():
                 fitted.rule.factor(model.confidence)
             return model
+
+
+def _stored_rollouts(content: FolderContent) -> RolloutModel | None:
+    """What predicts the state ahead; None where the folder holds nothing of it."""
+    if _ROLLOUTS not in content.description:
+        return None
+    start = f"{_ROLLOUTS}."
+    own = {name.removeprefix(start): a for name, a in content.arrays.items() if name.startswith(start)}
+    return RolloutModel.stored(content.description[_ROLLOUTS], own)
 
 
 # model.json is written by quadpi alone: what its types do not declare is passed over, not refused.

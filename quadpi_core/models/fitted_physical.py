@@ -26,6 +26,7 @@ from quadpi_core.models.physical_kernel import AXIS, PackedPhysical, evaluate_ph
 from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, control_signs
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.regressors import check_inputs
+from quadpi_core.models.stored_body import require_body
 from quadpi_core.records import Records
 
 # Key of what all axes share.
@@ -161,7 +162,9 @@ class FittedPhysical:
         values, errors = np.zeros(len(TERMS)), np.zeros(len(TERMS))
         values[order], errors[order] = arrays["values"], arrays["standard_errors"]
         vehicle = np.ascontiguousarray(arrays["vehicle"]).view(PHYSICAL_VEHICLE)
-        _require_body(errors, vehicle, arrays["inertia"])
+        if np.any(errors < 0.0):
+            raise ModelError("standard_errors: a negative one")
+        require_body(vehicle, arrays["inertia"])
         parameters = PhysicalParameters(
             values,
             errors,
@@ -219,18 +222,6 @@ def _require_arrays(arrays: Mapping[str, Array], parameters: int, size: int) -> 
             raise ModelError(f"{name} is missing")
         if arrays[name].shape != wanted or not np.all(np.isfinite(arrays[name])):
             raise ModelError(f"{name} of shape {arrays[name].shape}, expected finite numbers {wanted}")
-
-
-def _require_body(errors: Array, vehicle: Records, inertia: Array) -> None:
-    """Refuse numbers that no vehicle has."""
-    if np.any(errors < 0.0):
-        raise ModelError("standard_errors: a negative one")
-    for name in ("mass", "reference_thrust", "disc"):
-        if not vehicle[name][0] > 0.0:
-            raise ModelError(f"vehicle: {name} must be positive, is {vehicle[name][0]:g}")
-    control_signs(vehicle)
-    if not np.allclose(inertia, inertia.T) or np.any(np.linalg.eigvalsh(inertia) <= 0.0):
-        raise ModelError("inertia: not that of a body")
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.interval_rules import FlightErrors, Rule
+from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
@@ -166,11 +167,13 @@ class Fit:
         held_out: errors on each flight, in order, of a model fitted without it; empty where the intervals are
             not calibrated on flights. Of a flight they may be every k-th sample.
         log: the steps of a selection of terms, see `kinds.polynomial`; empty for a kind that selects none.
+        rollouts: predicts the state ahead; None where the kind, or these flights, give none.
     """
 
     axes: Mapping[str, FittedAxis]
     held_out: Mapping[str, list[FlightErrors]] = field(default_factory=dict)
     log: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
+    rollouts: RolloutModel | None = None
 
 
 @dataclass(frozen=True)

@@ -117,3 +117,13 @@ def random_states():
 def vendor():
     """Messages by version of px4_msgs: `vendor.px4_1_14` (to 1.17) and `vendor.px4_1_18`; others in both."""
     return SimpleNamespace(px4_1_14=Messages(DEFINITIONS), px4_1_18=Messages(PX4_1_18))
+
+
+@pytest.fixture(scope="session")
+def predicting(bags: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a physical model of the first two flights of `bags`, which predicts ahead."""
+    folder, vehicle = tmp_path_factory.mktemp("predicting") / "model", Vehicle.load("neurobem")
+    options = IdentifyOptions(method="physical")
+    flights = prepare_flights(bags[:2], vehicle, options.cutoff_hz)
+    identify(flights, vehicle, load_pools("quadrotor"), options).save(folder)
+    return folder

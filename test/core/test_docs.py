@@ -170,7 +170,7 @@ def keys(data: Any) -> Iterator[str]:
             yield from keys(value)
 
 
-def test_every_json_key_is_documented(quadpi, bags, tmp_path):
+def test_every_json_key_is_documented(quadpi, bags, predicting, tmp_path):
     model, data, scenario = tmp_path / "model", tmp_path / "data.json", tmp_path / "still.yaml"
     scenario.write_text("{description: still, vehicle: bebop2, seed: 1, flights: {still: {duration_s: 1}}}")
     page = (ROOT / "docs" / "commands.md").read_text()
@@ -179,7 +179,7 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
     other = tmp_path / "other"
     simulated = [bags_directory() / f"{name}.mcap" for name in ("train_1", "train_2", "interpolation")]
     stems = (bag.stem for bag in (*bags, *simulated))
-    names = {*AXES, *INPUT_NAMES, *stems, "all", model.name, other.name}
+    names = {*AXES, *INPUT_NAMES, *stems, "all", model.name, other.name, "0.01", "0.1", "0.5"}
     runs = [
         ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "-o", model),
         ("info", bags[0]),
@@ -192,6 +192,7 @@ def test_every_json_key_is_documented(quadpi, bags, tmp_path):
         ("simulate", scenario, "-o", tmp_path / "simulated"),
         ("identify", *simulated[:2], "--vehicle", "bebop2", "--axes", "Fx", "-o", other),
         ("validate", other, simulated[2], "--realisations", "2"),
+        ("rollout", predicting, bags[2]),
         ("discrepancy", "bebop2", *simulated, "-o", tmp_path / "found", "--effects", "body_drag"),
     ]
     for run in runs:

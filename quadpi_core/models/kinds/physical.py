@@ -35,6 +35,7 @@ from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_regressors import acting_terms
 from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_NAMES
+from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.parallel import Progress, ReportProgress
 from quadpi_core.signals.force_bandwidth import as_recorded
 
@@ -105,7 +106,8 @@ class Physical(Kind):
             fitted[axis] = replace(
                 final[axis], shape=shape, rule=rules[axis], rms_spread=float(np.sqrt(np.mean(squares)))
             )
-        return Fit(fitted, held_out)
+        rollouts = calibrated_rollouts(rollout_flights(samples), whole, left_out)
+        return Fit(fitted, held_out, rollouts=rollouts)
 
     def compile(self, fitted: Mapping[str, Any]) -> CompiledPhysical:
         """Pack the axes."""

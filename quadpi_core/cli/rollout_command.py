@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""`quadpi rollout`: flights predicted ahead, with tubes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from quadpi_core.cli import options
+from quadpi_core.cli.options import check_outputs, open_console, print_quality, write_result
+
+
+def rollout(
+    model: options.ModelFolder,
+    bags: options.Bags,
+    horizon: Annotated[float, typer.Option(help="Seconds to predict ahead.")] = 0.5,
+    confidence: options.Confidence = None,
+    vehicle: options.OptionalVehicle = None,
+    json_file: options.JsonFile = None,
+    html_file: options.HtmlFile = None,
+) -> None:
+    """Predict flights ahead, open loop by the measured rotor speeds, with tubes; from every tenth sample."""
+    from quadpi_core.evaluation.rollouts import evaluate_rollouts
+    from quadpi_core.models.aerodynamic import AerodynamicModel
+    from quadpi_core.report.progress_bar import progress_bar
+    from quadpi_core.report.rollout_page import rollout_summary, write_rollout_page
+    from quadpi_core.report.table import terminal_table
+
+    check_outputs([model, *bags], json_file, html_file)
+    the_model = AerodynamicModel.load(model)
+    the_vehicle = the_model.load_vehicle(vehicle)
+    console = open_console()
+    with progress_bar(console) as progress:
+        flights, evaluation = evaluate_rollouts(
+            the_model, bags, the_vehicle, horizon_s=horizon, confidence=confidence, progress=progress
+        )
+    print_quality(console, ((flight.name, flight.quality) for flight in flights))
+    console.print(terminal_table(rollout_summary(evaluation)))
+    write_result(json_file, evaluation.to_json())
+    if html_file is not None:
+        write_rollout_page(html_file, flights, evaluation)

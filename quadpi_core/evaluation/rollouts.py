@@ -1,0 +1,289 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Open-loop predictions of a model on flights: errors at several horizons, and the tubes around them.
+
+A tube follows its flight: once the roll-out that it was drawn around has ended, its factor grows where the
+flight left it and shrinks slowly where not, so that the coverage of any flight approaches the nominal one
+(quantile tracking, see `monitor.adaptive`, with errors that become known a horizon later). It starts at the
+factor that was calibrated on flights left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import ModelError
+from quadpi_core.findings import DataQuality
+from quadpi_core.flight import Flight
+from quadpi_core.frames import Array
+from quadpi_core.identification.prepared_flights import read_flight
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.rollout_calibration import (
+    HORIZONS_S,
+    QUANTITIES,
+    error_norms,
+    require_horizon,
+    tube_radii,
+    tube_scores,
+)
+from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
+from quadpi_core.models.rollout_model import FlightRollouts, RolloutModel
+from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
+from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
+
+# Roll-outs start every so many samples of a flight at 100 Hz.
+START_EVERY = 10
+# Horizons [s] that are always judged, where they are not beyond the one asked for.
+JUDGED_S = (0.01, 0.1, 0.5)
+# How fast a tube follows its flight [1/s], see `monitor.adaptive`. At ten starts a second the factor grows by
+# 46 % after a miss and shrinks by 2 % after a hit. A flight of 30 s whose errors are three times those of the
+# calibration then has 0.9 % more misses than nominal; half as fast, twice as many.
+TRACKING_PER_S = 4.0
+# Names of the quantities in results: angles are given in degrees there.
+_NAMES = {"attitude_rad": ("attitude_deg", float(np.degrees(1.0)))}
+# No attitude errs by more than half a turn: larger tubes are the whole.
+_LARGEST = np.array([np.pi if name == "attitude_rad" else np.inf for name in QUANTITIES])
+
+
+@dataclass(frozen=True)
+class TubeMetrics:
+    """Errors and tubes of a quantity at one horizon of a flight.
+
+    Attributes:
+        rms: root mean square of the error's norm.
+        coverage: share of roll-outs that ended in their tube.
+        width: mean over the roll-outs of the diameter of the ball that has the volume of the tube; at most a
+            whole turn.
+        fixed_coverage, fixed_width: of tubes that do not follow the flight.
+        conformal_coverage, conformal_width: of split conformal prediction, balls of one size from the same
+            errors of the same flights left out.
+        conformal_tracked_coverage, conformal_tracked_width: of such balls that follow the flight.
+    """
+
+    rms: float
+    coverage: float
+    width: float
+    fixed_coverage: float
+    fixed_width: float
+    conformal_coverage: float
+    conformal_width: float
+    conformal_tracked_coverage: float
+    conformal_tracked_width: float
+
+
+@dataclass(frozen=True)
+class FlightRolloutMetrics:
+    """A flight's roll-outs judged.
+
+    Attributes:
+        starts: number of roll-outs.
+        left_out: number of starts after which a rotor speed was not measured, or samples are missing.
+        horizons: by horizon in seconds and quantity, such as "0.5" and "position_m".
+    """
+
+    starts: int
+    left_out: int
+    horizons: dict[str, dict[str, TubeMetrics]]
+
+
+@dataclass(frozen=True)
+class RolloutEvaluation:
+    """Roll-outs of a model on flights; the names of the attributes are the keys of the JSON file."""
+
+    quadpi_version: str
+    model: str
+    vehicle: str
+    confidence: float
+    horizon_s: float
+    flights: dict[str, FlightRolloutMetrics]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class RolledFlight:
+    """Roll-outs of a flight with their tubes, for figures.
+
+    Attributes:
+        name: of the flight.
+        quality: remarks on its data.
+        time: (W,) s, of the starts.
+        horizons_s: (H,).
+        norms: (W, H, 4) of the errors.
+        radii: (W, H, 4) of balls with the volume of the tubes.
+        flight: that was flown, at about 100 Hz.
+        rolled: paths, errors and covariances.
+        factors: (W, H, 4) on the ellipsoids.
+    """
+
+    name: str
+    quality: DataQuality
+    time: Array
+    horizons_s: tuple[float, ...]
+    norms: Array
+    radii: Array
+    flight: RolloutFlight
+    rolled: FlightRollouts
+    factors: Array
+
+
+def evaluate_rollouts(
+    model: AerodynamicModel,
+    paths: Sequence[Path],
+    vehicle: Vehicle,
+    *,
+    horizon_s: float = 0.5,
+    confidence: float | None = None,
+    progress: ReportProgress = ignore_progress,
+) -> tuple[list[RolledFlight], RolloutEvaluation]:
+    """Predict flights ahead, open loop from every tenth sample, with the measured rotor speeds.
+
+    Args:
+        model: of the vehicle that flew.
+        paths: bags, or logs that need no mapping.
+        vehicle: that flew.
+        horizon_s: to predict to.
+        confidence: of the tubes; default: the model's.
+        progress: called after each flight.
+
+    Raises:
+        ModelError: for a model that is no simulation, or of another vehicle; a horizon or confidence that is
+            not calibrated; naming the flight, for one that is shorter than the horizon.
+        LogError, SignalError: for what cannot be read or used, naming the file.
+    """
+    model.require(vehicle)
+    rollouts = model.require_rollouts()
+    require_horizon(horizon_s)
+    level = model.confidence if confidence is None else confidence
+    flights, metrics = [], {}
+    for number, path in enumerate(paths):
+        progress(Progress("Predicting flights ahead", number, len(paths)))
+        flight, _ = read_flight(path, vehicle, model.cutoff_hz)
+        if flight.name in metrics:
+            raise ModelError(f"{path}: another flight is called {flight.name}; rename one of the files")
+        rolled, judged = judge_flight(rollouts, flight, vehicle, horizon_s=horizon_s, confidence=level)
+        flights.append(rolled)
+        metrics[flight.name] = judged
+    progress(Progress("Predicting flights ahead", len(paths), len(paths)))
+    return flights, RolloutEvaluation(__version__, model.identity, model.vehicle, level, horizon_s, metrics)
+
+
+def judge_flight(
+    model: RolloutModel, flight: Flight, vehicle: Vehicle, *, horizon_s: float, confidence: float
+) -> tuple[RolledFlight, FlightRolloutMetrics]:
+    """Predict one flight ahead; see :func:`evaluate_rollouts`.
+
+    Args:
+        model: of the vehicle.
+        flight: passed the low-pass of the model.
+        vehicle: that flew.
+        horizon_s: to predict to.
+        confidence: of the tubes.
+
+    Raises:
+        ModelError: for a horizon or confidence that is not calibrated; naming the flight, where it is shorter
+            than the horizon or no roll-out has all rotor speeds.
+    """
+    own = RolloutFlight.of(flight, vehicle)
+    step = own.step
+    times = _horizons(horizon_s)
+    horizons = horizon_steps(times, step)
+    possible = len(range(0, len(own.time) - int(horizons[-1]), START_EVERY))
+    if possible <= 0:
+        raise ModelError(
+            f"{flight.source}: {len(own.time) * step:.2f} s in the air, "
+            f"shorter than the horizon of {horizon_s:g} s"
+        )
+    starts = own.starts(int(horizons[-1]), START_EVERY)
+    if len(starts) == 0:
+        raise ModelError(
+            f"{flight.source}: topic rotor_speeds: a rotor was not measured within {horizon_s:g} s "
+            f"of every start"
+        )
+    rolled = model.roll(own, starts, horizons)
+    assert model.calibration is not None
+    scores, norms = tube_scores(rolled.errors, rolled.covariance), error_norms(rolled.errors)
+    radii = tube_radii(rolled.covariance)
+    ones = np.ones_like(norms)
+    gain = TRACKING_PER_S * START_EVERY * step
+    delays = (-(-horizons // START_EVERY)).tolist()
+
+    def tracked(sizes: Array, start: Array) -> Array:
+        return tracked_factors(sizes, start, delays, 1.0 - confidence, gain)
+
+    factors = model.calibration.factors(times, confidence)
+    balls = model.calibration.radii(times, confidence)
+    tubes, tracked_balls = tracked(scores, factors), tracked(norms, balls)
+    # Scores, the factors that they must not exceed, and radii.
+    ways = {
+        "": (scores, tubes, tubes * radii),
+        "fixed_": (scores, factors * ones, factors * radii),
+        "conformal_": (norms, balls * ones, balls * ones),
+        "conformal_tracked_": (norms, tracked_balls, tracked_balls),
+    }
+    ways = {way: (of[0], of[1], np.minimum(of[2], _LARGEST)) for way, of in ways.items()}
+    judged = [k for k, time in enumerate(times) if time in (*JUDGED_S, horizon_s)]
+    metrics = {
+        f"{times[k]:g}": {
+            _NAMES.get(name, (name, 1.0))[0]: _metrics(
+                norms[:, k, q], {way: tuple(a[:, k, q] for a in of) for way, of in ways.items()}, _scale(name)
+            )
+            for q, name in enumerate(QUANTITIES)
+        }
+        for k in judged
+    }
+    return (
+        RolledFlight(
+            flight.name, flight.quality, own.time[starts], times, norms, tubes * radii, own, rolled, tubes
+        ),
+        FlightRolloutMetrics(len(starts), possible - len(starts), metrics),
+    )
+
+
+def tracked_factors(
+    scores: Array, calibrated: Array, delays: Sequence[int], miss_share: float, gain: float
+) -> Array:
+    """Factors (W, H, 4) that follow the scores (W, H, 4) of roll-outs once they have ended.
+
+    Args:
+        scores: smallest factor that covers each error, in the order of the starts.
+        calibrated: (H, 4) factors to begin with.
+        delays: (H,) starts after which the score of a horizon is known.
+        miss_share: nominal share of misses.
+        gain: step of the logarithm of the factor.
+    """
+    log = np.zeros_like(calibrated)
+    factors = np.empty_like(scores)
+    for start in range(len(scores)):
+        for horizon, delay in enumerate(delays):
+            ended = start - delay
+            if ended >= 0:
+                missed = scores[ended, horizon] > factors[ended, horizon]
+                log[horizon] += gain * (missed - miss_share)
+        factors[start] = calibrated * np.exp(log)
+    return factors
+
+
+def _horizons(horizon_s: float) -> tuple[float, ...]:
+    """Horizons (H,) to predict to, rising: those calibrated up to the one asked for."""
+    return tuple(sorted({own for own in HORIZONS_S if own < horizon_s} | {horizon_s}))
+
+
+def _scale(name: str) -> float:
+    return _NAMES.get(name, (name, 1.0))[1]
+
+
+def _metrics(norms: Array, ways: dict[str, tuple[Array, ...]], scale: float) -> TubeMetrics:
+    values = {"rms": scale * float(np.sqrt(np.mean(np.square(norms))))}
+    for way, (scores, factors, radii) in ways.items():
+        values[f"{way}coverage"] = float(np.mean(scores <= factors))
+        values[f"{way}width"] = scale * float(np.mean(2.0 * radii))
+    return TubeMetrics(**values)

@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Roll-outs of an identified physical model, calibrated on flights that its parameters did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_INDEX
+from quadpi_core.models.disturbance import Disturbance
+from quadpi_core.models.model_kind import TrainingSamples
+from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.physical_flight import flights_of, thinned_rows
+from quadpi_core.models.physical_rollout import STATES, roll_out
+from quadpi_core.models.rollout_calibration import HORIZONS_S, TubeCalibration, error_norms, tube_scores
+from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
+from quadpi_core.models.rollout_model import LEAD_S, MOVES, FlightRollouts, RolloutModel
+from quadpi_core.rotations import from_rotation_vectors, inverses, products
+
+# Between the starts that calibrate [s].
+_CALIBRATION_EVERY_S = 0.5
+# Least variance of a measured state, for flights without any noise.
+_LEAST_VARIANCE = 1e-16
+# Kernels release the interpreter.
+_THREADS = 2
+_ANGLES = slice(INPUT_INDEX["sin_phi"], INPUT_INDEX["cos_theta"] + 1)
+
+
+def calibrated_rollouts(
+    flights: Sequence[RolloutFlight], whole: PhysicalFit, left_out: Sequence[PhysicalFit]
+) -> RolloutModel | None:
+    """A model that predicts ahead, its tubes calibrated on flights that the parameters did not see.
+
+    Args:
+        flights: of the vehicle.
+        whole: fit to all of them.
+        left_out: fits without each of them; with a single flight, that of all.
+
+    Returns:
+        None where no flight is as long as the longest horizon.
+    """
+    long = [k for k, flight in enumerate(flights) if flight.time[-1] - flight.time[0] > 1.1 * HORIZONS_S[-1]]
+    if not long:
+        return None
+    headed = [flights[k] for k in long]
+    step = headed[0].step
+    bare = [_uncalibrated(left_out[k], Disturbance.nothing(step)) for k in long]
+    lead = max(1, round(LEAD_S / step))
+    residuals = [model.residuals(flight) for model, flight in zip(bare, headed, strict=True)]
+    variance = _measured_variance(bare, headed)
+    models = [
+        replace(model, disturbance=Disturbance.of_residuals(own, step, lead), measured_variance=variance)
+        for k, model in enumerate(bare)
+        for own in [residuals[:k] + residuals[k + 1 :] or residuals]
+    ]
+
+    def rolled(model: RolloutModel, flight: RolloutFlight) -> FlightRollouts:
+        horizons = horizon_steps(HORIZONS_S, flight.step)
+        return model.roll(
+            flight,
+            flight.starts(int(horizons[-1]), max(1, round(_CALIBRATION_EVERY_S / flight.step))),
+            horizons,
+        )
+
+    with ThreadPoolExecutor(_THREADS) as threads:
+        of_flights = [own for own in threads.map(rolled, models, headed) if len(own.starts)]
+    if not of_flights:
+        return None
+    calibration = TubeCalibration.of_flights(
+        [tube_scores(own.errors, own.covariance) for own in of_flights],
+        [error_norms(own.errors) for own in of_flights],
+    )
+    return replace(
+        _uncalibrated(whole, Disturbance.of_residuals(residuals, step, lead)),
+        measured_variance=variance,
+        calibration=calibration,
+    )
+
+
+def _uncalibrated(fit: PhysicalFit, disturbance: Disturbance) -> RolloutModel:
+    return RolloutModel(
+        fit.values,
+        fit.covariance,
+        fit.record,
+        fit.vehicle.inertia,
+        fit.vehicle.gravity_m_s2,
+        fit.sensing.rotor_delay_s,
+        disturbance,
+        np.full(STATES, _LEAST_VARIANCE),
+    )
+
+
+def _measured_variance(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Array:
+    """Variance (12,) of a measured state: half that of the errors after one sample, as two states err."""
+    errors = []
+    for model, flight in zip(models, flights, strict=True):
+        one = np.array([1])
+        starts = flight.starts(1, 1)
+        moving = np.where(MOVES, model.parameters, 0.0)
+        errors.append(roll_out(model.track(flight), starts, one, moving, derivatives=False).errors[:, 0])
+    # Of the median, since single samples of a log may be wild.
+    deviation = 1.4826 * np.median(np.abs(np.concatenate(errors)), axis=0)
+    return np.maximum(0.5 * np.square(deviation), _LEAST_VARIANCE)
+
+
+def rollout_flights(samples: TrainingSamples) -> list[RolloutFlight]:
+    """The flights of training samples; heading, which the input vector lacks, follows from the rates."""
+    flights = []
+    for k, own in enumerate(flights_of(samples)):
+        angles = samples.inputs[thinned_rows(samples, k)][:, _ANGLES]
+        attitude = _with_heading(_level_attitude(angles), own.motion["rates"], own.time)
+        flights.append(RolloutFlight(own.name, own.time, attitude, own.motion, own.wrench))
+    return flights
+
+
+def _level_attitude(angles: Array) -> Array:
+    """Quaternions (N, 4) of sin φ, cos φ, sin θ, cos θ (N, 4) and heading zero."""
+    roll = 0.5 * np.arctan2(angles[:, 0], angles[:, 1])
+    pitch = 0.5 * np.arctan2(angles[:, 2], angles[:, 3])
+    return np.stack(
+        (
+            np.cos(roll) * np.cos(pitch),
+            np.sin(roll) * np.cos(pitch),
+            np.cos(roll) * np.sin(pitch),
+            -np.sin(roll) * np.sin(pitch),
+        ),
+        axis=1,
+    )
+
+
+def _with_heading(attitude: Array, rates: Array, time: Array) -> Array:
+    """Attitudes (N, 4) turned about the vertical so that they follow rates (N, 3)."""
+    turns = from_rotation_vectors(0.5 * np.diff(time)[:, np.newaxis] * (rates[:-1] + rates[1:]))
+    # The turn about the vertical that brings the next attitude nearest to the one that the rates give.
+    between = products(products(attitude[:-1], turns), inverses(attitude[1:]))
+    half = np.concatenate(([0.0], np.cumsum(np.arctan2(between[:, 3], between[:, 0]))))
+    heading = np.stack((np.cos(half), np.zeros_like(half), np.zeros_like(half), np.sin(half)), axis=1)
+    return products(heading, attitude)

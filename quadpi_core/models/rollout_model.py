@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A model that predicts the state ahead: open loop by the rotor speeds, with a tube around the prediction.
+
+The mean starts at the estimated state, with the disturbance that the past of the flight tells (see
+`disturbance`), which decays. The tube is the covariance of the errors that start state, disturbance and
+parameters leave, scaled by a factor that was calibrated on flights left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.config_schema import NotNegative, Positive, Text, parse_config
+from quadpi_core.errors import ModelError
+from quadpi_core.frames import Array
+from quadpi_core.models.disturbance import Disturbance
+from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, wrenches
+from quadpi_core.models.physical_rollout import RIGID_BODY, STATES, Disturbances, Rolled, Track, roll_out
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
+from quadpi_core.models.rollout_calibration import TubeCalibration
+from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance
+from quadpi_core.models.rollout_flight import RolloutFlight
+from quadpi_core.models.stored_body import require_body
+from quadpi_core.records import Records
+
+# Samples [s] before a start whose residual is not used: the low-pass of all signals works in both directions,
+# and its impulse response at 30 Hz has died out after this.
+LEAD_S = 0.02
+# Parameters of sensors move no body.
+MOVES = np.array([not name.startswith("imu_") for name in TERM_NAMES])
+
+
+class FlightRollouts(NamedTuple):
+    """Roll-outs of a flight from W starts.
+
+    Attributes:
+        starts: (W,) samples.
+        errors: (W, H, 12) predicted less measured.
+        covariance: (W, H, 12, 12) of the errors, by the physics.
+        path: MOVING (W, S + 1).
+    """
+
+    starts: npt.NDArray[np.int64]
+    errors: Array
+    covariance: Array
+    path: Records
+
+
+@dataclass(frozen=True)
+class RolloutModel:
+    """What a model folder keeps to predict ahead.
+
+    Attributes:
+        parameters: (P,) of the physical model, SI.
+        covariance: (P, P) of them.
+        vehicle: PHYSICAL_VEHICLE (1,).
+        inertia: (3, 3) kg m².
+        gravity: m/s².
+        rotor_delay_s: that rotor speeds act after they were measured.
+        disturbance: what the model lacks.
+        measured_variance: (12,) of a measured state.
+        calibration: of the tubes; None before it is made.
+        lead_s: before a start whose residuals are not used.
+    """
+
+    parameters: Array
+    covariance: Array
+    vehicle: Records
+    inertia: Array
+    gravity: float
+    rotor_delay_s: float
+    disturbance: Disturbance
+    measured_variance: Array
+    calibration: TubeCalibration | None = None
+    lead_s: float = LEAD_S
+
+    def track(self, flight: RolloutFlight) -> Track:
+        """A flight on an even time grid as roll-outs need it."""
+        body = np.zeros(1, RIGID_BODY)
+        body["mass"], body["gravity"] = self.vehicle["mass"], self.gravity
+        body["inertia"], body["inverse_inertia"] = self.inertia, np.linalg.inv(self.inertia)
+        return Track(
+            flight.step,
+            flight.delayed(self.rotor_delay_s).motion,
+            np.ascontiguousarray(flight.attitude),
+            self.vehicle,
+            body,
+        )
+
+    def lead(self, step_s: float) -> int:
+        """Samples before a start whose residuals are not used."""
+        return max(1, round(self.lead_s / step_s))
+
+    def residuals(self, flight: RolloutFlight) -> Array:
+        """Measured less predicted wrench (N, 6)."""
+        motion = flight.delayed(self.rotor_delay_s).motion
+        residuals: Array = flight.wrench - wrenches(motion, self.vehicle, self.parameters)
+        return residuals
+
+    def delayed(self, rotor_delay_s: float) -> RolloutModel:
+        """The model with rotor speeds that act so much later than they were measured."""
+        return replace(self, rotor_delay_s=rotor_delay_s)
+
+    def predicted(
+        self, flight: RolloutFlight, starts: npt.NDArray[np.int64], horizons: npt.NDArray[np.int64]
+    ) -> Rolled:
+        """Predict ahead from samples of a flight, without tubes; see :meth:`roll`."""
+        track = self.track(flight)
+        lead, process = self.lead(track.step), self._process(track)
+        known = process.filtered(self.residuals(flight))[np.maximum(starts - lead, 0)] * process.decay**lead
+        return roll_out(
+            track,
+            starts,
+            horizons,
+            np.where(MOVES, self.parameters, 0.0),
+            derivatives=False,
+            disturbances=Disturbances(known, np.zeros((0, 0, 0)), process.decay),
+        )
+
+    def roll(
+        self, flight: RolloutFlight, starts: npt.NDArray[np.int64], horizons: npt.NDArray[np.int64]
+    ) -> FlightRollouts:
+        """Predict ahead from samples of a flight, with tubes.
+
+        Args:
+            flight: on an even time grid.
+            starts: (W,) samples; the last horizon after each lies within the flight.
+            horizons: (H,) samples after the start, rising.
+        """
+        rolled, track = self.predicted(flight, starts, horizons), self.track(flight)
+        process = self._process(track)
+        aged = process.decay ** (2 * self.lead(track.step))
+        stationary = np.square([axis.deviation for axis in process.axes])
+        uncertainty = Uncertainty(
+            self.measured_variance,
+            aged * process.filtered_variance + (1.0 - aged) * stationary,
+            process.drive,
+            process.decay,
+            np.where(np.outer(MOVES, MOVES), self.covariance, 0.0),
+        )
+        moving = np.where(MOVES, self.parameters, 0.0)
+        covariance = error_covariance(track, starts, horizons, rolled.path, moving, uncertainty)
+        return FlightRollouts(starts, rolled.errors, covariance, rolled.path)
+
+    def _process(self, track: Track) -> Disturbance:
+        return replace(self.disturbance, step_s=track.step)
+
+    def arrays(self) -> dict[str, Array]:
+        """What a stored model keeps as arrays, by name."""
+        calibration = {} if self.calibration is None else self.calibration.arrays()
+        return {
+            "parameters": self.parameters,
+            "covariance": np.ascontiguousarray(self.covariance),
+            "vehicle": self.vehicle.view(np.float64).copy(),
+            "inertia": np.ascontiguousarray(self.inertia),
+            "measured_variance": self.measured_variance,
+            **calibration,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """What a stored model keeps beside the arrays."""
+        return {
+            "parameters": list(TERM_NAMES),
+            "gravity": self.gravity,
+            "rotor_delay_s": self.rotor_delay_s,
+            "disturbance": self.disturbance.to_json(),
+        }
+
+    @classmethod
+    def stored(cls, data: Any, arrays: Mapping[str, Array]) -> RolloutModel:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives, and parameters that this version does not know.
+        """
+        entry = parse_config(_Entry, data, "roll-outs", ModelError)
+        if unknown := [name for name in entry.parameters if name not in TERM_INDEX]:
+            raise ModelError(f"roll-outs: parameter {unknown[0]!r} is not known to this version")
+        order = [TERM_INDEX[name] for name in entry.parameters]
+        expected = {
+            "parameters": (len(order),),
+            "covariance": (len(order), len(order)),
+            "vehicle": (PHYSICAL_VEHICLE.itemsize // 8,),
+            "inertia": (3, 3),
+            "measured_variance": (STATES,),
+        }
+        for name, wanted in expected.items():
+            if name not in arrays or arrays[name].shape != wanted:
+                raise ModelError(f"roll-outs: {name} is missing or of another shape than {wanted}")
+        vehicle = np.ascontiguousarray(arrays["vehicle"]).view(PHYSICAL_VEHICLE)
+        require_body(vehicle, arrays["inertia"])
+        if not np.all(arrays["measured_variance"] > 0.0):
+            raise ModelError("roll-outs: measured_variance is not positive")
+        parameters, covariance = np.zeros(len(TERM_NAMES)), np.zeros((len(TERM_NAMES), len(TERM_NAMES)))
+        parameters[order] = arrays["parameters"]
+        covariance[np.ix_(order, order)] = arrays["covariance"]
+        return cls(
+            parameters,
+            covariance,
+            vehicle,
+            arrays["inertia"],
+            entry.gravity,
+            entry.rotor_delay_s,
+            Disturbance.from_json(entry.disturbance),
+            arrays["measured_variance"],
+            TubeCalibration.stored(dict(arrays)),
+        )
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What a stored model keeps beside the arrays."""
+
+    parameters: tuple[Text, ...]
+    gravity: Positive
+    rotor_delay_s: NotNegative
+    disturbance: dict[str, Any]

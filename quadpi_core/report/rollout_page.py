@@ -1,0 +1,188 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page and the table of `quadpi rollout`: how far ahead a model can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from quadpi_core.evaluation.rollouts import RolledFlight, RolloutEvaluation
+from quadpi_core.frames import Array
+from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
+from quadpi_core.report.page import Page
+from quadpi_core.report.plots import Subplot, series, styled
+from quadpi_core.report.style import GROUPS, MEASURED, nominal, number, percent, translucent
+from quadpi_core.report.table import Column, Row, Table
+from quadpi_core.rotations import rotate_body_to_world
+
+# Units and rows of an error by quantity, as results name them.
+_QUANTITIES = {
+    "position_m": ("position", "m", POSITION, 1.0),
+    "velocity_m_s": ("velocity", "m/s", VELOCITY, 1.0),
+    "attitude_deg": ("attitude", "°", ATTITUDE, float(np.degrees(1.0))),
+    "rates_rad_s": ("rates", "rad/s", RATES, 1.0),
+}
+# Fans drawn of a flight, evenly over it: more would lie upon each other.
+_FANS = 40
+# Between fans, where a line is not drawn.
+_GAP = (np.nan, np.nan)
+
+
+def rollout_summary(evaluation: RolloutEvaluation) -> Table:
+    """Errors and tubes by flight, horizon and quantity."""
+    level = nominal(evaluation.confidence)
+    columns = [
+        Column("flight", is_text=True, is_section=True, chooses_flight=True),
+        Column("horizon", is_text=True, once=True),
+        Column("", is_text=True),
+        Column("RMS error", number),
+        Column("coverage", percent, group=f"{level} tube"),
+        Column("width", number, group=f"{level} tube"),
+        Column("coverage", percent, group="split conformal", is_soft=True),
+        Column("width", number, group="split conformal", is_soft=True),
+    ]
+    rows: list[Row] = [
+        [
+            flight,
+            f"{horizon} s",
+            f"{_QUANTITIES[quantity][0]} [{_QUANTITIES[quantity][1]}]",
+            own.rms,
+            own.coverage,
+            own.width,
+            own.conformal_tracked_coverage,
+            own.conformal_tracked_width,
+        ]
+        for flight, judged in evaluation.flights.items()
+        for horizon, quantities in judged.horizons.items()
+        for quantity, own in quantities.items()
+    ]
+    return Table(columns, rows)
+
+
+def rollout_verdict(evaluation: RolloutEvaluation) -> str:
+    """What the tubes at the last horizon are worth, in a sentence."""
+    last = f"{evaluation.horizon_s:g}"
+    errors = [flight.horizons[last]["attitude_deg"].rms for flight in evaluation.flights.values()]
+    shares = [
+        own.coverage for flight in evaluation.flights.values() for own in flight.horizons[last].values()
+    ]
+    return (
+        f"{last} s ahead the attitude errs by {number(min(errors))}° to {number(max(errors))}°; the tubes of "
+        f"{nominal(evaluation.confidence)} hold {percent(min(shares))} to {percent(max(shares))} of the "
+        f"roll-outs of each flight."
+    )
+
+
+def write_rollout_page(path: Path, flights: Sequence[RolledFlight], evaluation: RolloutEvaluation) -> None:
+    """Write the page; it appears whole or not at all.
+
+    Args:
+        path: of the HTML file.
+        flights: that were predicted.
+        evaluation: of them.
+
+    Raises:
+        OutputError: if `path` cannot be written.
+    """
+    figures: dict[str, go.Figure] = {}
+    for flight in flights:
+        figures[f"fan {flight.name}"] = fan_figure(flight)
+        figures[f"growth {flight.name}"] = growth_figure(flight)
+    Page(
+        title=f"quadpi: roll-outs of {evaluation.model}",
+        about="how far ahead can this model be trusted?",
+        verdict=rollout_verdict(evaluation),
+        facts={
+            "model": evaluation.model,
+            "vehicle": evaluation.vehicle,
+            "flights": str(len(flights)),
+            "horizon": f"{evaluation.horizon_s:g} s",
+        },
+        definitions={
+            "Tube": "Ellipsoid of the errors' covariance, which the physics give, times a factor that was "
+            "calibrated on flights left out and then follows the flight's own errors once they are known.",
+            "Width": "Diameter of the ball that has the volume of the tube, mean over the roll-outs.",
+            "Split conformal": "Balls of one size from the same errors on flights left out, which follow the "
+            "flight likewise.",
+        },
+        figures=figures,
+    ).write(
+        path,
+        "rollouts.html",
+        nominal=nominal(evaluation.confidence),
+        table_of_tubes=rollout_summary(evaluation),
+        flights={"predicted": [flight.name for flight in flights]},
+    )
+
+
+def fan_figure(flight: RolledFlight) -> go.Figure:
+    """Velocity along each axis and tilt as they were, and fans of predictions with their tubes."""
+    measured = _states(flight)
+    figure = make_subplots(len(measured), 1, shared_xaxes=True, vertical_spacing=0.04)
+    time = flight.flight.time
+    chosen = np.unique(np.linspace(0, len(flight.time) - 1, _FANS).astype(int))
+    for row, (name, (values, part, scale)) in enumerate(measured.items(), start=1):
+        plot = Subplot(figure, row, in_legend=row == 1)
+        tube: list[tuple[float, float]] = []
+        mean: list[tuple[float, float]] = []
+        for k in chosen:
+            start = int(flight.rolled.starts[k])
+            places = start + np.rint(np.array(flight.horizons_s) / (time[1] - time[0])).astype(int)
+            centre = values[places] + scale * flight.rolled.errors[k, :, part]
+            variance = flight.rolled.covariance[k, :, part, part]
+            half = scale * flight.factors[k, :, (part - POSITION.stop) // 3 + 1] * np.sqrt(variance)
+            x = time[places]
+            around = np.concatenate((x, x[::-1])), np.concatenate((centre - half, (centre + half)[::-1]))
+            tube += [*zip(*around, strict=True), _GAP]
+            mean += [*zip(x, centre, strict=True), _GAP]
+        drawn = np.array(tube)
+        figure.add_scatter(
+            **series(drawn[:, 0], drawn[:, 1]),
+            fill="toself",
+            fillcolor=translucent(GROUPS[0], 0.25),
+            line_width=0,
+            hoverinfo="skip",
+            name="tube",
+            legendgroup="tube",
+            showlegend=plot.in_legend,
+            **plot.cell,
+        )
+        plot.line(time, values, name="measured", colour=MEASURED)
+        plot.line(*np.array(mean).T, name="predicted", colour=GROUPS[0])
+        figure.update_yaxes(title_text=name, row=row, col=1)
+    figure.update_xaxes(title_text="time [s]", row=len(measured), col=1)
+    return styled(figure, 190 * len(measured))
+
+
+def growth_figure(flight: RolledFlight) -> go.Figure:
+    """Errors and tube over the horizon: median, 95 % quantile, and mean radius of the tubes."""
+    figure = make_subplots(1, len(_QUANTITIES), horizontal_spacing=0.07)
+    x = np.array(flight.horizons_s)
+    for place, (name, unit, _, scale) in enumerate(_QUANTITIES.values()):
+        plot = Subplot(figure, 1, place + 1, in_legend=place == 0)
+        norms = scale * flight.norms[:, :, place]
+        plot.band(x, 0 * x, scale * flight.radii[:, :, place].mean(axis=0), name="tube", colour=GROUPS[0])
+        plot.line(x, np.median(norms, axis=0), name="median error", colour=MEASURED)
+        plot.line(x, np.quantile(norms, 0.95, axis=0), name="95 % of the errors", colour=GROUPS[1])
+        figure.update_yaxes(title_text=f"{name} [{unit}]", row=1, col=place + 1)
+        figure.update_xaxes(title_text="horizon [s]", row=1, col=place + 1)
+    return styled(figure, 330)
+
+
+def _states(flight: RolledFlight) -> Mapping[str, tuple[Array, int, float]]:
+    """What fans are drawn of: measured values (N,), row of the error, factor on it."""
+    own = flight.flight
+    velocity = rotate_body_to_world(own.attitude, own.motion["velocity"])
+    degrees = float(np.degrees(1.0))
+    return {
+        "velocity north [m/s]": (velocity[:, 0], 3, 1.0),
+        "velocity east [m/s]": (velocity[:, 1], 4, 1.0),
+        "velocity down [m/s]": (velocity[:, 2], 5, 1.0),
+        "p [°/s]": (degrees * own.motion["rates"][:, 0], 9, degrees),
+        "q [°/s]": (degrees * own.motion["rates"][:, 1], 10, degrees),
+    }

@@ -1,0 +1,77 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.inputs import aerodynamic_inputs
+from quadpi_core.models.model_kind import TrainingSamples
+from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.rollout_calibration import HORIZONS_S, error_norms, tube_scores
+from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
+from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
+from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.rotations import inverses, products, to_rotation_vectors
+from test.core.models.flights_ahead import with_attitude
+from test.core.models.physical_flights import VEHICLE, flown, samples_of
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[PhysicalFlight]:
+    return [flown(15.0, seed) for seed in (1, 2, 3)]
+
+
+@pytest.fixture(scope="module")
+def fits(flights: list[PhysicalFlight]) -> list[PhysicalFit]:
+    """Of all flights, then without each of them."""
+    study = PhysicalStudy.of(flights, VEHICLE, sensing=Sensing())
+    return [study.fit(choose=False, left_out=k) for k in (None, 0, 1, 2)]
+
+
+@pytest.fixture(scope="module")
+def model(flights: list[PhysicalFlight], fits: list[PhysicalFit]) -> RolloutModel:
+    made = calibrated_rollouts([with_attitude(flight) for flight in flights], fits[0], fits[1:])
+    assert made is not None
+    return made
+
+
+def samples(flight: PhysicalFlight, own: RolloutFlight) -> TrainingSamples:
+    columns = [np.ascontiguousarray(flight.motion[name]) for name in ("velocity", "rates", "rotor_speeds")]
+    inputs = aerodynamic_inputs(columns[0], own.attitude, columns[1], columns[2], VEHICLE)
+    return replace(samples_of([flight]), inputs=inputs)
+
+
+def test_attitude_and_heading_come_back_from_the_input_vector(flights: list[PhysicalFlight]) -> None:
+    truth = with_attitude(flights[0])
+    (found,) = rollout_flights(samples(flights[0], truth))
+    # Both from the same start: what is left is the drift of integrated rates.
+    turned = products(products(truth.attitude[0:1], inverses(found.attitude[0:1])), found.attitude)
+    error = to_rotation_vectors(products(inverses(truth.attitude), turned))
+    assert np.abs(error).max() < 0.02
+    np.testing.assert_array_equal(found.motion["rates"], truth.motion["rates"])
+
+
+def test_tubes_hold_a_flight_that_was_not_seen(model: RolloutModel) -> None:
+    flight = with_attitude(flown(20.0, 9))
+    horizons = horizon_steps(HORIZONS_S, flight.step)
+    rolled = model.roll(flight, flight.starts(int(horizons[-1]), 10), horizons)
+    assert model.calibration is not None
+    inside = tube_scores(rolled.errors, rolled.covariance) <= model.calibration.factors(HORIZONS_S, 0.95)
+    assert 0.8 < np.mean(inside) <= 1.0
+    assert np.median(error_norms(rolled.errors)[:, -2, 2]) < 0.1
+
+
+def test_a_confidence_that_is_higher_takes_a_larger_tube(model: RolloutModel) -> None:
+    assert model.calibration is not None
+    low, high = (model.calibration.factors(HORIZONS_S, level) for level in (0.8, 0.99))
+    assert np.all(high > low)
+
+
+def test_flights_shorter_than_the_longest_horizon_calibrate_nothing(fits: list[PhysicalFit]) -> None:
+    short = with_attitude(flown(1.05, 4))
+    assert calibrated_rollouts([short], fits[0], fits[:1]) is None

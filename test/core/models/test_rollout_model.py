@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import ModelError
+from quadpi_core.models.disturbance import AxisDisturbance, Disturbance
+from quadpi_core.models.physical_rollout import RATES, STATES
+from quadpi_core.models.rollout_calibration import HORIZONS_S, QUANTITIES, TubeCalibration
+from quadpi_core.models.rollout_model import RolloutModel
+from test.core.models.flights_ahead import ahead, true_model
+from test.core.models.physical_flights import STEP_S
+
+HORIZONS = np.array([10, 50])
+SLOW = Disturbance((AxisDisturbance(1e-3, 3.2, 0.1),) * 6, STEP_S)
+
+
+@pytest.fixture(scope="module")
+def model() -> RolloutModel:
+    ones = np.ones((4, len(HORIZONS_S), len(QUANTITIES)))
+    sizes = TubeCalibration.of_flights([ones, ones], [ones, ones])
+    return replace(true_model(SLOW), calibration=sizes)
+
+
+def test_a_moment_that_the_model_lacks_is_held(model: RolloutModel) -> None:
+    flight = ahead(5.0, 1)
+    # The vehicle that flew had a moment that the model lacks: its measured wrench does, and its motion.
+    missing = np.zeros(6)
+    missing[4] = 2e-3
+    starts = flight.starts(50, 10)[20:]
+    pushed = replace(flight, wrench=flight.wrench + missing)
+    plain = model.roll(flight, starts, HORIZONS).errors[:, -1, RATES]
+    held = model.roll(pushed, starts, HORIZONS).errors[:, -1, RATES]
+    gained = 0.5 * missing[4] / model.inertia[1, 1]
+    assert np.median(held[:, 1] - plain[:, 1]) == pytest.approx(gained, rel=0.4)
+
+
+def test_no_sample_after_the_start_is_used(model: RolloutModel) -> None:
+    flight = ahead(5.0, 1)
+    wrench = flight.wrench.copy()
+    wrench[200:] += 1.0
+    starts = np.array([200, 190])
+    for before, after in zip(
+        model.roll(flight, starts, HORIZONS),
+        model.roll(replace(flight, wrench=wrench), starts, HORIZONS),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(before, after)
+
+
+def test_the_tube_holds_what_a_disturbance_does(model: RolloutModel) -> None:
+    rolled = model.roll(ahead(5.0, 1), np.array([100, 200]), HORIZONS)
+    assert rolled.covariance.shape == (2, 2, STATES, STATES)
+    assert np.all(np.linalg.eigvalsh(rolled.covariance) > 0.0)
+    quiet = replace(model, disturbance=Disturbance.nothing(STEP_S))
+    still = quiet.roll(ahead(5.0, 1), np.array([100, 200]), HORIZONS).covariance
+    assert np.all(rolled.covariance[:, -1, 10, 10] > 10.0 * still[:, -1, 10, 10])
+
+
+def test_a_stored_model_predicts_the_same_and_damage_is_refused(model: RolloutModel) -> None:
+    data, arrays = model.to_json(), model.arrays()
+    read = RolloutModel.stored(data, arrays)
+    flight = ahead(3.0, 1)
+    for before, after in zip(
+        model.roll(flight, np.array([50]), HORIZONS), read.roll(flight, np.array([50]), HORIZONS), strict=True
+    ):
+        np.testing.assert_array_equal(before, after)
+    for name, wrong, words in (
+        ("covariance", arrays["covariance"][:3], "covariance is missing or of another shape"),
+        ("measured_variance", -arrays["measured_variance"], "measured_variance is not positive"),
+        ("vehicle", 0.0 * arrays["vehicle"], "mass"),
+        ("inertia", 0.0 * arrays["inertia"], "inertia"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            RolloutModel.stored(data, {**arrays, name: wrong})
+    with pytest.raises(ModelError, match="'lift'"):
+        RolloutModel.stored({**data, "parameters": ["lift", *data["parameters"][1:]]}, arrays)
+    with pytest.raises(ModelError, match="rotor_delay_s"):
+        RolloutModel.stored({**data, "rotor_delay_s": -1.0}, arrays)

@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.evaluation.rollouts import evaluate_rollouts
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.report.rollout_page import (
+    fan_figure,
+    growth_figure,
+    rollout_summary,
+    rollout_verdict,
+    write_rollout_page,
+)
+from quadpi_core.report.table import markdown_table
+from quadpi_core.vehicle import Vehicle
+
+from .conftest import Page
+
+
+@pytest.fixture(scope="module")
+def judged(predicting, bags):
+    return evaluate_rollouts(AerodynamicModel.load(predicting), [bags[2]], Vehicle.load("neurobem"))
+
+
+def test_the_page_holds_the_table_and_a_fan(judged, tmp_path) -> None:
+    write_rollout_page(tmp_path / "page.html", *judged)
+    page = Page((tmp_path / "page.html").read_text())
+    page.assert_needs_nothing_from_outside()
+    assert "how far ahead can this model be trusted?" in page.text
+    assert "split conformal" in page.text
+    assert " ".join(rollout_verdict(judged[1]).split()) in " ".join(page.text.split())
+
+
+def test_a_row_for_each_horizon_and_quantity(judged) -> None:
+    text = markdown_table(rollout_summary(judged[1]))
+    assert text.count("position [m]") == 3
+    assert text.count("attitude [°]") == 3
+
+
+def test_a_fan_spreads_around_the_prediction(judged) -> None:
+    (flight,), _ = judged
+    figure = fan_figure(flight)
+    tube, measured, predicted = figure.data[:3]
+    assert (tube.name, measured.name, predicted.name) == ("tube", "measured", "predicted")
+    assert tube.fill == "toself"
+    assert len(measured.x) == len(flight.flight.time)
+    # A fan: to the last horizon and back.
+    size = len(flight.horizons_s)
+    fan = np.array(tube.y[: 2 * size])
+    assert np.all(fan[size:][::-1] > fan[:size])
+    np.testing.assert_allclose(
+        0.5 * (fan[size:][::-1] + fan[:size]), predicted.y[:size], rtol=1e-3, atol=1e-4
+    )
+    json.loads(figure.to_json())
+
+
+def test_tubes_grow_with_the_horizon(judged) -> None:
+    (flight,), _ = judged
+    growth = growth_figure(flight)
+    upper = next(trace for trace in growth.data if trace.name == "tube")
+    assert np.all(np.diff(upper.y) > 0.0)
+    assert "-0" not in rollout_verdict(judged[1])
