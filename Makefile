@@ -7,7 +7,8 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real models pictures golden fuzz environment clean
+.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real models nanodrone pictures golden
+.PHONY: fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -50,6 +51,9 @@ bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=
 tables: ## renew docs/paper-tables.md (TABLES_ARGS="--only tunnel --data FOLDER")
 	@sh tools/bootstrap.sh --train
 	@$(BIN)/python tools/paper_tables.py $(TABLES_ARGS)
+
+nanodrone: environment ## the nano-drone benchmark, beside what is published (NANODRONE_TEST=FOLDER of test flights)
+	@$(BIN)/python tools/nanodrone.py $(NANODRONE_TEST)
 
 discovery: environment ## renew docs/discovery.md: searches for hidden effects, scored (DISCOVERY_ARGS="--short")
 	@$(BIN)/python tools/discovery.py $(DISCOVERY_ARGS)

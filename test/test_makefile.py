@@ -23,6 +23,7 @@ SHORT = {
     "fuzz": ("FUZZ_ARGS=--help", "--minutes"),
     "golden": ("GOLDEN_ARGS=--help", "--model"),
     "models": ("MODELS_ARGS=--help", "--methods"),
+    "nanodrone": ("NANODRONE_TEST=--help", "--without"),
     "tables": ("TABLES_ARGS=--help", "--only"),
 }
 # What they do, in a short form of its own; all but discovery-real, which takes minutes on real flights.
@@ -34,6 +35,7 @@ SHORT_FORMS = {
     "fuzz": "test/faults/test_fuzzing.py",
     "golden": "test/golden/test_golden_trace.py",
     "models": "test/test_model_methods.py",
+    "nanodrone": "test/test_nanodrone.py",
     "pictures": "test/core/view/test_view_page.py",
     "tables": "test/test_paper_tables.py",
 }
