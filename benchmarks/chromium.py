@@ -8,9 +8,10 @@ import asyncio
 import base64
 import json
 import shutil
+import struct
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -108,19 +109,45 @@ class Tab:
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
-    def picture(self, path: Path, kind: str = "png", scale: float = 1.0) -> None:
-        """What the window shows."""
+    def picture(self, scale: float = 1.0, quality: int = 80) -> bytes:
+        """What the window shows, as WebP."""
         width, height = self.value("[innerWidth, innerHeight]")
         clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": scale}
-        options = {"quality": 80} if kind != "png" else {}
-        answer = self.call("Page.captureScreenshot", format=kind, clip=clip, **options)
-        path.write_bytes(base64.b64decode(answer["data"]))
+        answer = self.call("Page.captureScreenshot", format="webp", quality=quality, clip=clip)
+        return base64.b64decode(answer["data"])
 
     def close(self) -> None:
         """Let go of the page."""
         self._socket.close()
         self._loop.run_until_complete(asyncio.sleep(0))
         self._loop.close()
+
+
+def moving_picture(pictures: Sequence[bytes], step_ms: int) -> bytes:
+    """WebP pictures of one size as the frames of one that moves (WebP container specification)."""
+    frames = [_chunks(picture)[b"VP8 "] for picture in pictures]
+    # Width and height are in the header of the first frame, behind its tag and start code.
+    width, height = (value & 0x3FFF for value in struct.unpack_from("<HH", frames[0], 6))
+    size = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    body = _chunk(b"VP8X", b"\x02\0\0\0" + size) + _chunk(b"ANIM", b"\xff\xff\xff\xff\0\0")
+    for frame in frames:
+        place = b"\0" * 6 + size + step_ms.to_bytes(3, "little") + b"\x02"
+        body += _chunk(b"ANMF", place + _chunk(b"VP8 ", frame))
+    return _chunk(b"RIFF", b"WEBP" + body)
+
+
+def _chunk(name: bytes, content: bytes) -> bytes:
+    return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
+
+
+def _chunks(picture: bytes) -> dict[bytes, bytes]:
+    """Contents by name; the header of the file takes twelve bytes."""
+    found, place = {}, 12
+    while place < len(picture):
+        name, length = struct.unpack_from("<4sI", picture, place)
+        found[name] = picture[place + 8 : place + 8 + length]
+        place += 8 + length + length % 2
+    return found
 
 
 @contextmanager

@@ -64,6 +64,7 @@ RUN_BY = {
     r"(rosdep|colcon) .*": "test/test_packaging.py - what they install; neither has a wheel",
     r"python3 -m venv --system-site-packages .*": "test/test_packaging.py - on a ROS machine",
     r"pip install .*": "test/test_packaging.py - the names in it",
+    r"\.venv/bin/quadpi view .*": "test/core/view/test_view_page.py",
     r"source .*": "test/test_packaging.py - on a ROS machine",
     r"(ros2 security|export ROS_SECURITY|ros2 run quadpi live --ros-args --enclave).*": (
         "- needs Fast DDS with its security plugins, which the wheels may lack"

@@ -46,6 +46,7 @@ export class TimeChart {
   constructor(canvas) {
     this.canvas = canvas;
     this.range = null;
+    this.last = 0;
   }
 
   draw(store, cursor, series, {band = null, outlines = [], misses = null, least = 0} = {}) {
@@ -53,8 +54,7 @@ export class TimeChart {
     const left = 46, bottom = height - 16, span = width - left;
     const last = Math.floor(cursor / store.blockS), first = Math.max(0, last - Math.round(WINDOW_S / store.blockS));
     const x = (block) => left + span * (1 - (cursor - block * store.blockS) / WINDOW_S);
-    this.fit(store, first, last, [...series, ...(band ? [band] : [])], least);
-    const [low, high] = this.range, y = (value) => bottom - (bottom - 4) * (value - low) / (high - low);
+    const [low, high] = this.fit(store, first, last, [...series, ...(band ? [band] : [])], least), y = (value) => bottom - (bottom - 4) * (value - low) / (high - low);
     context.strokeStyle = colours["--rule"];
     context.fillStyle = colours["--soft"];
     context.lineWidth = 1;
@@ -90,16 +90,18 @@ export class TimeChart {
         if (top > high && top < 1e9) high = top;
       }
     }
-    if (!(high >= low)) [low, high] = this.range ?? [0, 1];
+    if (!(high >= low)) { this.range = null; return [0, 1]; }
     if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
     const margin = 0.06 * (high - low) || 0.5;
     low -= margin; high += margin;
-    // Grows at once, shrinks slowly: a scale that jumps cannot be read.
-    if (this.range) {
+    // Grows at once, shrinks slowly: a scale that jumps cannot be read. Another moment has a scale of its own.
+    if (this.range && Math.abs(last - this.last) * store.blockS < 2) {
       low = Math.min(low, this.range[0] + 0.04 * (low - this.range[0]));
       high = Math.max(high, this.range[1] + 0.04 * (high - this.range[1]));
     }
     this.range = [low, high];
+    this.last = last;
+    return this.range;
   }
 
   // Runs without a gap of [x, low, high], at most one per pixel: extremes of the blocks that share it.

@@ -271,7 +271,8 @@ function since(state) {
 }
 
 function showCoverage(now) {
-  if (now - page.coveredAt < COVERAGE_EVERY_MS) return;
+  // What stands still is drawn once, and has to be right then.
+  if (page.playing && now - page.coveredAt < COVERAGE_EVERY_MS) return;
   page.coveredAt = now;
   const models = store.vehicle?.models ?? [], at = block();
   // The axis that is inside least often, in words; of all axes together a bad one would not be seen.

@@ -4,19 +4,20 @@
 
 from __future__ import annotations
 
+import base64
 import os
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks.chromium import PROGRAM, Tab, chromium
+from benchmarks.chromium import PROGRAM, Tab, chromium, moving_picture
 
 from .conftest import BAG, MODEL_FOLDER
 
@@ -106,6 +107,10 @@ def test_coverage_is_that_of_the_samples(opened, judged_view):
     missed = sum(judged_view.blocks.value(block, "0.misses") for block in blocks)
     assert shown["count"] == count
     assert shown["inside"] == pytest.approx(1.0 - missed / count)
+    least = 100.0 * min(shown["inside"])
+    for seconds in (5.0, 15.0):
+        at(opened, seconds)
+    assert opened.value("document.getElementById('covered10').textContent").startswith(f"{least:.1f} %")
 
 
 def test_keys_move_through_time_and_to_alarms(opened):
@@ -254,8 +259,22 @@ def test_another_site_cannot_read_the_page_or_its_socket(tab, url, elsewhere):
 
 @pytest.mark.skipif(not PICTURES, reason="pictures are made by `make pictures`")
 def test_pictures_for_the_documents(opened):
+    folder = Path(PICTURES or "")
     opened.resize(1400, 1010)
     at(opened, 16.5)
-    time.sleep(0.5)
-    opened.picture(Path(PICTURES or "") / "view.webp", "webp")
+    (folder / "view.webp").write_bytes(opened.picture())
+    frames = []
+    for seconds in np.arange(7.6, 12.0, 0.7):
+        at(opened, float(seconds))
+        frames.append(opened.picture(scale=0.55, quality=45))
+    (folder / "view-moving.webp").write_bytes(moving_picture(frames, 700))
     opened.resize(1400, 1300)
+
+
+def test_a_moving_picture_is_one_that_a_browser_shows(opened):
+    moving = base64.b64encode(moving_picture([opened.picture(scale=0.2) for _ in range(3)], 100)).decode()
+    shown = (
+        "new Promise((done) => { const one = new Image(); one.onload = () => done([one.width, one.height]);"
+        f" one.onerror = () => done(null); one.src = 'data:image/webp;base64,{moving}'; }})"
+    )
+    assert opened.value(shown) == [280, 260]
