@@ -92,6 +92,10 @@ def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
     acted = np.sqrt(np.square(np.concatenate([drag(f, true)[:, :3] for f in flights])).mean())
     assert missed(parameters | shape) < 0.5 * missed(parameters)
     assert missed(parameters | shape) < 0.05 * acted
+    # The shape is that of the law, whatever size of it the columns were made for.
+    halved = Closing.of(closing.regression.moved({0: 0.5 * closing.regression.columns.points[0]}), (0,))
+    again = halved.shape(0, *halved.fits())
+    assert again["shape_speed"] == pytest.approx(shape["shape_speed"], rel=0.2)
     exact = closing.by_laws(closing.regression, (0,))
     assert closing.gap().reduction > exact.gap().reduction
 

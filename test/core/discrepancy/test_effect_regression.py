@@ -127,3 +127,16 @@ def test_frequencies_that_are_not_compared_have_no_noise(simulation, flights):
     regression = Regression.of(compared, candidates(simulation.vehicle, ["payload"]))
     assert regression.noise.shape == (6, 6)
     assert np.all(regression.noise > 0.0)
+
+
+def test_energy_of_a_curved_effect_is_that_of_what_it_adds(windy):
+    """About another point than zero: its columns less the offset."""
+    index = [own.name for own in windy.candidates].index("wind")
+    at_its_best = settled(windy)
+    regression, fit = refined(at_its_best, (index,), at_its_best.fit((index,)))
+    wind, values = regression.candidates[index], regression.parameters(index, fit)
+    energy = 0.0
+    for flight, band in zip(regression.flights, regression.columns.bands, strict=True):
+        added = flight.spectrum(flight.added(wind.effect, wind.values(values))[:, :, None]).rows[:, :, 0]
+        energy += 0.5 * np.sum(added**2 / regression.noise[:, band])
+    assert regression.energy((index,), fit) == pytest.approx(energy, rel=0.02)

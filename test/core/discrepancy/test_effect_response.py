@@ -15,6 +15,7 @@ from quadpi_core.discrepancy.effect_response import (
     predicted_flight,
     residual,
     share_of_wrench,
+    without_sensor_effect,
 )
 from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.signals.wrench import measured_wrench
@@ -143,3 +144,38 @@ def test_a_flight_is_compared_up_to_its_highest_frequency(flight, simulation):
     whole, slow = Compared(flight, simulation), Compared(flight, simulation, highest_hz=5.0)
     assert whole.spectrum(columns).rows.shape[1] == pytest.approx(2 * 20.0 * 4.0, abs=2)
     assert slow.spectrum(columns).rows.shape[1] == pytest.approx(2 * 5.0 * 4.0, abs=2)
+
+
+def corrected(flight, simulation, name, **parameters):
+    """The flight without an effect on its sensors, of an estimator that knows all biases."""
+    none = np.zeros((len(flight), 3))
+    effect, changed = EFFECTS[name], values(name, **parameters)
+    return without_sensor_effect(flight, effect, simulation.vehicle, changed, lambda *_: (none, none))
+
+
+def test_axes_of_the_imu_are_turned_for_rates_and_their_derivative_alike(flight, simulation):
+    turned = corrected(flight, simulation, "imu_misalignment", x_deg=2.0, y_deg=-1.5, z_deg=1.0)
+    matrix, *_ = np.linalg.lstsq(flight.rates, turned.rates, rcond=None)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-6)
+    assert np.degrees(np.arccos(0.5 * (np.trace(matrix) - 1.0))) == pytest.approx(7.25**0.5, rel=0.01)
+    for name in ("angular_acceleration", "specific_force"):
+        np.testing.assert_allclose(getattr(turned, name), getattr(flight, name) @ matrix, atol=1e-6)
+
+
+def test_a_pose_that_comes_late_is_moved_back_with_all_that_follows_from_it(flight, simulation):
+    moved = corrected(flight, simulation, "sensor_delay", mocap_s=0.08)
+    time = flight.time
+    for name in ("position", "velocity", "attitude"):
+        own = getattr(flight, name)
+        earlier = np.stack([np.interp(time + 0.08, time, column) for column in own.T], axis=1)
+        assert np.abs(earlier - own).max() > 1e-3
+        np.testing.assert_allclose(getattr(moved, name)[:-20], earlier[:-20], atol=1e-3)
+    np.testing.assert_array_equal(moved.rates, flight.rates)
+
+
+def test_a_displaced_centre_feels_the_force_that_was_measured(compared):
+    """Even where the simulation lacks it."""
+    offset = {"x_m": 0.003, "y_m": -0.004, "z_m": 0.01}
+    added = compared.added(EFFECTS["cg_offset"], values("cg_offset", **offset))
+    moment = -np.cross(list(offset.values()), compared.measured[:, :3])
+    np.testing.assert_allclose(added[:, 3:], moment, atol=1e-12)
