@@ -7,8 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real models nanodrone pictures golden
-.PHONY: fuzz environment clean
+.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real models nanodrone pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
