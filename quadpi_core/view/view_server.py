@@ -35,7 +35,7 @@ from quadpi_core.view.vehicle_view import VehicleView
 
 PORT, ADDRESS = 8710, "127.0.0.1"
 PAGE_FOLDER = Path(__file__).with_name("page")
-TICK_S = 0.04
+TICK_S = 0.05
 # Whole sessions are sent at this rate, and health.
 OVERVIEW_S = 1.0
 # A browser that takes nothing for this long is let go; it connects again when it wakes up.
