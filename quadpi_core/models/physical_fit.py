@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from scipy.optimize import lsq_linear
 from quadpi_core.config_schema import Real, Text
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_flight import FORCE, PhysicalFlight, Sensing
 from quadpi_core.models.physical_regressors import acting_terms, physical_vehicle
 from quadpi_core.models.physical_terms import TERM_NAMES, TERMS, scales
 from quadpi_core.records import Records
@@ -45,6 +45,14 @@ _THRUST_OF_A_FLIGHT, _WORTH_FLIGHTS = 0.03, 2.0
 LEAST = 1e-12
 
 
+@cache
+def _felt_terms() -> npt.NDArray[np.bool_]:
+    """Which axes (P, 6) of a recording each term reaches: smoothing in the world mixes those of forces."""
+    felt = acting_terms().copy()
+    felt[:, FORCE] = np.any(felt[:, FORCE], axis=1, keepdims=True)
+    return felt
+
+
 @dataclass(frozen=True)
 class Information:
     """Sums over the samples of a flight, each axis by itself: all that least squares needs.
@@ -65,7 +73,7 @@ class Information:
     def of(cls, z: Array, wrench: Array) -> Information:
         """Of regressors (N, P, 6) and the measured wrench (N, 6)."""
         matrix, moment = np.zeros((len(AXES), len(TERMS), len(TERMS))), np.zeros((len(AXES), len(TERMS)))
-        for axis, acting in enumerate(acting_terms().T):
+        for axis, acting in enumerate(_felt_terms().T):
             own = z[:, acting, axis]
             matrix[axis][np.ix_(acting, acting)] = own.T @ own
             moment[axis, acting] = wrench[:, axis] @ own

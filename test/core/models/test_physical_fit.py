@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.models.physical_fit import PhysicalFit, thrust_variance
+from quadpi_core.models.physical_fit import Information, PhysicalFit, thrust_variance
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
@@ -21,6 +21,19 @@ def fitted(flights: list[PhysicalFlight]) -> PhysicalFit:
 @pytest.fixture(scope="module")
 def flights() -> list[PhysicalFlight]:
     return [flown(20.0, seed) for seed in (1, 2, 3)]
+
+
+@pytest.mark.parametrize("bandwidth_hz", [None, 8.0])
+def test_sums_hold_all_that_the_regressors_do(
+    flights: list[PhysicalFlight], bandwidth_hz: float | None
+) -> None:
+    """Smoothing in the world mixes the axes of forces."""
+    flight, values = flights[0], known_parameters()
+    fit = fitted(flights[:1])
+    sensing = Sensing(0.0, bandwidth_hz)
+    summed = Information.of(flight.regressors(fit.record, sensing), flight.wrench)
+    errors = flight.errors(values, fit.record, sensing)
+    np.testing.assert_allclose(summed.rmse(values), np.sqrt(np.mean(np.square(errors), axis=0)), rtol=1e-6)
 
 
 def test_the_parameters_that_flew_lie_in_their_intervals(flights: list[PhysicalFlight]) -> None:
