@@ -33,6 +33,7 @@ def test_the_longest_run_of_equal_rows_is_found_across_parts(rows, data):
 
 def test_a_range_passes_over_what_is_not_finite():
     running = RunningRange("speed", "m/s")
+    running.add(np.array([np.nan, np.nan]))
     assert list(running.ranges()) == []
     for part in ([np.nan, 3.0], [], [-1.0, np.inf, 4.0], [2.0, 8.0]):
         running.add(np.array(part))
