@@ -1,10 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi view` refuses what it cannot show in one line; what it shows is tested in test_view_page.py."""
+"""`quadpi view`: what it refuses, and that it serves a bag until Ctrl-C."""
 
 from __future__ import annotations
 
+import signal
 import socket
+import subprocess
+import sys
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +18,7 @@ from quadpi_core.paths import bags_directory
 
 MODEL = Path(__file__).resolve().parents[2] / "golden" / "model"
 BAG = bags_directory() / "extrapolation.mcap"
+QUADPI = Path(sys.executable).with_name("quadpi")
 
 
 @pytest.fixture
@@ -54,3 +59,15 @@ def test_a_port_in_use_is_refused_and_none_chosen_instead(quadpi, taken):
 @pytest.mark.parametrize("port", ["65536", "-1", "http"])
 def test_a_port_that_is_none_is_refused(quadpi, port):
     assert quadpi("view", BAG, "--model", MODEL, "--port", port).status == 2
+
+
+def test_a_bag_is_served_until_it_is_interrupted():
+    command = [QUADPI, "view", BAG, "--model", MODEL, "--port", "0", "--no-open"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            url = next(word for line in process.stdout for word in line.split() if word.startswith("http://"))
+            with urllib.request.urlopen(url) as page:
+                assert b"<title>" in page.read()
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert (process.wait(), process.stderr.read()) == (0, "")
