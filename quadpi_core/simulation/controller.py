@@ -21,7 +21,7 @@ from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
 from quadpi_core.simulation.linear_algebra import Vector, cross, inverse, product3
-from quadpi_core.simulation.state_records import VehicleNumbers
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS
 
@@ -102,9 +102,15 @@ class Controls(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def observe(controls: Controls, rotor_speeds: Array, wrench: Array) -> None:
-    """Update the disturbance: the wrench less that of rotors in hover at the present rotor speeds."""
+def observe(controls: Controls, state: State) -> None:
+    """Update the disturbance: the wrench less that of rotors in hover at the present rotor speeds.
+
+    The torque of rotors that speed up ends with the command that caused it: as a disturbance, the next
+    command would answer it, and the rotors would change their speed to and fro at every step.
+    """
+    rotor_speeds, wrench = state.rotor_speeds, state.wrench
     disturbance, effectiveness = controls.disturbance, controls.effectiveness
+    vehicle: VehicleNumbers = controls.nominal[0]
     for axis in range(6):
         disturbance[axis] = wrench[axis]
     for rotor in range(ROTORS):
@@ -112,6 +118,8 @@ def observe(controls: Controls, rotor_speeds: Array, wrench: Array) -> None:
         disturbance[2] += effectiveness[0, rotor] * square
         for axis in range(3):
             disturbance[3 + axis] -= effectiveness[1 + axis, rotor] * square
+        spin_up = vehicle.rotor_spins[rotor] * state.rotor_accelerations[rotor]
+        disturbance[5] += vehicle.rotor_inertia * spin_up
 
 
 @njit(cache=True, nogil=True)

@@ -134,12 +134,12 @@ def fly(
     _differentiate(
         motion, controls.command, demand.wind[0], numbers, aerodynamics, effects, state, motions[2]
     )
-    observe(controls, motion.rotor_speeds, state[0].wrench)
+    observe(controls, state[0])
     for k in range(steps):
         control(controls, motion, demand, k)
         wind, command = demand.wind[k], controls.command
         _differentiate(motion, command, wind, numbers, aerodynamics, effects, state, motions[2])
-        observe(controls, motion.rotor_speeds, state[0].wrench)
+        observe(controls, state[0])
         if k % every == 0:
             _record(motion, motions[2], state[0], log[k // every])
         done[0] = k

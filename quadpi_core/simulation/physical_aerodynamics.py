@@ -155,6 +155,7 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
         """Record VEHICLE (1,) with the coefficients of the rotors that effects refer to."""
         record = super().record(motor_time_constant)
         values = self.coefficients.parameters
+        record["rotor_inertia"] = values.get("rotor_inertia_spin", 0.0)
         # Rotor-local forces and moments point along the motion, these against it.
         for name, term, sign in (
             ("rotor_force_along", "rotor_drag", -1.0),

@@ -52,6 +52,7 @@ class VehicleNumbers:
         hover_induced_velocity, hover_rotor_speed: m/s and rad/s in hover, of the vehicle as in its file.
         motor_time_constant: s.
         rotor_speed_max: rad/s.
+        rotor_inertia: kg m², of a rotor whose torque while it speeds up is part of the aerodynamics; else 0.
     """
 
     mass: float
@@ -66,6 +67,7 @@ class VehicleNumbers:
     hover_rotor_speed: float
     motor_time_constant: float
     rotor_speed_max: float
+    rotor_inertia: float
     thrust: Annotated[Array, 16]
     torque: Annotated[Array, 16]
     rotor_force_along: float

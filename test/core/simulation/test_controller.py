@@ -13,6 +13,7 @@ from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.dynamics import MOTION
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.state_records import STATE
 from quadpi_core.simulation.truth import Reference
 
 from .references import COUPLED, STATION, sines
@@ -47,7 +48,9 @@ def wanted(vehicle):
         speeds = motion["rotor_speeds"][0]
         speeds[:] = model.hover_rotor_speed
         if wrench is not None:
-            observe(controls, speeds, np.array(wrench))
+            state = np.zeros(1, dtype=STATE)
+            state["rotor_speeds"], state["wrench"] = speeds, wrench
+            observe(controls, state[0])
         none, level, tilt = np.zeros((1, 3)), np.zeros(1), np.zeros((1, 2))
         demanded, turning = np.array([acceleration], dtype=float), np.array([yaw_rate])
         demand = Demand(none, none, demanded, none, level, turning, tilt, level, none)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -16,7 +18,7 @@ from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_file import vehicle_content
-from quadpi_core.simulation.truth import STEP_HZ
+from quadpi_core.simulation.truth import STEP_HZ, Reference
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +80,16 @@ def test_a_share_scales_the_named_coefficients_alone(law):
     assert changed == {name for name in before if name.startswith("rotor_drag")}
     assert after["rotor_drag"] == 1.5 * before["rotor_drag"]
     assert len(law.coefficients_by_name) == len(set(law.coefficients_by_name)) < 20
+
+
+def test_heavy_rotors_hover_quietly(law):
+    """The controller does not take the torque of its own commands for a disturbance, to be answered anew."""
+    heavy = {**law.coefficients.parameters, "rotor_inertia_spin": 5e-3 * law.vehicle.inertia[2, 2]}
+    changed = replace(law, coefficients=replace(law.coefficients, parameters=heavy))
+    hover = Reference.hover(np.array([0.0, 0.0, -3.0]), 2001)
+    truth = simulate_flight("heavy", SimulatedVehicle(changed, 0.033), hover)
+    assert np.abs(truth.position - [0.0, 0.0, -3.0]).max() < 1e-6
+    assert np.ptp(truth.rotor_speeds, axis=0).max() < 0.1
 
 
 # Of the deviation of each axis over the flight; limits are about twice what was found when they were set.
