@@ -7,12 +7,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.config_schema import Within
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -329,11 +328,9 @@ class EnsembleKind(Kind):
 
     Attributes:
         estimator: of one axis.
-        seed: of initial weights and of the parts that members are trained on.
         device: that trains the networks.
     """
 
-    seed: Annotated[int, Within(0)] = option(0, "Seed of the networks of an ensemble.")
     device: Literal["cpu", "cuda"] = option(
         "cpu", "Device to train an ensemble on; it flies on the processor."
     )

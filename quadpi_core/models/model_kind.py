@@ -11,13 +11,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from typing_extensions import Self
 
-from quadpi_core.config_schema import Section, parse_config
+from quadpi_core.config_schema import Section, Within, parse_config
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -230,7 +230,10 @@ class Kind(Section, ABC):
         has_paper_settings: whether it can be fitted by the paper's rules.
         is_simulation: whether it holds beyond single samples, so that a vehicle can fly by it.
         axis_type: of the fitted axes.
+        seed: of all that is drawn, such as initial weights and the parts that members are trained on.
     """
+
+    seed: Annotated[int, Within(0)] = option(0, "Seed of all draws; methods without draws ignore it.")
 
     name: ClassVar[str]
     label: ClassVar[str]

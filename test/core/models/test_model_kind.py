@@ -111,7 +111,7 @@ def test_a_kind_checks_its_own_options(options: dict[str, Any], message: str) ->
 
 
 def test_a_kind_takes_those_of_some_options_that_it_has() -> None:
-    assert Adjustable().having(size=3.0, seed=1) == Adjustable(size=3.0)
+    assert Adjustable().having(size=3.0, device="cuda") == Adjustable(size=3.0)
     assert KIND.having(size=3.0) == KIND
 
 
