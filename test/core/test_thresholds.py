@@ -315,7 +315,7 @@ def steady(*, speed=0.0, yaw_rate=0.0, samples=500):
 
 
 def rolls_out(**motion):
-    return rollout_floor(steady(**motion), BEBOP, horizon_s=0.05).starts > 0
+    return rollout_floor(steady(**motion), BEBOP).starts > 0
 
 
 def bridged(share):
