@@ -11,11 +11,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from typing_extensions import Self
 
 from quadpi_core.config_schema import Section, Within, parse_config
 from quadpi_core.errors import ModelError, named_in
@@ -207,6 +206,9 @@ class Facts(NamedTuple):
     note: str = ""
 
 
+Self = TypeVar("Self", bound="Kind")
+
+
 def option(default: Any, words: str) -> Any:
     """A field of a kind of model that `quadpi identify` has an option for.
 
@@ -243,7 +245,7 @@ class Kind(Section, ABC):
     is_simulation: ClassVar[bool] = False
     axis_type: ClassVar[type[FittedAxis]]
 
-    def having(self, **options: Any) -> Self:
+    def having(self: Self, **options: Any) -> Self:
         """This kind with those of some options that it has."""
         own = {option.name for option in fields(self)}
         return replace(self, **{name: value for name, value in options.items() if name in own})
