@@ -118,8 +118,12 @@ class Tab:
 
     def close(self) -> None:
         """Let go of the page."""
-        self._socket.close()
-        self._loop.run_until_complete(asyncio.sleep(0))
+
+        async def closed() -> None:
+            self._socket.close()
+            await asyncio.sleep(0)
+
+        self._loop.run_until_complete(closed())
         self._loop.close()
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -12,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from scipy.spatial.transform import Rotation
 
 from quadpi_core.errors import LogError
 from quadpi_core.vehicle import Vehicle
@@ -84,8 +86,32 @@ def test_the_protocol_on_a_family_that_was_not_trained_on(
     result = json.loads((tmp_path / "result.json").read_text())
     assert list(result) == ["1", "10", "50"]
     assert list(result["50"]) == list(tool.QUANTITIES)
-    # Holding the rates errs by 0.24 and 0.63 rad/s on this family.
-    assert result["10"]["rates_rad_s"] < 0.24
-    assert result["50"]["rates_rad_s"] < 0.5
-    assert result["50"]["attitude_rad"] < 0.15
-    assert result["10"]["position_m"] < 0.0085
+    held = holding(tool, sorted((shared_data / "nanodrone_benchmark").glob("random1*.parquet")))
+    # Rates are noisy: a tenth of a second ahead a model gains little on holding them.
+    assert result["10"]["rates_rad_s"] < 0.98 * held["10"]["rates_rad_s"]
+    assert result["50"]["rates_rad_s"] < 0.75 * held["50"]["rates_rad_s"]
+    assert result["50"]["attitude_rad"] < 0.6 * held["50"]["attitude_rad"]
+    assert result["10"]["position_m"] < 0.1 * held["10"]["position_m"]
+
+
+def holding(tool: ModuleType, paths: Sequence[Path]) -> dict[str, dict[str, float]]:
+    """Errors of a prediction that nothing changes, by the protocol."""
+    errors = []
+    for path in paths:
+        flight = tool.BenchmarkFlight.read(path, Vehicle.load("nanodrone"))
+        starts = np.arange(len(flight.position) - 50)
+        turns = Rotation.from_quat(flight.own.attitude[:, [1, 2, 3, 0]])
+        for steps in (1, 10, 50):
+            turned = (turns[starts].inv() * turns[starts + steps]).magnitude()
+            moved = [
+                np.linalg.norm(signal[starts + steps] - signal[starts], axis=1)
+                for signal in (flight.position, flight.own.motion["rates"])
+            ]
+            errors.append((str(steps), moved[0], turned, moved[1]))
+    return {
+        steps: {
+            name: float(np.mean(np.concatenate([own[place] for own in errors if own[0] == steps])))
+            for place, name in ((1, "position_m"), (2, "attitude_rad"), (3, "rates_rad_s"))
+        }
+        for steps in ("1", "10", "50")
+    }

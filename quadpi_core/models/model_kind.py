@@ -235,7 +235,9 @@ class Kind(Section, ABC):
         seed: of all that is drawn, such as initial weights and the parts that members are trained on.
     """
 
-    seed: Annotated[int, Within(0)] = option(0, "Seed of all draws; methods without draws ignore it.")
+    seed: Annotated[int, Within(0)] = field(
+        default=0, kw_only=True, metadata={"help": "Seed of all draws; methods without draws ignore it."}
+    )
 
     name: ClassVar[str]
     label: ClassVar[str]

@@ -17,19 +17,34 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models import kinds
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.ensemble_estimator import EnsembleKind
+from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.plugins import names_in
 from quadpi_core.vehicle import Vehicle
 from test.conftest import run_without_torch
 
-ENSEMBLES = [method for method in names_in(kinds) if method != "polynomial"]
+METHODS = names_in(kinds)
+ENSEMBLES = [method for method in METHODS if isinstance(kind_of(method), EnsembleKind)]
+# With the settings that each method has.
+SETTINGS = [
+    (method, settings)
+    for method in METHODS
+    for settings in ("default", "paper")
+    if settings == "default" or kind_of(method).has_paper_settings
+]
 
 
-@pytest.fixture(params=names_in(kinds))
+def can_be_identified(method):
+    """Skip what this environment cannot train."""
+    if method in ENSEMBLES:
+        pytest.importorskip("torch", reason="training needs PyTorch")
+
+
+@pytest.fixture(params=METHODS)
 def method(request):
     """Each method that can be identified here."""
-    if request.param in ENSEMBLES:
-        pytest.importorskip("torch", reason="training needs PyTorch")
+    can_be_identified(request.param)
     return request.param
 
 
@@ -47,8 +62,9 @@ def test_one_flight_is_too_few_to_calibrate(refused, bags, tmp_path, method):
     refused(message, "identify", bags[0], *options)
 
 
-@pytest.mark.parametrize("settings", ["default", "paper"])
+@pytest.mark.parametrize(("method", "settings"), SETTINGS)
 def test_no_flight_at_all(method, settings):
+    can_be_identified(method)
     with pytest.raises(ModelError, match=r"flights.* needed"):
         identify(
             [],
@@ -58,9 +74,9 @@ def test_no_flight_at_all(method, settings):
         )
 
 
-@pytest.mark.parametrize("settings", ["default", "paper"])
-def test_constant_target_is_named(refused, bags, tmp_path, method, settings):
-    """Flights that slide without turning: no moment is measured."""
+@pytest.fixture
+def sliding(bags, tmp_path):
+    """Flights that slide without turning: no moment is measured, and no force to the side."""
     flights = [tmp_path / bag.name for bag in bags[:2]]
     for bag, path in zip(bags, flights, strict=False):
         good = read_recording(bag, None)
@@ -71,9 +87,21 @@ def test_constant_target_is_named(refused, bags, tmp_path, method, settings):
         imu = replace(good.imu, angular_velocity=0.0 * force, specific_force=force)
         odometry = OdometryStream(stamps, position, level, still, still)
         write_bag(path, replace(good, imu=imu, pose=None, odometry=odometry))
+    return flights
+
+
+@pytest.mark.parametrize(("method", "settings"), SETTINGS)
+def test_constant_target_is_named(refused, sliding, tmp_path, method, settings):
+    can_be_identified(method)
     options = ("--vehicle", "neurobem", "--method", method, "--settings", settings, "-o", tmp_path / "model")
     message = "Mz: the target is constant: there is nothing to identify"
-    refused(message, "identify", *flights, "--axes", "Mz", *options)
+    refused(message, "identify", *sliding, "--axes", "Mz", *options)
+
+
+def test_a_method_of_all_axes_names_one_that_was_not_asked_for(refused, sliding, tmp_path):
+    options = ("--vehicle", "neurobem", "--method", "physical", "-o", tmp_path / "model")
+    message = "Fy: the target is constant: there is nothing to identify"
+    refused(message, "identify", *sliding, "--axes", "Fx", *options)
 
 
 def test_samples_that_are_not_finite_are_counted(bags, method):
@@ -87,8 +115,8 @@ def test_samples_that_are_not_finite_are_counted(bags, method):
         identify(flights, vehicle, load_pools("quadrotor"), IdentifyOptions(cutoff_hz=30.0, method=method))
 
 
-@pytest.mark.parametrize("method", ENSEMBLES)
-def test_stop_rule_of_an_ensemble(refused, unread, tmp_path, method):
+@pytest.mark.parametrize("method", [method for method in METHODS if method != "polynomial"])
+def test_stop_rule_of_another_method(refused, unread, tmp_path, method):
     options = ("--vehicle", "neurobem", "--method", method, "--stop", "pse", "-o", tmp_path / "model")
     refused(f"--stop: an option of --method polynomial, not of {method}", "identify", unread, *options)
 

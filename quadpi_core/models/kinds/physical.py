@@ -61,7 +61,14 @@ class Physical(Kind):
         options: IdentifyOptions,
         progress: ReportProgress,
     ) -> Fit:
-        """Fit all axes together, then again without each flight."""
+        """Fit all axes together, then again without each flight.
+
+        All axes are measured for that, also where `pools` has some of them.
+        """
+        for axis in dict.fromkeys((*pools, *AXES)):
+            target = samples.target(axis)
+            if np.all(target == target[0]):
+                raise ModelError(f"{axis}: the target is constant: there is nothing to identify")
         flights = flights_of(samples)
         steps = len(flights) + 1
         progress(Progress("Identifying the physical model", 0, steps))

@@ -24,7 +24,7 @@ def test_help_of_a_method_shows_its_options(quadpi) -> None:
     panel = text[text.index("Options of --method polynomial") :]
     assert "--stop" in panel
     assert "When to stop adding terms" in panel
-    assert "--seed" not in text
+    assert "--device" not in text
 
 
 def test_help_says_how_to_see_them(quadpi) -> None:

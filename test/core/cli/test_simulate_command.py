@@ -34,6 +34,7 @@ FLIGHT = {
     "airspeed_max_m_s",
     "tracking_rms_m",
     "tracking_max_m",
+    "beyond_identified",
     "tilt_max_deg",
     "rotor_speed_range_rad_s",
     "saturated_fraction",

@@ -30,6 +30,8 @@ def test_the_record_of_a_vehicle_is_its_file():
         "motor_time_constant": simulated.motor_time_constant,
         "rotor_speed_max": vehicle.rotor_speed_max_rad_s,
         "airframe_area": 4.0 * 0.0875 * 0.115,
+        # Counted in the torque of the rotors.
+        "rotor_inertia": 0.0,
         **vars(model.coefficients),
     }
     assert set(expected) == set(VEHICLE.names)
