@@ -43,8 +43,8 @@ class PhysicalParameters:
         vehicle: PHYSICAL_VEHICLE (1,).
         inertia: (3, 3) kg m².
         sensing: delay of the rotor speeds and bandwidth of the measured force.
-        notes: by parameter, where these flights do not tell it or a bound holds.
-        worst_pairs: parameters that are told apart worst, with their correlation.
+        notes: by parameter, where these flights do not identify it or a bound holds.
+        worst_pairs: most correlated parameters, with their correlation.
         log: of the fit.
     """
 

@@ -33,8 +33,8 @@ _LONGEST_LAG_S = 5.0
 # An axis with fewer independent errors than this [1/s] weighs as if it had them: a mean over a flight of half
 # a minute that is wrong all along would else leave the axis without weight. Standard errors know better.
 _FEWEST_INDEPENDENT_HZ = 1.0
-# A parameter whose standard error is this share of its prior spread was not told by the flights.
-_UNTOLD = 0.9
+# A parameter whose standard error is this share of its prior spread was not identified by the flights.
+_UNKNOWN = 0.9
 # A bound holds within this share of the prior spread.
 _AT_BOUND = 1e-6
 # Standard deviation of the thrust of a flight over that of others at the same rotor speeds, before there are
@@ -172,11 +172,11 @@ class PhysicalFit:
         return np.array([term.spread for term in TERMS]) * scales(self.vehicle, self.reference_thrust)
 
     @property
-    def untold(self) -> list[str]:
-        """Parameters that these flights do not tell from the prior."""
+    def unidentified(self) -> list[str]:
+        """Parameters about which these flights say no more than the prior."""
         share = self.standard_errors / self.spreads
         return [
-            term.name for term, s, kept in zip(TERMS, share, self.kept, strict=True) if kept and s > _UNTOLD
+            term.name for term, s, kept in zip(TERMS, share, self.kept, strict=True) if kept and s > _UNKNOWN
         ]
 
     @property
@@ -192,11 +192,13 @@ class PhysicalFit:
     def notes(self) -> dict[str, str]:
         """By parameter, what there is to say of it."""
         manoeuvres = {term.name: term.manoeuvre for term in TERMS}
-        untold = {name: f"not told by these flights: fly {manoeuvres[name]}" for name in self.untold}
-        return untold | dict.fromkeys(self.at_bound, "at its lower bound, 0")
+        missing = {
+            name: f"not identified by these flights: fly {manoeuvres[name]}" for name in self.unidentified
+        }
+        return missing | dict.fromkeys(self.at_bound, "at its lower bound, 0")
 
     def worst_pairs(self, count: int = 5) -> list[tuple[str, str, float]]:
-        """The pairs of parameters that are told apart worst, with their correlation."""
+        """The most correlated pairs of parameters, with their correlation."""
         kept = np.flatnonzero(self.kept)
         errors = self.standard_errors[kept]
         correlation = self.covariance[np.ix_(kept, kept)] / np.outer(errors, errors)

@@ -45,7 +45,7 @@ _DELAY_STRIDE = 4
 # Rounds of fit and weights, and of fit and bandwidth; deviations change by less than 1 % after three.
 _ROUNDS = 3
 # A group of terms leaves where that lowers the mean logarithm of the squared errors on flights left out by
-# this: the prior keeps terms that flights do not tell near zero. Set with the fastest NeuroBEM flight in
+# this: the prior keeps terms that flights do not identify near zero. Set with the fastest NeuroBEM flight in
 # view: without the groups that gain less than 0.002, its error of Fz was a third larger when it was left out.
 _HARM_OF_A_GROUP = 0.05
 _EVERYTHING = np.ones(len(TERMS), dtype=np.bool_)

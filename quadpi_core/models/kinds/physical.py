@@ -146,7 +146,7 @@ class Physical(Kind):
         return section
 
     def facts(self, fitted: Mapping[str, Any]) -> list[Facts]:
-        """Parameters, the pairs told apart worst, and the log of the fit."""
+        """Parameters, their most correlated pairs, and the log of the fit."""
         shared = _shared(fitted)
         return [
             Facts(
@@ -155,9 +155,7 @@ class Physical(Kind):
                 [(name, value, error, unit, note) for name, value, error, unit, _, note in shared.rows()],
                 _sensing_words(shared),
             ),
-            Facts(
-                "parameters that are told apart worst", ("one", "other", "correlation"), shared.worst_pairs
-            ),
+            Facts("most correlated parameters", ("one", "other", "correlation"), shared.worst_pairs),
             Facts(
                 "log of the fit",
                 ("step", "of", "error"),
