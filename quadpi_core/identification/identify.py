@@ -58,12 +58,12 @@ def identify(
     fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
     fitted = dict(fit.axes)
     compiled = kind.compile(fitted)
-    evaluate, factors = kind.evaluator(compiled), interval_factors(fitted, options.confidence)
+    factors = interval_factors(fitted, options.confidence)
 
     # Intervals: the held-out errors must be covered for the causal states of the live path too.
     held_out = fit.held_out
     live = (
-        live_errors(flights, held_out, lambda rows, moving: evaluate(rows, factors, moving))
+        live_errors(flights, held_out, lambda rows, moving: compiled.evaluate(rows, factors, moving))
         if held_out
         else []
     )
@@ -75,7 +75,7 @@ def identify(
     fitted |= {axis: replace(fitted[axis], rule=rule) for axis, rule in rules.items()}
 
     # Alarm: the envelope of all flights, with limits from the flights left out.
-    evidence = evaluate(samples.inputs, factors, samples.derivatives)
+    evidence = compiled.evaluate(samples.inputs, factors, samples.derivatives)
     envelope, limits = calibrate_alarm(
         Envelope.fit(samples.inputs, samples.flight, evidence.leverage, evidence.relative_width),
         left_out(flights, rules, live, options.confidence) if rules else [],

@@ -32,7 +32,6 @@ from quadpi_core.models.model_folder import (
 )
 from quadpi_core.models.model_kind import (
     CompiledAxes,
-    Evaluate,
     Evaluation,
     FittedAxis,
     Kind,
@@ -191,8 +190,8 @@ class AerodynamicModel:
         return f"intervals calibrated on {inside} of {total} flights, each left out in turn{rest}"
 
     @cached_property
-    def _evaluate(self) -> Evaluate:
-        return self.kind.evaluator(self.compiled or self.kind.compile(self.fitted))
+    def _axes(self) -> CompiledAxes:
+        return self.compiled or self.kind.compile(self.fitted)
 
     @cached_property
     def _factors(self) -> Callable[[float], Array]:
@@ -222,7 +221,7 @@ class AerodynamicModel:
             raise ModelError(f"inputs have shape {inputs.shape}, expected (N, {len(INPUT_NAMES)})")
         if confidence is None:
             confidence = self.confidence
-        return self._evaluate(inputs, self._factors(confidence), derivatives)
+        return self._axes.evaluate(inputs, self._factors(confidence), derivatives)
 
     def evaluate_recorded(
         self, time: Array, inputs: Array, derivatives: Records, confidence: float | None = None

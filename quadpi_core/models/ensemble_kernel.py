@@ -125,7 +125,12 @@ class CompiledEnsembles:
         output[:, :, _BIAS] = networks.output_biases.T
         output[:, :, _WEIGHTS : _WEIGHTS + units] = networks.output_weights.swapaxes(0, 1)
 
-    def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
+    def evaluate(
+        self,
+        inputs: Array,
+        factors: Array,
+        derivatives: Records | None = None,  # noqa: ARG002 - for kinds that use them
+    ) -> Evaluation:
         """Evaluate input vectors (N, 19) with :func:`.model_kind.interval_factors`; the leverage is 0."""
         out = np.zeros((5, len(inputs), len(AXES)))
         evaluate_kernel(

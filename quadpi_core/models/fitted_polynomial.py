@@ -257,7 +257,12 @@ class CompiledPolynomials:
             start += size
         return cls(program, axes, terms, whitening)
 
-    def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
+    def evaluate(
+        self,
+        inputs: Array,
+        factors: Array,
+        derivatives: Records | None = None,  # noqa: ARG002 - for kinds that use them
+    ) -> Evaluation:
         """Evaluate input vectors (N, 19) with half widths from :func:`.model_kind.interval_factors`."""
         out = np.zeros((5, len(inputs), len(AXES)))
         evaluate_kernel(inputs, self.program.operations, self.axes, self.terms, self.whitening, factors, out)

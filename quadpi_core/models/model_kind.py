@@ -9,7 +9,7 @@ Each kind is one file of the folder `kinds`, or of a package that someone else i
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias, TypeVar
 
@@ -87,16 +87,12 @@ class FittedAxis(Protocol):
 class CompiledAxes(Protocol):
     """The fitted axes of a model packed for compiled evaluation."""
 
-    def evaluate(self, inputs: Array, factors: Array) -> Evaluation:
+    def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
         """Evaluate input vectors (N, 19) with what :func:`interval_factors` gave.
 
-        The bits of a sample must not depend on the samples beside it: live they come one by one.
+        The derivatives (N,) are what the motion has beside the input vector, where they are known. The bits
+        of a sample must not depend on the samples beside it: live they come one by one.
         """
-
-
-# Evaluates input vectors (N, 19) by factors of :func:`interval_factors`, and by the derivatives (N,) that the
-# input vector does not hold where they are known.
-Evaluate: TypeAlias = Callable[[Array, Array, Records | None], Evaluation]
 
 
 def interval_factors(fitted: Mapping[str, FittedAxis], confidence: float) -> Array:
@@ -276,10 +272,6 @@ class Kind(Section, ABC):
     @abstractmethod
     def compile(self, fitted: Mapping[str, Any]) -> CompiledAxes:
         """Pack the fitted axes of a model for evaluation."""
-
-    def evaluator(self, compiled: CompiledAxes) -> Evaluate:
-        """What evaluates the packed axes; a kind that needs more than the input vector overrides it."""
-        return lambda inputs, factors, _: compiled.evaluate(inputs, factors)
 
     def force_bandwidth_hz(self, fitted: Mapping[str, Any]) -> float | None:  # noqa: ARG002 - for kinds that know it
         """Bandwidth of the measured forces of the flights, where it ends below that of the other signals.

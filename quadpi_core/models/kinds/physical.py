@@ -19,8 +19,6 @@ from quadpi_core.models.fitted_physical import SHARED, CompiledPhysical, FittedP
 from quadpi_core.models.fitted_polynomial import PlacedErrors, SpreadShape, fit_shape, squared_speed
 from quadpi_core.models.interval_rules import NormalRule, calibrate, inside_range
 from quadpi_core.models.model_kind import (
-    CompiledAxes,
-    Evaluate,
     Facts,
     Fit,
     FittedAxis,
@@ -119,11 +117,6 @@ class Physical(Kind):
     def compile(self, fitted: Mapping[str, Any]) -> CompiledPhysical:
         """Pack the axes."""
         return CompiledPhysical(fitted)
-
-    def evaluator(self, compiled: CompiledAxes) -> Evaluate:
-        """Derivatives give the delay and inertia of the rotors, and what the accelerometer feels."""
-        assert isinstance(compiled, CompiledPhysical)
-        return compiled.evaluate
 
     def force_bandwidth_hz(self, fitted: Mapping[str, Any]) -> float | None:
         """As it was found."""

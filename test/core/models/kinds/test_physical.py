@@ -32,7 +32,7 @@ OPTIONS = IdentifyOptions(method="physical")
 
 
 def evaluated(fit: Fit, flight: PhysicalFlight) -> Evaluation:
-    evaluate = KIND.evaluator(KIND.compile(fit.axes))
+    evaluate = KIND.compile(fit.axes).evaluate
     return evaluate(inputs_of(flight), interval_factors(fit.axes, 0.95), derivatives_of(flight))
 
 
