@@ -21,6 +21,15 @@ class UnavailableError(Exception):
     """What a benchmark needs is not there; the message says what."""
 
 
+def require_ros() -> None:
+    """Refuse an environment without ROS 2 and the messages of quadpi."""
+    try:
+        import quadpi.msg  # noqa: F401
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
+
+
 @dataclass(frozen=True)
 class Result:
     """One figure.

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import Result, UnavailableError
+from benchmarks import Result, require_ros
 from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
 from quadpi_core.flight import Recording
 from quadpi_core.messages import sensor_messages
@@ -44,11 +44,7 @@ _PACKAGES = tuple(
 
 
 def run() -> list[Result]:
-    try:
-        import quadpi.msg  # noqa: F401
-        import rclpy  # noqa: F401
-    except ImportError as error:
-        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
+    require_ros()
     samples = calls_of_samples()
     usual = int(np.median([len(calls) for calls in samples]))
     calls = next(calls for calls in samples if len(calls) == usual)

@@ -19,6 +19,8 @@ from urllib.request import Request, urlopen
 
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
+from benchmarks import UnavailableError
+
 PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 WINDOW = (1400, 1300)
 START_S, ANSWER_S, POLL_S = 60.0, 60.0, 0.05
@@ -152,6 +154,12 @@ def _chunks(picture: bytes) -> dict[bytes, bytes]:
         found[name] = picture[place + 8 : place + 8 + length]
         place += 8 + length + length % 2
     return found
+
+
+def require_chromium() -> None:
+    """Refuse a machine without the browser."""
+    if PROGRAM is None:
+        raise UnavailableError("no Chromium: apt-get install chromium")
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import Result, UnavailableError
+from benchmarks import Result, require_ros
 from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
 from quadpi_core.frames import Array
 from quadpi_core.logs.bags import write_bag
@@ -39,11 +39,7 @@ class Run(NamedTuple):
 
 
 def run() -> list[Result]:
-    try:
-        import quadpi.msg  # noqa: F401
-        import rclpy  # noqa: F401
-    except ImportError as error:
-        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
+    require_ros()
     vehicle = Vehicle.load(VEHICLE)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

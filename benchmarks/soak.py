@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks import Result, UnavailableError
+from benchmarks import Result, require_ros
 from benchmarks.swings import IMU_HZ, REPEATS_AFTER_S, VEHICLE, swings, three_models
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.messages.sensor_messages import unpack_stamps
@@ -45,11 +45,7 @@ _START_S = 300.0
 
 
 def run() -> list[Result]:
-    try:
-        import quadpi.msg  # noqa: F401
-        import rclpy  # noqa: F401
-    except ImportError as error:
-        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
+    require_ros()
     from quadpi_ros.player import Playlist
     from quadpi_ros.processes import Child, isolated_domain
 

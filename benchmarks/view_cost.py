@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import Result, UnavailableError
-from benchmarks.chromium import PROGRAM, chromium
+from benchmarks import Result, require_ros
+from benchmarks.chromium import chromium, require_chromium
 from benchmarks.live_cpu_vs_bare_node import AFTERWARDS_S, TOPICS
 from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
 from quadpi_core.logs.bags import write_bag
@@ -42,13 +42,8 @@ class Cost(NamedTuple):
 
 
 def run() -> list[Result]:
-    try:
-        import quadpi.msg  # noqa: F401
-        import rclpy  # noqa: F401
-    except ImportError as error:
-        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
-    if PROGRAM is None:
-        raise UnavailableError("no Chromium: apt-get install chromium")
+    require_ros()
+    require_chromium()
     vehicle = Vehicle.load(VEHICLE)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

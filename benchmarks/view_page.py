@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import Result, UnavailableError
-from benchmarks.chromium import PROGRAM, Tab, chromium
+from benchmarks import Result, require_ros
+from benchmarks.chromium import Tab, chromium, require_chromium
 from benchmarks.swings import VEHICLE, swings, three_models
 from benchmarks.view_cost import await_port, free_port
 from quadpi_core.frames import Array
@@ -63,13 +63,8 @@ new Promise((done) => {
 
 
 def run() -> list[Result]:
-    try:
-        import quadpi.msg  # noqa: F401
-        import rclpy  # noqa: F401
-    except ImportError as error:
-        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
-    if PROGRAM is None:
-        raise UnavailableError("no Chromium: apt-get install chromium")
+    require_ros()
+    require_chromium()
     latency_ms, frames_per_s = live_page()
     weight = sum(path.stat().st_size for path in PAGE_FOLDER.iterdir())
     first_s = first_picture()

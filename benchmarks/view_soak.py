@@ -11,8 +11,8 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 
-from benchmarks import Result, UnavailableError
-from benchmarks.chromium import PROGRAM, Tab, chromium
+from benchmarks import Result, require_ros
+from benchmarks.chromium import Tab, chromium, require_chromium
 from benchmarks.view_cost import await_port, free_port
 from benchmarks.view_page import Publisher
 
@@ -24,13 +24,8 @@ _LOOK_S = 15.0
 
 
 def run() -> list[Result]:
-    try:
-        import quadpi.msg  # noqa: F401
-        import rclpy  # noqa: F401
-    except ImportError as error:
-        raise UnavailableError(f"ROS 2 with the quadpi messages is needed: {error}") from error
-    if PROGRAM is None:
-        raise UnavailableError("no Chromium: apt-get install chromium")
+    require_ros()
+    require_chromium()
     from quadpi_ros.processes import Child, isolated_domain
 
     held: list[tuple[float, float, float]] = []

@@ -37,7 +37,7 @@ from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
-# Roll-outs start every so many samples of a flight at 100 Hz.
+# Samples between the starts of roll-outs, of a flight at 100 Hz.
 START_EVERY = 10
 # Horizons [s] that are always judged, where they are not beyond the one asked for.
 JUDGED_S = (0.01, 0.1, 0.5)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
@@ -17,6 +18,16 @@ from quadpi_core.models.interval_rules import FlightErrors, HeldOutRule
 from quadpi_core.models.model_kind import Fit, FittedAxis
 
 Self = TypeVar("Self", bound="AxisEstimator")
+
+
+# Number of contiguous parts that replace flights where samples are not grouped.
+_PARTS_WITHOUT_GROUPS = 5
+
+
+def contiguous_parts(samples: int) -> npt.NDArray[np.int64]:
+    """Number (N,) of the contiguous part of each sample, where its flight is not known."""
+    parts: npt.NDArray[np.int64] = np.arange(samples) * _PARTS_WITHOUT_GROUPS // max(samples, 1)
+    return parts
 
 
 class AxisEstimator(ABC):

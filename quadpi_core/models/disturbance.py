@@ -52,7 +52,7 @@ class AxisDisturbance:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """The disturbance on all axes, for samples so many seconds apart."""
+    """The disturbance on all axes, for samples `step_s` apart."""
 
     axes: tuple[AxisDisturbance, ...]
     step_s: float

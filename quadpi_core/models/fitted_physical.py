@@ -7,18 +7,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.config_schema import NotNegative, Positive, Real, Text, Within, parse_config
+from quadpi_core.config_schema import NotNegative, Positive, Real, Text, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES
-from quadpi_core.models.fitted_polynomial import SpreadShape
-from quadpi_core.models.interval_rules import Rule, StoredRule
+from quadpi_core.models.fitted_polynomial import SpreadEntry, SpreadShape
+from quadpi_core.models.interval_rules import Rule
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.physical_fit import FitStep
 from quadpi_core.models.physical_flight import Sensing
@@ -198,14 +198,10 @@ class _SharedEntry:
 
 
 @dataclass(frozen=True)
-class _Entry:
+class _Entry(SpreadEntry):
     """What a stored model keeps of an axis beside the arrays."""
 
     acting: tuple[Text, ...]
-    inflation: NotNegative
-    growth: NotNegative
-    rule: StoredRule
-    rms_spread: Annotated[float, Within(1.0)]
     fit: _SharedEntry
 
 

@@ -212,14 +212,20 @@ class FittedPolynomial:
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """What a stored model keeps beside the arrays."""
+class SpreadEntry:
+    """What a stored model keeps of the intervals of an axis beside the arrays."""
 
-    regressors: tuple[Text, ...]
     inflation: NotNegative
     growth: NotNegative
     rule: StoredRule
     rms_spread: Annotated[float, Within(1.0)]
+
+
+@dataclass(frozen=True)
+class _Entry(SpreadEntry):
+    """What a stored model keeps beside the arrays."""
+
+    regressors: tuple[Text, ...]
 
 
 @dataclass(frozen=True)

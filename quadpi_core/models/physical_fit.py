@@ -233,7 +233,7 @@ class Weighing:
 
     @classmethod
     def of_errors(cls, errors: Sequence[Array], rate_hz: float) -> Weighing:
-        """From the errors (N, 6) of flights, at so many samples a second."""
+        """From the errors (N, 6) of flights, sampled at `rate_hz`."""
         together = np.concatenate(errors)
         deviation = np.sqrt(np.mean(np.square(together), axis=0))
         lags = round(_LONGEST_LAG_S * rate_hz)

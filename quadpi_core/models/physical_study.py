@@ -40,7 +40,7 @@ DELAYS_S = (0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015)
 BANDWIDTHS_HZ = (20.0, 15.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0)
 # Share of the squared error that a bandwidth must save: on NeuroBEM it saves half, on Crazyflie it costs.
 _WORTH_A_BANDWIDTH = 0.9
-# Every so many samples of a flight are enough to tell delays apart.
+# Stride over the samples of a flight; these are enough to distinguish delays.
 _DELAY_STRIDE = 4
 # Rounds of fit and weights, and of fit and bandwidth; deviations change by less than 1 % after three.
 _ROUNDS = 3

@@ -15,13 +15,12 @@ import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
+from quadpi_core.models.axis_estimator import contiguous_parts
 from quadpi_core.models.fitted_ensemble import Scaling
 from quadpi_core.models.interval_rules import FEWEST_INSIDE
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
 
 _log = logging.getLogger(__name__)
-# Number of contiguous parts that replace flights where samples are not grouped.
-_PARTS_WITHOUT_GROUPS = 5
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def _finite(X: Array, Y: Array, groups: npt.ArrayLike | None) -> tuple[Array, Ar
     if X.ndim != 2 or Y.ndim != 2 or len(X) != len(Y):
         raise ModelError(f"inputs of shape {X.shape} and targets of shape {Y.shape} do not fit together")
     if groups is None:
-        labels: npt.NDArray[Any] = np.arange(len(X)) * _PARTS_WITHOUT_GROUPS // max(len(X), 1)
+        labels: npt.NDArray[Any] = contiguous_parts(len(X))
     else:
         labels = np.asarray(groups)
         if labels.shape != X.shape[:1]:

@@ -25,7 +25,7 @@ from quadpi_core.view.trust import INPUT_WORDS, State, plain, reasons_of, states
 BLOCK_NS = 50_000_000
 # Alarms that the page lists, the newest.
 EVENTS_SHOWN = 200
-# More models than can be told apart by colour are not taken.
+# The largest number of models that colours distinguish; further ones are not shown.
 MODELS_MAX = 6
 # A message's inputs are those of this many blocks before it as well: alarms come at 10 Hz, blocks at 20 Hz.
 _BLOCKS_OF_A_MESSAGE = 2

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.axis_estimator import AxisEstimator, fit_of
+from quadpi_core.models.axis_estimator import AxisEstimator, contiguous_parts, fit_of
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.fitted_polynomial import (
     CompiledPolynomials,
@@ -42,8 +42,6 @@ NoiseRule: TypeAlias = Literal["held-out", "residual"]
 
 # Stride over the training samples when recording the largest leverage and spread.
 _PEAK_STEP = 8
-# Number of contiguous parts that replace flights where samples are not grouped.
-_PARTS_WITHOUT_GROUPS = 5
 
 
 class StepwisePolynomial(AxisEstimator):
@@ -227,7 +225,7 @@ def _checked(X: Array, y: Array, groups: npt.ArrayLike | None) -> tuple[Array, A
     if len(y) == 0 or np.ptp(y) == 0:
         raise ModelError("the target is constant: there is nothing to identify")
     if groups is None:
-        return X, y, np.arange(len(y)) * _PARTS_WITHOUT_GROUPS // len(y)
+        return X, y, contiguous_parts(len(y))
     labels = np.asarray(groups)
     if labels.shape != y.shape:
         raise ModelError(f"groups has shape {labels.shape}, expected {y.shape}")

@@ -22,6 +22,8 @@ from quadpi_core.logs import read_recording
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 
+from ..test_mapping import minimal_mapping
+
 GRAVITY = 9.80665
 SPIKES = {"multisine_20251017_run1": 2, "multisine_20251017_run4": 3}
 
@@ -29,21 +31,6 @@ SPIKES = {"multisine_20251017_run1": 2, "multisine_20251017_run4": 3}
 @pytest.fixture(scope="module")
 def vehicle() -> Vehicle:
     return Vehicle.load("nanodrone")
-
-
-def minimal_mapping() -> dict[str, Any]:
-    return {
-        "time": {"columns": ["t"], "unit": "s"},
-        "body": "frd",
-        "world": "ned",
-        "angular_velocity": {"columns": ["p", "q", "r"], "unit": "rad/s"},
-        "acceleration": {
-            "columns": ["ax", "ay", "az"],
-            "unit": "m/s2",
-            "axes": "body",
-            "gravity": "included",
-        },
-    }
 
 
 def hover_table(samples: int = 50) -> dict[str, np.ndarray]:
