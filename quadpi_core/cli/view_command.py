@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -27,6 +28,12 @@ def view(
     ] = None,
     vehicle: OptionalVehicle = None,
     confidence: Confidence = None,
+    at: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="Moment of the bag to show first, in the time of the page."
+        ),
+    ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes any.")] = 8710,
     bind: Annotated[
         str, typer.Option(help="Address to listen on; another than loopback lets the network in.")
@@ -47,8 +54,14 @@ def view(
         raise QuadpiError("--vehicle: is that of the models, and there is no --model")
     console = open_console()
 
+    if at is not None and bag is None:
+        raise QuadpiError("--at: is a moment of a bag, and none is given")
+    if at is not None and not math.isfinite(at):
+        raise QuadpiError(f"--at {at}: is no moment")
+    moment = "" if at is None else f"#t={at:g}"
+
     def say(url: str) -> None:
-        announce(console.print, url, open_page)
+        announce(console.print, url + moment, open_page)
 
     # Ctrl-C is how it ends.
     with suppress(KeyboardInterrupt):

@@ -22,7 +22,7 @@ const store = new Store();
 const page = {
   socket: null, retry: RETRY_MS, live: true, follow: true, playing: true, cursor: 0, selected: null, chosen: 0,
   vehicles: new Map(), overview: {events: [], track: [], codes: "", health: []}, wanted: true, before: 0, coveredAt: 0,
-  frames: 0, rate: 0, rateAt: 0, drawMs: 0, urgent: false, said: {},
+  frames: 0, rate: 0, rateAt: 0, drawMs: 0, urgent: false, said: {}, named: null,
 };
 // For those who measure the page: what it shows, and when it was drawn.
 window.quadpi = {page, store, drawn: null};
@@ -98,6 +98,7 @@ function take(message) {
     if (!page.vehicles.has(page.selected) && page.vehicles.size) select([...page.vehicles.keys()][0]);
     showVehicles();
     followNewest();
+    approach();
   } else if (message.type === "vehicle" && message.id === page.selected) {
     store.describe(message);
     page.chosen = Math.min(page.chosen, Math.max(0, message.models.length - 1));
@@ -125,13 +126,30 @@ function followNewest() {
 
 // --- time ---
 
+// The moment that the address names, such as #t=12.3: it is shown once the bag has been read that far.
+function takeAddress() {
+  const named = new URLSearchParams(location.hash.slice(1)).get("t"), time = Number(named);
+  page.named = named && time >= 0 && Number.isFinite(time) ? time : null;
+  approach();
+}
+
+function approach() {
+  if (page.named === null || newest() < 0) return;
+  const time = page.named, reached = time <= end();
+  page.playing = false;
+  seek(time);
+  page.named = reached ? null : time;
+}
+
 function seek(time) {
+  page.named = null;
   page.cursor = Math.min(Math.max(0, time), end());
   if (page.live) page.follow = page.cursor >= end() - 0.2;
   redraw();
 }
 
 function play(playing) {
+  page.named = null;
   page.playing = playing;
   if (playing && !page.live && page.cursor >= end() - store.blockS) page.cursor = 0;
   redraw();
@@ -145,6 +163,7 @@ function alarm(direction) {
 
 // To a moment, with what follows it still to come: a second later, so that it is on the charts.
 function jump(start) {
+  page.named = null;
   page.playing = false;
   if (page.live) page.follow = false;
   page.cursor = Math.min(end(), start + 1);
@@ -152,6 +171,7 @@ function jump(start) {
 }
 
 function follow() {
+  page.named = null;
   page.follow = page.playing = true;
   followNewest();
   redraw();
@@ -427,6 +447,7 @@ $("timeline").addEventListener("pointerdown", (event) => { dragging = true; $("t
 $("timeline").addEventListener("pointermove", (event) => { if (dragging) seekTo(event); });
 $("timeline").addEventListener("pointerup", () => { dragging = false; });
 addEventListener("resize", redraw);
+addEventListener("hashchange", takeAddress);
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
   const step = event.shiftKey ? 10 : 1;
@@ -443,5 +464,6 @@ addEventListener("keydown", (event) => {
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", ({matches}) => theme(matches ? "dark" : "light"));
 theme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+takeAddress();
 connect();
 requestAnimationFrame(frame);

@@ -39,6 +39,8 @@ def taken() -> Iterator[int]:
         ((BAG, "--vehicle", "bebop2"), "--vehicle: is that of the models, and there is no --model"),
         ((BAG, "--model", MODEL, "--vehicle", "neurobem"), "is of vehicle bebop2, not neurobem"),
         ((BAG, "--model", MODEL, "--model", MODEL), "--model: two models have the same name"),
+        (("--at", "3"), "--at: is a moment of a bag, and none is given"),
+        ((BAG, "--model", MODEL, "--at", "inf"), "--at inf: is no moment"),
         (("--confidence", "0.9"), "--confidence: is for a bag that --model judges"),
     ],
 )
@@ -62,10 +64,11 @@ def test_a_port_that_is_none_is_refused(quadpi, port):
 
 
 def test_a_bag_is_served_until_it_is_interrupted():
-    command = [QUADPI, "view", BAG, "--model", MODEL, "--port", "0", "--no-open"]
+    command = [QUADPI, "view", BAG, "--model", MODEL, "--at", "12.3", "--port", "0", "--no-open"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             url = next(word for line in process.stdout for word in line.split() if word.startswith("http://"))
+            assert url.endswith("/#t=12.3")
             with urllib.request.urlopen(url) as page:
                 assert b"<title>" in page.read()
         finally:

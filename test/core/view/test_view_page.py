@@ -143,6 +143,24 @@ def test_a_click_on_an_alarm_goes_there(opened):
     opened.wait("document.getElementById('state').textContent === 'ALARM'")
 
 
+def test_an_address_names_a_moment(tab, url):
+    tab.open("about:blank")
+    tab.open(f"{url}#t=10.5")
+    tab.wait("quadpi.page.cursor === 10.5 && document.getElementById('state').textContent === 'ALARM'")
+    assert not tab.value("quadpi.page.playing")
+    tab.value("location.hash = 't=5'")
+    tab.wait("quadpi.page.cursor === 5")
+    tab.value("location.hash = 't=soon'")
+    tab.press("ArrowRight")
+    assert tab.value("quadpi.page.cursor") == 6.0
+    # Beyond the end is at the end, until somebody moves.
+    tab.value("location.hash = 't=1000'")
+    tab.wait("quadpi.page.cursor > 18")
+    tab.press("Home")
+    assert tab.value("quadpi.page.cursor") == 0.0
+    tab.open("about:blank")
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_text_has_the_contrast_that_wcag_aa_asks_for(opened, theme):
     """Of the colours of the style sheet: texts 4.5, the large word and lines of charts 3."""
