@@ -18,6 +18,8 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.type_hash import TypeHash
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, Stream
@@ -113,13 +115,18 @@ class SensorNode(ManagedNode[Parameters]):
         `rate_hz`. Returns the health of the topic, which counts the samples that `handle` refuses too.
         """
         health = TopicHealth(rate_hz)
+        told = ""
 
         def receive(payload: bytes) -> None:
+            nonlocal told
             try:
                 sample = unpack(payload)
             except LogError as error:
-                health.refuse(str(error))
-                self.warn(f"topic {topic}", f"message refused: {error}")
+                reason = str(error)
+                health.refuse(reason)
+                # A driver that sends the same mistake at every message is told once; diagnostics count on.
+                if reason != told and self.warn(f"topic {topic}", f"message refused: {reason}"):
+                    told = reason
                 return
             health.take(int(sample.time_ns[0]))
             handle(sample)
@@ -200,15 +207,17 @@ class SensorNode(ManagedNode[Parameters]):
                 self.destroy_publisher(output.publisher)
         self._outputs.clear()
 
-    def warn(self, about: str, text: str) -> None:
-        """Log a warning, at most one every few seconds with the same `about`.
+    def warn(self, about: str, text: str) -> bool:
+        """Log a warning, at most one every few seconds with the same `about`; says whether it was logged.
 
         rclpy's throttle would treat everything logged from this line as the same.
         """
         now_s = time.monotonic()
-        if now_s >= self._next_warning_s.get(about, now_s):
-            self._next_warning_s[about] = now_s + _WARNING_PERIOD_S
-            self.get_logger().warning(f"{about}: {text}")
+        if now_s < self._next_warning_s.get(about, now_s):
+            return False
+        self._next_warning_s[about] = now_s + _WARNING_PERIOD_S
+        self.get_logger().warning(f"{about}: {text}")
+        return True
 
     def problem(self) -> str | None:
         """Why the active node cannot work, such as a silent topic; None if it can."""
@@ -217,8 +226,7 @@ class SensorNode(ManagedNode[Parameters]):
             names = sorted(
                 n for n, given in self.lacking.items() if given == why and self._inputs[n].required
             )
-            endpoints = [self._inputs[name].subscription for name in names]
-            reasons = [reason for endpoint in endpoints if (reason := self._other_types(endpoint))]
+            reasons = [reason for name in names if (reason := self._reason(self._inputs[name]))]
             if names:
                 found.append(": ".join((f"{why} {', '.join(names)}", *reasons)))
         return "; ".join(found) or None
@@ -290,19 +298,33 @@ class SensorNode(ManagedNode[Parameters]):
             },
         )
 
+    def _reason(self, topic: _Input) -> str | None:
+        """Why a topic gives no sample, as far as its publishers or its refused messages tell."""
+        refused = topic.health.refused.most_common(1) if topic.health.unread else []
+        return self._other_types(topic.subscription) or (refused[0][0] if refused else None)
+
     def _other_types(self, endpoint: Subscription | Publisher) -> str | None:
-        """Nodes that use the topic with another message type, which DDS silently does not connect."""
+        """Nodes that use the topic with another message type or another version of it.
+
+        DDS silently does not connect types of other names, and hands over the bytes of other versions.
+        """
         topic, expected = endpoint.topic_name, diagnostics.type_name(endpoint.msg_type)
+        publishers = self.get_publishers_info_by_topic(topic)
+        subscriptions = self.get_subscriptions_info_by_topic(topic)
         if isinstance(endpoint, Subscription):
-            others, what = self.get_publishers_info_by_topic(topic), "publishes"
+            others, own, what = publishers, subscriptions, "publishes"
         else:
-            others, what = self.get_subscriptions_info_by_topic(topic), "expects"
-        found = {
-            f"{one.node_namespace.rstrip('/')}/{one.node_name} {what} {one.topic_type}"
-            for one in others
-            if one.topic_type != expected
-        }
-        return f"topic {topic}: {', '.join(sorted(found))}, not {expected}" if found else None
+            others, own, what = subscriptions, publishers, "expects"
+        me = self.get_fully_qualified_name()
+        # What a distribution before Iron sends tells no version.
+        versions = {str(TypeHash()), *(str(one.topic_type_hash) for one in own if _node_of(one) == me)}
+        found = set()
+        for one in others:
+            if one.topic_type != expected:
+                found.add(f"{_node_of(one)} {what} {one.topic_type}, not {expected}")
+            elif str(one.topic_type_hash) not in versions:
+                found.add(f"{_node_of(one)} {what} {expected} of another version: build it with this quadpi")
+        return f"topic {topic}: {'; '.join(sorted(found))}" if found else None
 
     def _note_policy(self, endpoint: _Input | _Output, event: Any) -> None:
         if isinstance(endpoint, _Input):
@@ -327,6 +349,10 @@ class SensorNode(ManagedNode[Parameters]):
             output.mismatch = None
             return None
         return self._other_types(output.publisher) or output.mismatch
+
+
+def _node_of(endpoint: TopicEndpointInfo) -> str:
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
 class ConsistencyWatch:

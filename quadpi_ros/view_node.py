@@ -143,6 +143,8 @@ class LiveVehicle:
 
     def _take_motion(self) -> None:
         states = self._unpacked(Odometry, sensor_messages.unpack_odometry)
+        if states is not None:
+            self.view.take_states(states)
         rotors = self._unpacked(RotorSpeeds, sensor_messages.unpack_rotor_speeds)
         follower = self._follower()
         model = self.view.model
@@ -150,8 +152,6 @@ class LiveVehicle:
             vehicle = self._known[model.identity][1]
             rotors = self._unpacked(Erpm, lambda payloads: sensor_messages.unpack_erpm(payloads, vehicle))
         wind = self._unpacked(Vector3Stamped, sensor_messages.unpack_wind)
-        if states is not None:
-            self.view.take_states(states)
         if rotors is not None:
             self.view.take_rotor_speeds(rotors)
         if follower is not None:

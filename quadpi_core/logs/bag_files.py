@@ -38,6 +38,7 @@ from quadpi_core.logs.mcap_files import (
 )
 from quadpi_core.logs.ros1_bags import Ros1Bag
 from quadpi_core.logs.unpacking import MESSAGE_BYTES, require_unpackable, unpacked_limit, unzstd, zstd_size
+from quadpi_core.messages.earlier_definitions import is_earlier, rewritten
 from quadpi_core.messages.payloads import Payloads, Topic, join_topics
 
 if TYPE_CHECKING:
@@ -57,7 +58,8 @@ _END_NS = 2**63 - 1
 class Bag:
     """An open bag: a .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder.
 
-    Messages of a ROS 1 bag are converted to CDR, and their definitions to those of ROS 2.
+    Messages of a ROS 1 bag are converted to CDR, and their definitions to those of ROS 2. Messages of earlier
+    versions of quadpi are rewritten as they are defined now.
 
     Raises:
         LogError: for a bag that is absent, empty, cut off or damaged, from any of its methods.
@@ -143,18 +145,24 @@ class Bag:
         found = dict.fromkeys(types, 0)
         with self._reading():
             for topics in _in_log_order(self._parts(types, head), messages or BLOCK_MESSAGES):
-                for name, topic in topics.items():
+                block = {}
+                for name, type_name in types.items():
+                    topic = topics.get(name) or Topic.empty(name, type_name)
+                    rewrite = name in self._earlier and not head
+                    block[name] = rewritten(topic, found[name]) if rewrite else topic
                     found[name] += len(topic.payloads)
-                yield {
-                    name: topics.get(name) or Topic.empty(name, type_name)
-                    for name, type_name in types.items()
-                }
+                yield block
         for name, count in found.items():
             if count != announced[name]:
                 raise LogError(
                     f"{self.path}: topic {name}: damaged: holds {count} messages, "
                     f"its index announces {announced[name]}"
                 )
+
+    @cached_property
+    def _earlier(self) -> set[str]:
+        """Topics whose messages have an earlier definition of their type."""
+        return {one.topic for one in self.connections if is_earlier(one.msgtype, one.msgdef.data)}
 
     def _storages(self) -> list[ReaderProtocol]:
         storage = self._reader.storage

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serialized messages (CDR, little-endian) as arrays, without a Python loop over messages.
 
-A message whose only variable parts are strings has one byte layout per tuple of string lengths. As
-those hardly change within a topic (frame names), N messages are N rows of bytes that a structured
+A message whose only variable parts are strings and sequences has one byte layout per tuple of their lengths.
+As those hardly change within a topic (frame names, rotors), N messages are N rows of bytes that a structured
 dtype views in place. CDR: OMG formal/02-06-51, 15.3; the encapsulation is DDSI-RTPS, 10.5.
 """
 
@@ -13,6 +13,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -37,18 +38,26 @@ _DOUBLE_BYTES = 8
 _PADDING_MAX = 3
 _LENGTH = struct.Struct("<I")
 _LENGTH_DTYPE = np.dtype("<u4")
+# `Field.count` of a sequence.
+ANY = -1
 
 
 @dataclass(frozen=True)
 class Field:
     """A field of a flattened message.
 
-    `format` is a numpy dtype string, "string", or "strings" for a sequence of strings.
+    `format` is a numpy dtype string, "string", or "strings" for a sequence of strings. `count` is None for
+    one number, and :data:`ANY` for a sequence of numbers.
     """
 
     name: str
     format: str
     count: int | None = None
+
+    @property
+    def is_variable(self) -> bool:
+        """Whether its length differs between messages."""
+        return not self.is_number or self.count == ANY
 
     @cached_property
     def is_number(self) -> bool:
@@ -62,8 +71,9 @@ class Field:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """Type of a numeric field, with its shape."""
-        return np.dtype(self.format if self.count is None else (self.format, (self.count,)))
+        """Type of a numeric field, with its shape; of a sequence, that of one number."""
+        fixed = self.count is not None and self.count != ANY
+        return np.dtype((self.format, (self.count,)) if fixed else self.format)
 
     @cached_property
     def alignment(self) -> int:
@@ -73,7 +83,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each field of a message lies, for one tuple of string lengths.
+    """Where each field of a message lies, for one tuple of the lengths of its texts and sequences.
 
     Attributes:
         dtype: structured, the size of a message; a sequence of strings is one field per string.
@@ -81,6 +91,7 @@ class Layout:
         identifying: indices of the bytes that distinguish this layout: encapsulation and lengths.
         names: fields of `dtype` that are fields of the message.
         sequences: for each sequence of strings, the fields of `dtype` that hold them.
+        counts: how many numbers each sequence of numbers holds, by name.
         doubles: the bytes of the float64 fields that end the message.
     """
 
@@ -89,19 +100,31 @@ class Layout:
     identifying: Indices
     names: tuple[str, ...]
     sequences: dict[str, tuple[str, ...]]
+    counts: dict[str, int]
     doubles: slice
 
     @cached_property
-    def _marks(self) -> tuple[tuple[slice, bytes], ...]:
+    def marks(self) -> tuple[tuple[slice, bytes], ...]:
+        """The encapsulation and each length: where it lies, and its bytes."""
         starts = [0, *self.identifying[2 :: _LENGTH.size].tolist()]
         spans = [slice(start, start + (_LENGTH.size if start else 2)) for start in starts]
         return tuple((span, self.template[span].tobytes()) for span in spans)
+
+    def require(self, counts: Mapping[str, int], sample: int) -> None:
+        """Refuse other lengths of the sequences of numbers than `counts`.
+
+        Raises:
+            SampleError: naming the sample and the sequence, what it holds and what was expected.
+        """
+        for name, found in self.counts.items():
+            if found != counts[name]:
+                raise SampleError(sample, f"`{name}` holds {found} values, expected {counts[name]}")
 
     def describes(self, message: bytes) -> bool:
         """Whether the message has this layout."""
         if not 0 <= len(message) - len(self.template) <= _PADDING_MAX:
             return False
-        for span, expected in self._marks:  # noqa: SIM110 - a generator costs a call per mark, at each message
+        for span, expected in self.marks:  # noqa: SIM110 - a generator costs a call per mark, at each message
             if message[span] != expected:
                 return False
         return True
@@ -123,17 +146,18 @@ class Codec:
     """Encodes and decodes messages of one type, as a flat list of fields.
 
     :meth:`decode` and :meth:`encode` know every field by its name; :meth:`decode_stamped` and
-    :meth:`encode_stamped` move all doubles at once.
+    :meth:`encode_stamped` move all doubles at once. A sequence of numbers has the same length in all messages
+    that are decoded together.
 
     Attributes:
-        places: columns of the float64 fields that end a message, by name.
+        places: columns of the float64 fields of fixed length that end a message, by name.
         template: gives the layout for constants, and a message of them and zeros.
     """
 
     def __init__(self, type_name: str, fields: tuple[Field, ...]) -> None:
         self.type_name = type_name
         self._fields = fields
-        self._texts = tuple(field for field in fields if not field.is_number)
+        self._variable = tuple(field for field in fields if field.is_variable)
         self._layout = lru_cache(maxsize=256)(self._build_layout)
         self.template = lru_cache(maxsize=256)(self._build_template)
         self._latest: Layout | None = None
@@ -145,7 +169,8 @@ class Codec:
         Strings come as bytes; a sequence of strings as an object array of tuples of bytes.
 
         Raises:
-            SampleError: naming the sample whose bytes are no message of this type.
+            SampleError: naming the sample whose bytes are no message of this type, or whose sequence of
+                numbers is not as long as that of the first.
         """
         if isinstance(payloads, bytes):
             layout = self.layout_of(payloads, 0)
@@ -161,17 +186,24 @@ class Codec:
             return parts[0][1]
         return {name: _reunite(name, parts) for name in parts[0][1]}
 
-    def decode_stamped(self, payloads: Payloads | bytes) -> Stamped:
+    def decode_stamped(
+        self, payloads: Payloads | bytes, counts: Mapping[str, int] = MappingProxyType({})
+    ) -> Stamped:
         """Header stamps, and the float64 fields that end the message; :attr:`places` says where each is.
 
+        Args:
+            payloads: N messages, or one.
+            counts: how many numbers each sequence of numbers must hold, by name.
+
         Raises:
-            SampleError: naming the sample whose bytes are no message of this type, or whose stamp is none.
+            SampleError: naming the sample whose bytes are no message of this type, whose stamp is none, or
+                whose sequences are of other lengths.
         """
         if isinstance(payloads, bytes):
             payloads = Payloads.join([payloads])
         time_ns = np.empty(len(payloads), dtype=np.int64)
-        values = np.empty((len(payloads), _width(self.places)))
-        for order, layout, rows in self._row_parts(payloads):
+        values = np.empty((len(payloads), self._ending(counts)))
+        for order, layout, rows in self._row_parts(payloads, counts):
             stamp = np.ascontiguousarray(rows[:, ORIGIN : ORIGIN + STAMP.size])
             seconds, nanoseconds = stamp.view("<i4")[:, 0], stamp.view("<u4")[:, 1]
             beyond = nanoseconds >= NANOSECONDS
@@ -206,10 +238,14 @@ class Codec:
     def encode(self, count: int, columns: Mapping[str, Any]) -> Payloads:
         """Encode `count` messages; a text is one `str` (or a tuple of them) for all of them.
 
-        Fields without a column are zero or empty.
+        Fields without a column are zero or empty. A sequence of numbers is a column (count, n).
         """
-        texts = tuple((field.name, columns[field.name]) for field in self._texts if field.name in columns)
-        layout, template = self.template(texts)
+        variable = tuple(
+            (field.name, (0.0,) * np.shape(column)[-1] if field.is_number else column)
+            for field in self._variable
+            if (column := columns.get(field.name)) is not None
+        )
+        layout, template = self.template(variable)
         rows = np.repeat(template[None], count, axis=0)
         table = rows.view(layout.dtype)[:, 0]
         for name, value in columns.items():
@@ -217,12 +253,16 @@ class Codec:
                 table[name] = value
         return Payloads.from_rows(rows)
 
-    def _row_parts(self, payloads: Payloads) -> Iterator[tuple[Indices, Layout, Bytes]]:
+    def _row_parts(
+        self, payloads: Payloads, counts: Mapping[str, int] | None = None
+    ) -> Iterator[tuple[Indices, Layout, Bytes]]:
         """Split messages by layout: (indices, layout, one row of bytes per message) of each part."""
         remaining = np.arange(len(payloads))
         while len(remaining):
             first = int(remaining[0])
             layout = self.layout_of(payloads[first], first)
+            counts = layout.counts if counts is None else counts
+            layout.require(counts, first)
             alike = remaining[payloads.lengths[remaining] == payloads.lengths[first]]
             rows = payloads.rows(alike, int(payloads.lengths[first]))
             matching = (rows[:, layout.identifying] == layout.template[layout.identifying]).all(axis=1)
@@ -240,7 +280,7 @@ class Codec:
         return columns
 
     def layout_of(self, message: bytes, sample: int) -> Layout:
-        """The layout of one message, found from the string lengths that it holds."""
+        """The layout of one message, found from the lengths that it holds."""
         if self._latest is not None and self._latest.describes(message):
             return self._latest
         if message[:2] != _ENCAPSULATION[:2]:
@@ -261,37 +301,38 @@ class Codec:
         except struct.error:
             raise SampleError(sample, f"its {len(message)} bytes are no {self.type_name}") from None
         if not 0 <= len(message) - len(layout.template) <= _PADDING_MAX:
+            counted = "".join(f" with {count} values of `{name}`" for name, count in layout.counts.items())
             raise SampleError(
-                sample, f"{len(message)} bytes where {self.type_name} takes {len(layout.template)}"
+                sample, f"{len(message)} bytes where {self.type_name}{counted} takes {len(layout.template)}"
             )
         self._latest = layout
         return layout
 
     def _build_template(
-        self, constants: tuple[tuple[str, str | float | tuple[str, ...]], ...]
+        self, constants: tuple[tuple[str, str | float | tuple[str | float, ...]], ...]
     ) -> tuple[Layout, Bytes]:
         """The layout for some texts and numbers, and a message of them and zeros."""
         columns = dict(constants)
-        layout = self._layout(_text_lengths(self._texts, columns))
+        layout = self._layout(_lengths(self._variable, columns))
         template = layout.template.copy()
         message = template.view(layout.dtype)
         for name, value in columns.items():
-            names, items = (
-                (layout.sequences[name], value) if isinstance(value, tuple) else ((name,), (value,))
-            )
-            for item_name, item in zip(names, items, strict=True):
+            items = {name: value}
+            if name in layout.sequences and isinstance(value, tuple):
+                items = dict(zip(layout.sequences[name], value, strict=True))
+            for item_name, item in items.items():
                 message[item_name] = item.encode() if isinstance(item, str) else item
         return layout, template
 
-    def _build_layout(self, text_lengths: tuple[int, ...]) -> Layout:
-        remaining = iter(text_lengths)
+    def _build_layout(self, stored: tuple[int, ...]) -> Layout:
+        remaining = iter(stored)
         places = list(self._walk(lambda _: next(remaining)))
         last = places[-1]
         size = ORIGIN + last.position + last.dtype.itemsize
         template = np.zeros(size, dtype=np.uint8)
         template[:ORIGIN] = np.frombuffer(_ENCAPSULATION, dtype=np.uint8)
         identifying = [0, 1]
-        lengths = iter(text_lengths)
+        lengths = iter(stored)
         for place in places:
             if place.is_length:
                 start = ORIGIN + place.position
@@ -315,17 +356,25 @@ class Codec:
             if field.format == "strings"
         }
         in_sequences = {item for items in sequences.values() for item in items}
+        numbers = {field.name for field in self._variable if field.is_number}
+        counts = {place.name: place.dtype.shape[0] for place in values if place.name in numbers}
         return Layout(
             dtype=dtype,
             template=template,
             identifying=np.array(identifying),
             names=tuple(name for name in names if name not in in_sequences),
             sequences=sequences,
-            doubles=slice(size - _DOUBLE_BYTES * _width(self.places), size),
+            counts=counts,
+            doubles=slice(size - _DOUBLE_BYTES * self._ending(counts), size),
         )
 
+    def _ending(self, counts: Mapping[str, int]) -> int:
+        """How many float64 values end a message whose sequences of numbers have these lengths."""
+        last = self._fields[-1]
+        return counts[last.name] if last.count == ANY else _width(self.places)
+
     def _walk(self, length_at: Callable[[int], int]) -> Iterator[_Place]:
-        """Place numbers, strings and lengths one after the other, aligned by the rules of CDR.
+        """Place numbers, texts and lengths one after the other, aligned by the rules of CDR.
 
         Args:
             length_at: gives the length stored at a position.
@@ -333,9 +382,16 @@ class Codec:
         position = 0
         for field in self._fields:
             if field.is_number:
-                position = _aligned(position, field.alignment)
-                yield _Place(field.name, field.dtype, position)
-                position += field.dtype.itemsize
+                dtype = field.dtype
+                if field.count == ANY:
+                    position = _aligned(position, _LENGTH.size)
+                    dtype = np.dtype((dtype, (length_at(position),)))
+                    yield _Place(field.name, _LENGTH_DTYPE, position, is_length=True)
+                    position += _LENGTH.size
+                # Writers differ in whether they align a sequence of nothing.
+                position = _aligned(position, field.alignment) if dtype.itemsize else position
+                yield _Place(field.name, dtype, position)
+                position += dtype.itemsize
                 continue
             names = [field.name]
             if field.format == "strings":
@@ -357,7 +413,7 @@ def _places_of_doubles(fields: Sequence[Field]) -> dict[str, slice]:
     """Columns of the float64 fields at the end of a message, by name."""
     ending: list[Field] = []
     for field in reversed(fields):
-        if field.format != _DOUBLE:
+        if field.format != _DOUBLE or field.is_variable:
             break
         ending.insert(0, field)
     places, start = {}, 0
@@ -387,16 +443,15 @@ def _aligned(position: int, alignment: int) -> int:
     return -(-position // alignment) * alignment
 
 
-def _text_lengths(texts: Iterable[Field], columns: Mapping[str, Any]) -> tuple[int, ...]:
-    """The lengths in a message that holds these texts, in its order; a string counts its NUL."""
+def _lengths(variable: Iterable[Field], columns: Mapping[str, Any]) -> tuple[int, ...]:
+    """The lengths in a message of these texts and sequences, in its order; a string counts its NUL."""
     lengths: list[int] = []
-    for field in texts:
-        if field.format == "strings":
-            items = columns.get(field.name, ())
+    for field in variable:
+        items = (columns.get(field.name, ""),) if field.format == "string" else columns.get(field.name, ())
+        if field.format != "string":
             lengths.append(len(items))
-        else:
-            items = (columns.get(field.name, ""),)
-        lengths.extend(len(item.encode()) + 1 for item in items)
+        if not field.is_number:
+            lengths.extend(len(item.encode()) + 1 for item in items)
     return tuple(lengths)
 
 

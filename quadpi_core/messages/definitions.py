@@ -14,8 +14,7 @@ from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from quadpi_core.flight import AXES
-from quadpi_core.messages.cdr import Codec, Field
+from quadpi_core.messages.cdr import ANY, Codec, Field
 from quadpi_core.paths import message_directory
 
 FORMATS = {
@@ -88,21 +87,9 @@ def codec(type_name: str) -> Codec:
     """The codec of a type; fields are named by their path, such as `pose.pose.position`.
 
     A contained message whose members are all of one primitive type (a vector, a quaternion) is one
-    array field, and so are six scalars named for the axes of a wrench (`lower_fx` … `lower_mz`: `lower`).
+    array field.
     """
-    fields = list(_flat_fields(typestore().fielddefs, type_name, ""))
-    return Codec(type_name, tuple(_join_wrenches(fields)))
-
-
-def _join_wrenches(fields: list[Field]) -> Iterator[Field]:
-    index = 0
-    while index < len(fields):
-        run = fields[index : index + len(AXES)]
-        stem = run[0].name.rpartition("_")[0]
-        names = [f"{stem}_{axis.lower()}" for axis in AXES]
-        is_wrench = [field.name for field in run] == names and len({field.format for field in run}) == 1
-        yield Field(stem, run[0].format, len(AXES)) if is_wrench else run[0]
-        index += len(run) if is_wrench else 1
+    return Codec(type_name, tuple(_flat_fields(typestore().fielddefs, type_name, "")))
 
 
 def _flat_fields(fielddefs: Mapping[str, Any], type_name: str, prefix: str) -> Iterator[Field]:
@@ -117,6 +104,8 @@ def _flat_fields(fielddefs: Mapping[str, Any], type_name: str, prefix: str) -> I
                 yield Field(path, FORMATS[base], count)
             case (Nodetype.SEQUENCE, ((Nodetype.BASE, ("string", _)), _)):
                 yield Field(path, "strings")
+            case (Nodetype.SEQUENCE, ((Nodetype.BASE, (str(base), _)), _)):
+                yield Field(path, FORMATS[base], ANY)
             case (Nodetype.NAME, str(contained)):
                 members = list(_flat_fields(fielddefs, contained, f"{path}."))
                 formats = {member.format for member in members}

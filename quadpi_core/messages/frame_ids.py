@@ -149,7 +149,7 @@ class BodyFrames:
         strict: bool = False,
         patience_s: float = 0.0,
         hint: str = "",
-        warn: Callable[[str], None] = _log.warning,
+        warn: Callable[[str], object] = _log.warning,
     ) -> None:
         self.transforms = StaticTransforms()
         self._body = plain_name(body_frame)

@@ -49,7 +49,8 @@ class IncomingMessage(Generic[SomeStream]):
         self._transforms = (frames or BodyFrames()).transforms
         self._judged_at = -1
         self._size = self._end = 0
-        self._known = b""
+        self._known = self._count = b""
+        self._counted = slice(0)
         self._mounting: Mounting | None = None
         # Compiled now, not when the first message waits for it.
         kind.fill(kind.no_values, kind.room(np.empty(0, dtype=np.int64), ("",) * kind.texts))
@@ -58,12 +59,13 @@ class IncomingMessage(Generic[SomeStream]):
         """The sample in a message; the next message overwrites it.
 
         Raises:
-            SampleError: for bytes that are no message of the type, a stamp or an orientation that is none, or
-                saying which frame cannot be used, and why.
+            SampleError: for bytes that are no message of the type, another number of values than the kind's,
+                a stamp or an orientation that is none, or saying which frame cannot be used, and why.
         """
         if (
             payload[_TEXTS : self._end] != self._known
             or len(payload) != self._size
+            or payload[self._counted] != self._count
             or payload[:2] != b"\x00\x01"
             or self._judged_at != self._transforms.changes
         ):
@@ -84,6 +86,7 @@ class IncomingMessage(Generic[SomeStream]):
         """Prepare for messages of this length and these frames."""
         self._judged_at = -1
         layout = codec(self._kind.type_name).layout_of(payload, 0)
+        layout.require(self._kind.counts, 0)
         names, self._end = names_of(payload, self._kind.texts)
         try:
             mounting = self._judge(names)
@@ -96,6 +99,9 @@ class IncomingMessage(Generic[SomeStream]):
         self._size = len(payload)
         # Without the padding behind the names, which writers leave as it happens to be.
         self._known = payload[_TEXTS : self._end]
+        if layout.counts:
+            # A sequence of numbers ends the message: its length is the last one.
+            self._counted, self._count = layout.marks[-1]
         self._judged_at = self._transforms.changes
 
 

@@ -36,15 +36,16 @@ _NANOSECONDS = 1_000_000_000
 
 def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
     """Decode quadpi/WrenchPrediction."""
-    (time_ns, values), places = codec(PREDICTION).decode_stamped(payloads), codec(PREDICTION).places
-    lower, upper = _mirrored_bounds(values[:, places["lower"]], values[:, places["upper"]])
+    time_ns, values = codec(PREDICTION).decode_stamped(payloads)
+    predicted, one, other, measured, relative_width = np.split(values, 5, axis=1)
+    lower, upper = _mirrored_bounds(one, other)
     return Predictions(
         time_ns=time_ns,
-        predicted=mirrored(values[:, places["predicted"]]),
+        predicted=mirrored(predicted),
         lower=lower,
         upper=upper,
-        measured=mirrored(values[:, places["measured"]]),
-        relative_width=values[:, places["relative_width"]].copy(),
+        measured=mirrored(measured),
+        relative_width=relative_width.copy(),
     )
 
 

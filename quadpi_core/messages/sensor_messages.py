@@ -10,8 +10,8 @@ no message of its type; values are not judged here (see `Recording.check`), exce
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -98,21 +98,23 @@ class SampleKind(Generic[SomeStream]):
         room: gives a stream of stamps (N,) for messages of the given frames; the rest is to be filled.
         fill: fills them from the float64 fields (N, K) that end the messages; raises SampleError.
         texts: how many names follow the stamp: 2 where there is a child frame.
+        counts: how many numbers each sequence of numbers must hold, by name.
     """
 
     type_name: str
     room: Callable[[Stamps, tuple[str, ...]], SomeStream]
     fill: Callable[[Array, SomeStream], None]
     texts: int = 1
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def no_values(self) -> Array:
         """The float64 fields (0, K) of no message."""
-        return codec(self.type_name).decode_stamped(Payloads.join([]))[1]
+        return codec(self.type_name).decode_stamped(Payloads.join([]), self.counts)[1]
 
     def unpack(self, payloads: Payloads | bytes) -> SomeStream:
         """The samples of N messages whose frames do not matter."""
-        time_ns, values = codec(self.type_name).decode_stamped(payloads)
+        time_ns, values = codec(self.type_name).decode_stamped(payloads, self.counts)
         stream = self.room(time_ns, ())
         self.fill(values, stream)
         return stream
@@ -168,7 +170,9 @@ WIND_SAMPLES = SampleKind(
     lambda time_ns, _: WindStream(time_ns, _rows(time_ns)),
     lambda values, wind: world_values(values, wind.velocity),
 )
-ROTOR_SPEED_SAMPLES = SampleKind(ROTOR_SPEEDS, _rotor_room, _fill_rotor_speeds)
+ROTOR_SPEED_SAMPLES = SampleKind(
+    ROTOR_SPEEDS, _rotor_room, _fill_rotor_speeds, counts={"rotor_speeds": ROTORS}
+)
 
 
 def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
@@ -182,7 +186,7 @@ def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
         rotors.speeds[:] = vehicle.rotor_speeds_from_erpm(erpm)
 
     vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
-    return SampleKind(ERPM, _rotor_room, fill)
+    return SampleKind(ERPM, _rotor_room, fill, counts={"erpm": ROTORS})
 
 
 def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
@@ -346,7 +350,11 @@ def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
 
 
 def unpack_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
-    """Decode quadpi/RotorSpeeds."""
+    """Decode quadpi/RotorSpeeds.
+
+    Raises:
+        SampleError: also for another number of rotors than the vehicle's.
+    """
     return ROTOR_SPEED_SAMPLES.unpack(payloads)
 
 
@@ -360,13 +368,14 @@ def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> RotorSpeedStrea
     """Decode quadpi/Erpm; the vehicle's pole pairs turn electrical into mechanical speed.
 
     Raises:
+        SampleError: also for another number of rotors than the vehicle's.
         VehicleError: if the vehicle file does not give the pole pairs.
     """
     return erpm_samples(vehicle).unpack(payloads)
 
 
 def pack_erpm(time_ns: Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode electrical speeds (N, 4) in rev/min as quadpi/Erpm."""
+    """Encode electrical speeds (N, rotors) in rev/min as quadpi/Erpm."""
     return codec(ERPM).encode(len(time_ns), {**header_columns(time_ns, frame_id), "erpm": erpm})
 
 

@@ -17,7 +17,7 @@ from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
-from quadpi_core.messages.payloads import Topic
+from quadpi_core.messages.payloads import Payloads, Topic
 
 N = 200
 FLIPS = 200
@@ -104,6 +104,28 @@ def test_missing_rotor_speeds_are_left_to_whoever_needs_them(tmp_path, recording
     path = tmp_path / "no_rotors.mcap"
     write_bag(path, replace(recording, rotor_speeds=None))
     assert read_bag(path).rotor_speeds is None
+
+
+@pytest.mark.parametrize("count", [1, 3, 6])
+def test_another_number_of_rotors_than_the_vehicle_has(tmp_path, recording, count):
+    """From a message on: the ones before are as they should be."""
+    path = tmp_path / "rotors.mcap"
+    rotors, first = recording.rotor_speeds, 7
+    other = RotorSpeedStream(rotors.time_ns[first:], np.ones((len(rotors) - first, count)))
+    payloads = Payloads.concatenate(
+        [
+            sensor_messages.pack_rotor_speeds(rotors.take(slice(0, first))),
+            sensor_messages.pack_rotor_speeds(other),
+        ]
+    )
+    imu = sensor_messages.pack_imu(recording.imu)
+    topics = [
+        Topic("/imu", sensor_messages.IMU, recording.imu.time_ns, imu),
+        Topic("/uav/rotor_speeds", sensor_messages.ROTOR_SPEEDS, rotors.time_ns, payloads),
+    ]
+    write_mcap(path, topics, {})
+    expected = f"topic /uav/rotor_speeds: sample {first}: `rotor_speeds` holds {count} values, expected 4"
+    assert_refused(path, expected)
 
 
 def test_wrong_type_on_a_topic(tmp_path, recording):

@@ -22,7 +22,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
-from quadpi_core.flight import PoseStream
+from quadpi_core.flight import PoseStream, RotorSpeedStream
 from quadpi_ros.processes import Child
 
 from .rig import STARTED_S, STEP_NS, TOPICS, Rig, arguments, assert_alive, assert_whole, values_of
@@ -162,6 +162,23 @@ def test_nan_never_comes_out(rig: Rig) -> None:
     assert any(
         sum(float(v.value) for v in s.values if v.key == "refused") > 0 for s in rig.told if "imu" in s.name
     )
+
+
+def test_another_number_of_rotors_is_refused_by_name_until_it_is_right(rig: Rig) -> None:
+    def six(_: int, sample: dict[str, Any]) -> dict[str, Any]:
+        rotors = sample["rotor_speeds"]
+        return sample | {"rotor_speeds": RotorSpeedStream(rotors.time_ns, np.full((1, 6), 800.0))}
+
+    rig.fly(2.5, six)
+    reason = "sample 0: `rotor_speeds` holds 6 values, expected 4"
+    every = f"every message is refused on rotor_speeds: {reason}"
+    rig.await_status("monitor: state", DiagnosticStatus.ERROR, every)
+    status = rig.await_status("monitor: rotor_speeds", DiagnosticStatus.WARN, "samples refused")
+    assert float(values_of(status)[f"refused: {reason}"]) > 100
+    assert rig.nodes.errors.read_text().count(f"topic rotor_speeds: message refused: {reason}") == 1
+    _, last_ns = rig.fly(1.5)
+    rig.await_stamp("prediction", last_ns)
+    rig.await_status("monitor: state", DiagnosticStatus.OK, "active")
 
 
 def numbers(message: Any) -> list[float]:

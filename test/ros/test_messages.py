@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import rclpy
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Vector3, Wrench
 from quadpi import msg as quadpi_msg
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message, serialize_message
@@ -28,7 +30,11 @@ def filled(message_type: type) -> Any:
         "std_msgs/Header": lambda: Header(stamp=Time(sec=7, nanosec=123), frame_id="base_link"),
         "double": lambda: float(rng.normal()),
         "double[3]": lambda: rng.normal(size=3),
-        "double[4]": lambda: rng.normal(size=4),
+        "sequence<double>": lambda: array("d", rng.normal(size=6)),
+        "geometry_msgs/Wrench": lambda: Wrench(
+            force=Vector3(x=rng.normal(), y=rng.normal(), z=rng.normal()),
+            torque=Vector3(x=rng.normal(), y=rng.normal(), z=rng.normal()),
+        ),
         "double[6]": lambda: rng.normal(size=6),
         "string": lambda: "bebop2-0123456789ab",
         "sequence<string>": lambda: ["mu_x", "omega_avg"],
@@ -86,7 +92,9 @@ def test_every_definition_is_built() -> None:
 @pytest.mark.parametrize("name", MESSAGES)
 def test_every_number_names_its_unit(name: str) -> None:
     definition = (Path(__file__).parents[2] / "msg" / f"{name}.msg").read_text()
-    fields = [line for line in definition.splitlines() if line.startswith(("float64", "uint8"))]
+    fields = [
+        line for line in definition.splitlines() if line.startswith(("float64", "uint8", "geometry_msgs"))
+    ]
     values = [line for line in fields if "=" not in line.split("#")[0]]
     assert values
     assert all(line.rstrip().endswith("]") for line in values)

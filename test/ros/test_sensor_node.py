@@ -16,8 +16,10 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from quadpi.msg import RotorSpeeds
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
+from rclpy.type_hash import TypeHash
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
@@ -206,11 +208,53 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
     assert logged == ["topic imu: one", "topic mocap/pose: three"]
     sent["imu"] = sent["imu"][:20]
     assert watch("imu", "mocap/pose") == []
-    assert watch("imu", "mocap/pose") == ["every message is refused on imu"]
+    refused = "every message is refused on imu: sample 0: 20 bytes where sensor_msgs/msg/Imu takes 316"
+    assert watch("imu", "mocap/pose") == [refused]
     assert (node.lack("imu"), node.lack("mocap/pose")) == ("every message is refused on imu", None)
     assert watch("imu") == []
-    assert watch("imu") == ["nothing arrives on mocap/pose; every message is refused on imu"]
+    assert watch("imu") == [f"nothing arrives on mocap/pose; {refused}"]
+    # What is wrong with a message is said once, however long it lasts.
+    monkeypatch.setattr(sensor_node, "_WARNING_PERIOD_S", 0.0)
+    logged.clear()
+    for size in (20, 20, 20, 21, 21):
+        receivers["wind"](sent["mocap/pose"][:size])
+    said = "topic wind: message refused: sample 0: {} bytes where geometry_msgs/msg/PoseStamped takes 76"
+    assert logged == [said.format(20), said.format(21)]
     node.must(node.trigger_deactivate)
     assert watch() == []
     assert watch() == []
+
+
+class RotorListener(SensorNode[NoParameters]):
+    """Hears rotor speeds."""
+
+    def activate(self) -> None:
+        """As the monitor does."""
+        self.listen(RotorSpeeds, "rotor_speeds", sensor_messages.unpack_rotor_speeds, lambda _: None)
+
+
+@pytest.mark.usefixtures("ros")
+@pytest.mark.parametrize("foreign", [False, True])
+def test_who_publishes_another_version_of_a_message_is_named(
+    monkeypatch: pytest.MonkeyPatch, foreign: bool
+) -> None:
+    """Its hash is pretended: a program built against other definitions has another one."""
+    node, driver = RotorListener("watched", NoParameters), Node("driver")
+    publisher = driver.create_publisher(RotorSpeeds, "rotor_speeds", 1)
+    start([node])
+    node.must(node.trigger_configure)
+    node.must(node.trigger_activate)
+    wait_until(lambda: node.get_publishers_info_by_topic("/rotor_speeds"))
+    infos = node.get_publishers_info_by_topic("/rotor_speeds")
+    if foreign:
+        infos[0].topic_type_hash = TypeHash(version=1, value=bytes(range(32)))
+        monkeypatch.setattr(node, "get_publishers_info_by_topic", lambda _: infos)
+    monkeypatch.setattr(node, "lacking", {"rotor_speeds": "nothing arrives on"})
+    expected = ": topic /rotor_speeds: /driver publishes quadpi/msg/RotorSpeeds of another version"
+    problem = node.problem() or ""
+    assert problem.startswith("nothing arrives on rotor_speeds")
+    assert (expected in problem) == foreign
+    driver.destroy_publisher(publisher)
+    driver.destroy_node()
+    node.destroy_node()
     node.destroy_node()

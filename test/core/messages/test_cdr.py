@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, SampleError
 from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.payloads import Payloads
 
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 ALARM = "quadpi/msg/ExtrapolationAlarm"
+ROTORS = "quadpi/msg/RotorSpeeds"
 
 
 def transforms(frame_ids, seed=0):
@@ -75,6 +76,29 @@ def test_equal_size_with_other_string_lengths_is_told_apart():
     assert len(messages[0]) == len(messages[1])
     columns = codec_.decode(Payloads.join([messages[0], messages[1], messages[0]]))
     assert columns["transform.translation"][:, 0].tolist() == [1.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 6])
+@pytest.mark.parametrize("frame_id", ["", "a", "ab", "abc", "abcd", "abcde", "abcdef", "abcdefg"])
+def test_sequences_of_numbers_agree_with_rosbags(frame_id, count):
+    values = np.random.default_rng(count).normal(size=(3, count))
+    columns = {"header.frame_id": frame_id, "header.stamp.sec": [1, 2, 3], "rotor_speeds": values}
+    encoded = codec(ROTORS).encode(3, columns)
+    for message, row in zip(encoded, values, strict=True):
+        reference = typestore().deserialize_cdr(message, ROTORS)
+        np.testing.assert_array_equal(reference.rotor_speeds, row)
+        assert bytes(typestore().serialize_cdr(reference, ROTORS)) == message
+    np.testing.assert_array_equal(codec(ROTORS).decode(encoded)["rotor_speeds"], values)
+    np.testing.assert_array_equal(codec(ROTORS).decode_stamped(encoded, {"rotor_speeds": count})[1], values)
+
+
+def test_a_sequence_of_another_length_is_refused_by_its_sample():
+    parts = [codec(ROTORS).encode(2, {"rotor_speeds": np.ones((2, count))}) for count in (4, 6)]
+    joined = Payloads.concatenate(parts)
+    with pytest.raises(SampleError, match="sample 2: `rotor_speeds` holds 6 values, expected 4"):
+        codec(ROTORS).decode(joined)
+    with pytest.raises(SampleError, match="sample 0: `rotor_speeds` holds 4 values, expected 6"):
+        codec(ROTORS).decode_stamped(joined, {"rotor_speeds": 6})
 
 
 @pytest.mark.parametrize("padding", [1, 2, 3])

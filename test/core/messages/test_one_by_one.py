@@ -114,6 +114,37 @@ def test_bytes_that_are_no_message_are_refused_and_the_next_one_is_read(
         assert read(messages[1]).time_ns[0] == IMU.time_ns[1]
 
 
+@pytest.mark.parametrize("name", ["rotor speeds", "erpm"])
+@pytest.mark.parametrize("count", [1, 3, 5, 6, 8])
+def test_another_number_of_rotors_is_refused_by_name_and_the_next_message_is_read(
+    name: str, count: int
+) -> None:
+    kind, payloads, _ = KINDS[name]
+    read = IncomingMessage(kind)
+    other = RotorSpeedStream(ROTORS.time_ns, np.ones((N, count)))
+    wrong = {
+        "rotor speeds": sensor_messages.pack_rotor_speeds(other),
+        "erpm": sensor_messages.pack_erpm(other.time_ns, other.speeds),
+    }[name][0]
+    for _ in range(2):
+        with pytest.raises(SampleError, match=f"sample 0: `\\w+` holds {count} values, expected 4"):
+            read(wrong)
+        assert read(payloads[1]).time_ns[0] == ROTORS.time_ns[1]
+
+
+def test_a_length_that_is_not_that_of_the_numbers_is_refused() -> None:
+    """All bytes but those of the length are those of the message before."""
+    read = IncomingMessage(sensor_messages.ROTOR_SPEED_SAMPLES)
+    message = sensor_messages.pack_rotor_speeds(ROTORS)[0]
+    read(message)
+    place = message.index((4).to_bytes(4, "little"))
+    assert message.count((4).to_bytes(4, "little")) == 1
+    for claimed in (0, 3, 5, 2**31):
+        with pytest.raises(SampleError):
+            read(message[:place] + claimed.to_bytes(4, "little") + message[place + 4 :])
+    assert read(message).time_ns[0] == ROTORS.time_ns[0]
+
+
 def test_an_orientation_that_is_none_is_refused() -> None:
     read = IncomingMessage(sensor_messages.POSE_SAMPLES)
     wrong = PoseStream(POSE.time_ns, POSE.position, 2.0 * POSE.attitude)

@@ -58,12 +58,12 @@ def test_bounds_swap_on_axes_that_change_sign(rng):
         predictions, model="poly 0123456789ab", confidence=0.95, axes=AXES
     )
     for sample, one in enumerate(reference(payloads, sensor_messages.PREDICTION)):
-        assert one.lower_fx == predictions.lower[sample, 0]
-        assert one.lower_fy == -predictions.upper[sample, 1]
-        assert one.upper_mz == -predictions.lower[sample, 5]
-        assert one.lower_fz <= one.predicted_fz <= one.upper_fz
-        assert one.measured_my == -predictions.measured[sample, 4]
-        assert one.relative_width_my == predictions.relative_width[sample, 4]
+        assert one.lower.force.x == predictions.lower[sample, 0]
+        assert one.lower.force.y == -predictions.upper[sample, 1]
+        assert one.upper.torque.z == -predictions.lower[sample, 5]
+        assert one.lower.force.z <= one.predicted.force.z <= one.upper.force.z
+        assert one.measured.torque.y == -predictions.measured[sample, 4]
+        assert one.relative_width[4] == predictions.relative_width[sample, 4]
         assert (one.model, one.confidence, one.axes) == ("poly 0123456789ab", 0.95, 63)
     assert_same(result_messages.unpack_predictions(payloads), predictions)
 
@@ -73,7 +73,8 @@ def test_axes_that_are_not_held_stay_plain_zero():
     payloads = result_messages.pack_predictions(
         Predictions(TIME_NS, zeros, zeros, zeros, zeros, zeros), model="m", confidence=0.9, axes=()
     )
-    assert not np.signbit(typestore().deserialize_cdr(payloads[0], sensor_messages.PREDICTION).upper_fy)
+    one = typestore().deserialize_cdr(payloads[0], sensor_messages.PREDICTION)
+    assert not np.signbit(one.upper.force.y)
 
 
 def test_alarms_name_the_inputs_outside_farthest_first(rng):
