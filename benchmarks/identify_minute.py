@@ -44,7 +44,7 @@ def run() -> list[Result]:
             start = time.perf_counter()
             flights = prepare_flights(bags, vehicle, cutoff_hz)
             prepared = time.perf_counter()
-            identify(flights, vehicle, pools, IdentifyOptions(cutoff_hz=cutoff_hz))
+            identify(flights, vehicle, pools, IdentifyOptions(method="polynomial", cutoff_hz=cutoff_hz))
             identified = time.perf_counter()
         messages = sum(map(deserialise, bags))
         rosbags_s = time.perf_counter() - identified

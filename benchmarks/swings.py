@@ -46,9 +46,8 @@ def three_models(folder: Path, vehicle: Vehicle) -> dict[str, AerodynamicModel]:
     bag = folder / "training.mcap"
     write_bag(bag, swings(vehicle))
     flights = prepare_flights([bag], vehicle, _CUTOFF_HZ)
-    polynomial = identify(
-        flights, vehicle, load_pools("quadrotor"), IdentifyOptions(cutoff_hz=_CUTOFF_HZ, settings="paper")
-    ).save(folder / METHODS[0])
+    options = IdentifyOptions(method=METHODS[0], cutoff_hz=_CUTOFF_HZ, settings="paper")
+    polynomial = identify(flights, vehicle, load_pools("quadrotor"), options).save(folder / METHODS[0])
     models = {METHODS[0]: polynomial}
     for method in METHODS[1:]:
         ensembles: dict[str, FittedAxis] = {

@@ -18,12 +18,13 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
+from quadpi_core.models.kind_registry import kind_of
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page
 from quadpi_core.report.live_figure import LiveReplay
-from quadpi_core.report.model_tables import held_out_table
+from quadpi_core.report.model_tables import best_known_table, held_out_table
 from quadpi_core.report.progress_bar import progress_bar
 from quadpi_core.report.table import terminal_table
 from quadpi_core.vehicle import Vehicle
@@ -34,6 +35,8 @@ from quadpi_ros.live_session import SessionResult, run_session
 CONFIDENCE = 0.95
 # Faster NeuroBEM flights are not identified on, so that the model has to extrapolate on them.
 FASTEST_IDENTIFIED_M_S = 12.0
+# Of about a hundred.
+PARAMETERS_SHOWN = 10
 
 _LEVEL_STYLES = ("green", "yellow", "bold red")
 
@@ -117,29 +120,22 @@ def _real_flights(data: Path, output: Path, console: Console) -> DemoFlights:
 
 def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view: bool) -> None:
     vehicle = flights.vehicle
-    console.rule("2  Identify: stepwise polynomials on the slower flights")
+    options = IdentifyOptions(confidence=CONFIDENCE)
+    console.rule(f"2  Identify: {kind_of(options).label} of the slower flights")
     with progress_bar(console) as progress:
         reading = Workers(progress=progress)
-        prepared = prepare_flights(flights.identified, vehicle, CUTOFF_HZ["default"], workers=reading)
-        model = identify(
-            prepared,
-            vehicle,
-            load_pools("quadrotor"),
-            IdentifyOptions(cutoff_hz=CUTOFF_HZ["default"], confidence=CONFIDENCE),
-            progress=progress,
-        ).save(output / "model")
-    for axis in model.axes:
-        chosen = [row for row in model.selection[axis] if row["coefficient"] is not None]
-        terms = ", ".join(row["term"] for row in chosen)
-        console.print(Text.assemble((axis, "bold"), f"  R² {chosen[-1]['r2']:.3f}  {terms}"))
-
+        prepared = prepare_flights(flights.identified, vehicle, options.cutoff_hz, workers=reading)
+        pools = load_pools("quadrotor")
+        model = identify(prepared, vehicle, pools, options, progress=progress).save(output / "model")
+    if parameters := best_known_table(model, PARAMETERS_SHOWN):
+        console.print(terminal_table(parameters))
     console.print(model.calibration())
     if held_out := held_out_table(model):
         console.print(terminal_table(held_out))
 
     console.rule("3  Evaluate: does the interval cover?")
     others = [bag for bags in list(flights.groups.values())[1:] for bag in bags]
-    prepared += prepare_flights(others, vehicle, CUTOFF_HZ["default"])
+    prepared += prepare_flights(others, vehicle, options.cutoff_hz)
     groups = {name: [bag.stem for bag in bags] for name, bags in flights.groups.items()}
     results, evaluation = judge(model, prepared, groups, CONFIDENCE)
     console.print(evaluation_summary(evaluation))

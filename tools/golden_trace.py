@@ -34,7 +34,8 @@ from quadpi_core.paths import bags_directory, whole_output
 from quadpi_core.vehicle import Vehicle
 
 FOLDER = Path(__file__).resolve().parents[1] / "test" / "golden"
-VEHICLE, BAG, TRAINING = "bebop2", "extrapolation", ("train_1", "train_2", "train_3", "train_4")
+VEHICLE, METHOD, BAG = "bebop2", "polynomial", "extrapolation"
+TRAINING = ("train_1", "train_2", "train_3", "train_4")
 RATE_HZ = 10.0
 # Processors may round differently; what differs by more, as a share of a column's range, was changed.
 TOLERANCE = 1e-4
@@ -234,6 +235,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             *bags,
             "--vehicle",
             VEHICLE,
+            "--method",
+            METHOD,
             "-o",
             str(model),
         ]

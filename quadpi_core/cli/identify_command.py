@@ -11,15 +11,16 @@ import typer
 
 from quadpi_core.cli import options
 from quadpi_core.cli.evaluate_command import write_evaluation
+from quadpi_core.cli.kind_options import choice_of_kind
 from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work
 from quadpi_core.models import kinds
 from quadpi_core.plugins import names_in
 
 
-def _known_kind(name: str) -> str:
+def _known_kind(name: str | None) -> str | None:
     from quadpi_core.models.kind_registry import KINDS
 
-    if name not in KINDS.names():
+    if name is not None and name not in KINDS.names():
         raise typer.BadParameter(f"{name!r} is not one of {', '.join(KINDS.names())}.")
     return name
 
@@ -29,16 +30,20 @@ def identify(
     bags: options.Bags,
     vehicle: options.VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Model folder to write.")],
-    method: Annotated[
-        str,
+    method: Annotated[  # noqa: ARG001 - its command has read it
+        str | None,
         typer.Option(
             callback=_known_kind,
             help=f"Kind of model: {', '.join(names_in(kinds))}, or one of an installed package. "
-            "Each has options of its own: --method NAME --help.",
+            "Each has options of its own: --method NAME --help. "
+            f"Default: the first of {', '.join(kinds.DEFAULTS)} that has all options given.",
         ),
-    ] = "polynomial",
+    ] = None,
     candidates: Annotated[
-        str, typer.Option(help="Candidate pools: a name in config/candidates, or a YAML file.")
+        str,
+        typer.Option(
+            help="Pools that some methods choose from: a name in config/candidates, or a YAML file."
+        ),
     ] = "quadrotor",
     axes: Annotated[
         str | None, typer.Option(help="Axes to identify, such as Fx,Fz,My; default: all.")
@@ -94,9 +99,11 @@ def identify(
             console.print(terminal_table(selection_table(model.selection[axis], axis)))
     for table in fact_tables(model):
         console.print(terminal_table(table))
+    if choice := choice_of_kind(context):
+        console.print(choice, soft_wrap=True)
     names = ", ".join(flight.name for flight in model.flights)
     console.print(
-        f"{method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
+        f"{model.method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
     )
     console.print(model.calibration(), soft_wrap=True)
     console.print(model.alarm_limits.sentence(), soft_wrap=True)

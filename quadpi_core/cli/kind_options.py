@@ -16,15 +16,19 @@ from quadpi_core.errors import ModelError
 if TYPE_CHECKING:
     from quadpi_core.models.model_kind import Kind
 
-# Of a click context: the options of kinds that its command takes beside its own.
-_OPTIONS = f"{__name__}.options"
+# Of a click context: the options of kinds that its command takes beside its own; why it took a kind that is
+# not the first default.
+_OPTIONS, _CHOICE = f"{__name__}.options", f"{__name__}.choice"
+# Options of the command that not every kind has a use for.
+_CANDIDATES, _PAPER = "--candidates", "--settings paper"
 
 
 class KindCommand(TyperCommand):
     """A command that also takes the options of the kind of model that its `--method` names.
 
-    Its callback finds the kind, with these options set, in the `obj` of its context. Its help shows the
-    options of the kind if `--method` is given: without it, it imports no kind and answers at once.
+    Without `--method` it takes the first default kind that has all the options given. Its callback finds the
+    kind, with these options set, in the `obj` of its context. Its help shows the options of the kind if
+    `--method` is given: without it, it imports no kind and answers at once.
     """
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -42,21 +46,42 @@ class KindCommand(TyperCommand):
         given, _, _ = parser.parse_args(args=list(args))
         if "help" in given and "method" not in given:
             return super().parse_args(ctx, args)
-        from quadpi_core.models.kind_registry import KINDS
+        from quadpi_core.models.kind_registry import KINDS, default_kind
 
-        default = next(param.default for param in self.params if param.name == "method")
-        kind = KINDS.named(given.get("method", default))
+        own = {name for param in self.get_params(ctx) for name in param.opts}
+        asked = {word.partition("=")[0] for word in args if word.startswith("--")} - own
+        asked |= {_CANDIDATES} if "candidates" in given else set()
+        asked |= {_PAPER} if given.get("settings") == "paper" else set()
+        known = {kind.name: _takes(kind) for kind in KINDS.all()} if asked else {}
+        asked &= set().union(*known.values())
+        default = default_kind(lambda kind: asked <= _takes(kind))
+        kind = KINDS.named(given["method"]) if "method" in given else default
         if kind is None:
             return super().parse_args(ctx, args)
+        if lacking := sorted(asked - _takes(kind) - {_PAPER}):
+            having = " or ".join(name for name, takes in known.items() if lacking[0] in takes)
+            raise ModelError(f"{lacking[0]}: an option of --method {having}, not of {kind.name}")
+        first = default_kind(lambda _: True)
+        if "method" not in given and kind is not first:
+            others = ", ".join(sorted(asked - _takes(first)))
+            ctx.meta[_CHOICE] = f"--method {kind.name}: {first.name}, the default, takes no {others}"
         ctx.meta[_OPTIONS] = _options(kind)
-        known = {name for param in self.get_params(ctx) for name in param.opts}
-        unknown = {word.partition("=")[0] for word in args if word.startswith("--")} - known
-        for other in KINDS.all() if unknown else ():
-            if found := unknown & {name for option in _options(other) for name in option.opts}:
-                raise ModelError(f"{found.pop()}: an option of --method {other.name}, not of {kind.name}")
         left = super().parse_args(ctx, args)
         ctx.obj = replace(kind, **{field.name: ctx.params.pop(field.name) for field in fields(kind)})
         return left
+
+
+def choice_of_kind(context: typer.Context) -> str | None:
+    """Why a command took another kind of model than the default; None where it did not, or one was named."""
+    sentence: str | None = context.meta.get(_CHOICE)
+    return sentence
+
+
+def _takes(kind: Kind) -> set[str]:
+    """The options that a kind has beside those that all have."""
+    takes = {name for option in _options(kind) for name in option.opts}
+    takes |= {_CANDIDATES} if kind.chooses_candidates else set()
+    return takes | ({_PAPER} if kind.has_paper_settings else set())
 
 
 def _options(kind: Kind) -> list[Any]:

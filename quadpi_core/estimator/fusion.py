@@ -115,7 +115,7 @@ def require_streams(recording: Recording) -> RotorSpeedStream:
     recording.check()
     rotor_speeds = recording.rotor_speeds
     if rotor_speeds is None:
-        raise LogError(f"{recording.source}: topic rotor_speeds is missing")
+        raise LogError(f"{recording.source}: topic rotor_speeds is missing, which every kind of model needs")
     for stream in (recording.imu, rotor_speeds):
         _require_no_gap(recording.source, stream)
     if recording.pose is None and recording.twist is None:

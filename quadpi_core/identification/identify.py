@@ -52,7 +52,7 @@ def identify(
     """
     check_options(options, pools)
     _require_samples(flights, options.settings)
-    kind = kind_of(options.method)
+    kind = kind_of(options)
     samples = joined(flights, vehicle)
     axes = [axis for axis in AXES if axis in pools]
     fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
@@ -118,7 +118,7 @@ def check_options(options: IdentifyOptions, pools: Pools) -> None:
             kind does not have.
     """
     require_confidence(options.confidence, calibrated=options.settings == "default")
-    kind_of(options.method).check(options, pools)
+    kind_of(options).check(options, pools)
 
 
 def joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSamples:

@@ -8,21 +8,37 @@ it is that of a file here or of a package that someone installed, never of the f
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from quadpi_core.errors import ModelError
 from quadpi_core.models import kinds
-from quadpi_core.models.model_kind import Kind
+from quadpi_core.models.model_kind import IdentifyOptions, Kind
 from quadpi_core.plugins import Plugins
 
 KINDS = Plugins("method", kinds, "quadpi.model_kinds", Kind, ModelError)  # type: ignore[type-abstract]
 
 
-def kind_of(method: str | Kind) -> Kind:
-    """The kind that options name, or are given as it is.
+def kind_of(options: IdentifyOptions) -> Kind:
+    """The kind that options name or hold; unless they do, the first default that has their settings.
 
     Raises:
         ModelError: see :func:`kind_named`.
     """
-    return kind_named(method) if isinstance(method, str) else method
+    if isinstance(options.method, Kind):
+        return options.method
+    if options.method is not None:
+        return kind_named(options.method)
+    return default_kind(lambda kind: options.settings != "paper" or kind.has_paper_settings)
+
+
+def default_kind(has_what_is_asked: Callable[[Kind], bool]) -> Kind:
+    """The first kind of `kinds.DEFAULTS` that has what is asked for; the first of all if none has.
+
+    Raises:
+        ModelError: see :func:`kind_named`.
+    """
+    defaults = [kind_named(name) for name in kinds.DEFAULTS]
+    return next(filter(has_what_is_asked, defaults), defaults[0])
 
 
 def kind_named(name: str) -> Kind:

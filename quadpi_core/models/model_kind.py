@@ -113,14 +113,15 @@ class IdentifyOptions:
 
     Attributes:
         cutoff_hz: of the low-pass that the flights passed; kept with the model.
-        method: the kind of model, such as `Polynomial(stop="pse")`; or its name, for its default options.
+        method: the kind of model, such as `Polynomial(stop="pse")`; its name, for its default options; None
+            for the first of `kinds.DEFAULTS` that has the settings.
         settings: "paper" for the paper's rules.
         confidence: nominal coverage that the monitor will use.
         false_alarms_per_hour: rate that the limits of the alarm are calibrated to, on held-out flights.
     """
 
     cutoff_hz: float = CUTOFF_HZ["default"]
-    method: str | Kind = "polynomial"
+    method: str | Kind | None = None
     settings: Settings = "default"
     confidence: float = 0.95
     false_alarms_per_hour: float = RATE_PER_HOUR
@@ -226,6 +227,7 @@ class Kind(Section, ABC):
         colour: in figures, #rrggbb; empty for one that is left.
         normal_errors: whether an interval is that of a normal distribution, so that CRPS is defined.
         has_paper_settings: whether it can be fitted by the paper's rules.
+        chooses_candidates: whether it is made of what the pools list, which else only say the axes to hold.
         is_simulation: whether it holds beyond single samples, so that a vehicle can fly by it.
         axis_type: of the fitted axes.
         seed: of all that is drawn, such as initial weights and the parts that members are trained on.
@@ -240,6 +242,7 @@ class Kind(Section, ABC):
     colour: ClassVar[str] = ""
     normal_errors: ClassVar[bool] = False
     has_paper_settings: ClassVar[bool] = False
+    chooses_candidates: ClassVar[bool] = True
     is_simulation: ClassVar[bool] = False
     axis_type: ClassVar[type[FittedAxis]]
 

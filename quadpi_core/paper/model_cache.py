@@ -54,7 +54,7 @@ class ModelCache:
             ModelError: if the model cannot be identified, naming the axis.
             OutputError: if it cannot be stored.
         """
-        kind = kind_of(options.method)
+        kind = kind_of(options)
         origin: dict[str, object] = {
             "quadpi": __version__,
             "code": code_fingerprint(),

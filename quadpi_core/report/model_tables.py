@@ -15,6 +15,9 @@ from quadpi_core.report.table import Cell, Column, Mark, Row, Table, soft
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
 
+# Columns of what a kind says of its parameters, as far as they are shown in short.
+_NUMBERS = ("value", "standard error")
+_PARAMETER = ("parameter", *_NUMBERS, "unit")
 # Steps of a selection, as `StepwisePolynomial.selection_log` gives them.
 SelectionLog = Sequence[Mapping[str, Any]]
 
@@ -92,6 +95,29 @@ def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) 
     empty: list[Cell | str | float | None] = ["", "", ""]
     rows = [[cell for term in row for cell in (empty if term is None else term.cells())] for row in steps]
     return Table(columns, rows)
+
+
+def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
+    """The parameters that its flights tell best, by value over standard error; None of a model without these.
+
+    Args:
+        model: of any kind.
+        most: parameters to show.
+    """
+    for facts in model.kind.facts(model.fitted):
+        if not set(_PARAMETER) <= set(facts.columns):
+            continue
+        places = [facts.columns.index(heading) for heading in _PARAMETER]
+        rows = [[row[place] for place in places] for row in facts.rows]
+        known = [row for row in rows if float(row[2]) > 0.0]
+        known.sort(key=lambda row: abs(float(row[1])) / float(row[2]), reverse=True)
+        columns = [
+            Column(heading, number) if heading in _NUMBERS else Column(heading, is_text=True)
+            for heading in _PARAMETER
+        ]
+        title = f"{min(most, len(known))} of {len(known)} parameters, those known best"
+        return Table(columns, [list(row) for row in known[:most]], title=title)
+    return None
 
 
 def fact_tables(model: AerodynamicModel) -> list[Table]:

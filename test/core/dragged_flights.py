@@ -40,5 +40,5 @@ def dragged_flights(dragged_paths):
 @pytest.fixture(scope="session")
 def dragged_model(dragged_flights):
     """A model of Fx and Fz identified on the first three."""
-    options = IdentifyOptions(cutoff_hz=CUTOFF_HZ)
+    options = IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ)
     return identify(dragged_flights[:3], Vehicle.load("neurobem"), POOLS, options)

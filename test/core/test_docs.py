@@ -181,17 +181,20 @@ def test_every_json_key_is_documented(quadpi, bags, predicting, tmp_path):
     simulated = [bags_directory() / f"{name}.mcap" for name in ("train_1", "train_2", "interpolation")]
     stems = (bag.stem for bag in (*bags, *simulated))
     names = {*AXES, *INPUT_NAMES, *stems, "all", model.name, other.name, "0.01", "0.1", "0.5"}
+    fast = ("--axes", "Fx", "--method", "polynomial")
     runs = [
-        ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "-o", model),
+        ("identify", *bags, "--vehicle", "neurobem", *fast, "-o", model),
         ("info", bags[0]),
         ("info", model),
+        ("info", predicting),
         ("evaluate", model, *bags),
-        ("identify", *bags, "--vehicle", "neurobem", "--axes", "Fx", "--settings", "paper", "-o", other),
+        ("evaluate", predicting, *bags),
+        ("identify", *bags, "--vehicle", "neurobem", *fast, "--settings", "paper", "-o", other),
         ("evaluate", model, other, *bags),
         ("replay", model, bags[0], "-o", tmp_path / "out.mcap"),
         ("replay", model, *bags, "-o", tmp_path / "replayed"),
         ("simulate", scenario, "-o", tmp_path / "simulated"),
-        ("identify", *simulated[:2], "--vehicle", "bebop2", "--axes", "Fx", "-o", other),
+        ("identify", *simulated[:2], "--vehicle", "bebop2", *fast, "-o", other),
         ("validate", other, simulated[2], "--realisations", "2"),
         ("rollout", predicting, bags[2]),
         ("discrepancy", "bebop2", *simulated, "-o", tmp_path / "found", "--effects", "body_drag"),

@@ -60,7 +60,9 @@ def model(bags, pool, tmp_path_factory):
     folder = tmp_path_factory.mktemp("models") / "model"
     vehicle = Vehicle.load("neurobem")
     flights = prepare_flights(bags[1:], vehicle, CUTOFF_HZ)
-    identify(flights, vehicle, load_pools(pool), IdentifyOptions(cutoff_hz=CUTOFF_HZ)).save(folder)
+    identify(
+        flights, vehicle, load_pools(pool), IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ)
+    ).save(folder)
     return folder
 
 

@@ -263,12 +263,21 @@ class TestTheSameFlightTwice:
 
 
 class TestFlightsThatDoNotExciteTheModel:
-    def test_too_few_samples(self, refused, fly, tmp_path):
+    @pytest.mark.parametrize(
+        ("method", "message"),
+        [
+            ((), "short0: the physical model needs 1 s or more in the air"),
+            (
+                ("--method", "polynomial"),
+                r"Fx: \d+ samples are too few for a pool of \d+ regressors",
+            ),
+        ],
+    )
+    def test_too_few_samples(self, refused, fly, tmp_path, method, message):
         flights = [tmp_path / f"short{seed}.mcap" for seed in range(2)]
         for seed, path in enumerate(flights):
             write_bag(path, fly(seed, seconds=1.4))
-        message = r"Fx: \d+ samples are too few for a pool of \d+ regressors"
-        refused(message, "identify", *flights, "--vehicle", "neurobem", "-o", tmp_path / "model")
+        refused(message, "identify", *flights, "--vehicle", "neurobem", *method, "-o", tmp_path / "model")
 
     def test_too_short_for_the_estimator(self, refused_by, bad, fly):
         write_bag(bad, fly(0, seconds=0.5))

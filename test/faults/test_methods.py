@@ -18,20 +18,20 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.models import kinds
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.ensemble_estimator import EnsembleKind
-from quadpi_core.models.kind_registry import kind_of
+from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.plugins import names_in
 from quadpi_core.vehicle import Vehicle
 from test.conftest import run_without_torch
 
 METHODS = names_in(kinds)
-ENSEMBLES = [method for method in METHODS if isinstance(kind_of(method), EnsembleKind)]
+ENSEMBLES = [method for method in METHODS if isinstance(kind_named(method), EnsembleKind)]
 # With the settings that each method has.
 SETTINGS = [
     (method, settings)
     for method in METHODS
     for settings in ("default", "paper")
-    if settings == "default" or kind_of(method).has_paper_settings
+    if settings == "default" or kind_named(method).has_paper_settings
 ]
 
 

@@ -50,6 +50,7 @@ class Physical(Kind):
     colour = "#332288"
     normal_errors = True
     is_simulation = True
+    chooses_candidates = False
     axis_type = FittedPhysical
 
     def fit(

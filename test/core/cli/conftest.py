@@ -19,7 +19,7 @@ from quadpi_core.vehicle import Vehicle
 def model(bags, pool, tmp_path_factory):
     """Folder of a model of the first two flights."""
     folder, vehicle = tmp_path_factory.mktemp("identified") / "model", Vehicle.load("neurobem")
-    options = IdentifyOptions(cutoff_hz=CUTOFF_HZ["default"])
+    options = IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ["default"])
     flights = prepare_flights(bags[:2], vehicle, options.cutoff_hz)
     identify(flights, vehicle, load_pools(pool), options).save(folder)
     return folder

@@ -8,7 +8,9 @@ from __future__ import annotations
 def test_axes_and_confidence_are_those_asked_for(read_json, quadpi, bags, pool, tmp_path):
     model, data = tmp_path / "model", tmp_path / "data.json"
     base = ("identify", *bags, "--vehicle", "neurobem", "--candidates", pool, "-o", model)
-    assert quadpi(*base, "--axes", "Fz", "--confidence", "0.9", "--cutoff-hz", "12").status == 0
+    identified = quadpi(*base, "--axes", "Fz", "--confidence", "0.9", "--cutoff-hz", "12")
+    assert identified.status == 0
+    assert "--method polynomial: physical, the default, takes no --candidates\n" in identified.output
     assert quadpi("info", model, "--json", data).status == 0
     info = read_json(data)
     assert (list(info["axes"]), info["confidence"], info["cutoff_hz"]) == (["Fz"], 0.9, 12.0)

@@ -7,7 +7,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import typer
 
+from quadpi_core.cli import app
+from quadpi_core.cli.kind_options import choice_of_kind
 from quadpi_core.models.kind_registry import KINDS
 
 COMMAND = ("identify", "absent.mcap", "--vehicle", "bebop2", "-o", "model")
@@ -31,6 +34,41 @@ def test_help_says_how_to_see_them(quadpi) -> None:
     text = quadpi("identify", "--help").output
     assert "Each has options of its own" in text
     assert "--stop" not in text
+    assert "Default: the first of physical, polynomial that has all options given." in " ".join(text.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "method", "lacking"),
+    [
+        ((), "physical", None),
+        (("--seed", "3"), "physical", None),
+        (("--stop", "pse"), "polynomial", "--stop"),
+        (("--settings", "paper"), "polynomial", "--settings paper"),
+        (("--candidates=quadrotor",), "polynomial", "--candidates"),
+        (("--settings=paper", "--stop=pse"), "polynomial", "--settings paper, --stop"),
+        (("--method", "polynomial", "--stop", "pse"), "polynomial", None),
+    ],
+)
+def test_the_default_is_the_first_kind_that_has_all_options_given(words, method, lacking) -> None:
+    command = typer.main.get_command(app).commands["identify"]
+    context = command.make_context("identify", [*COMMAND[1:], *words])
+    assert context.obj.name == method
+    sentence = f"--method {method}: physical, the default, takes no {lacking}"
+    assert choice_of_kind(context) == (lacking and sentence)
+
+
+@pytest.mark.parametrize("words", [(), ("--stop", "pse")])
+def test_an_option_that_no_default_has_is_refused_with_the_kinds_that_have_it(quadpi, words) -> None:
+    outcome = quadpi(*COMMAND, *words, "--device", "cpu")
+    assert outcome.status == 2
+    refused = "quadpi: --device: an option of --method bootstrap or quality-driven, not of physical\n"
+    assert outcome.errors == refused
+
+
+def test_candidates_are_refused_by_a_kind_that_does_not_choose(quadpi) -> None:
+    outcome = quadpi(*COMMAND, "--method", "physical", "--candidates", "quadrotor")
+    assert outcome.status == 2
+    assert "--candidates: an option of --method bootstrap or polynomial or quality-driven" in outcome.errors
 
 
 @pytest.mark.parametrize("words", [("--stop", "pse"), ("--stop=pse",)])

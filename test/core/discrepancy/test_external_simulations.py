@@ -87,7 +87,7 @@ def model(bags, tmp_path_factory):
     pools = load_pools("quadrotor")
     flights = prepare_flights(bags, vehicle, 30.0, workers=Workers(1))
     folder = tmp_path_factory.mktemp("models") / "model"
-    identify(flights, vehicle, pools, IdentifyOptions(cutoff_hz=30.0)).save(folder)
+    identify(flights, vehicle, pools, IdentifyOptions(method="polynomial", cutoff_hz=30.0)).save(folder)
     return folder
 
 

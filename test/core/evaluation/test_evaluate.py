@@ -64,7 +64,9 @@ def test_adaptive_intervals_cover_every_neurobem_flight(shared_data, vehicle):
     dragged_flights = prepare_flights(logs, vehicle, 30.0)
     slower = [flight for flight in dragged_flights if flight.name != "bemnn20210218172600seg1"]
     assert (len(slower), len(dragged_flights)) == (3, 4)
-    dragged_model = identify(slower, vehicle, load_pools("quadrotor"), IdentifyOptions(cutoff_hz=30.0))
+    dragged_model = identify(
+        slower, vehicle, load_pools("quadrotor"), IdentifyOptions(method="polynomial", cutoff_hz=30.0)
+    )
     for name, flight in judge(dragged_model, dragged_flights, {}, 0.95, adaptive=True)[1].flights.items():
         for axis in AXES:
             assert 0.93 <= flight.axes[axis].picp <= 0.97, (name, axis)

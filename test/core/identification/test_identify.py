@@ -43,9 +43,12 @@ def test_intervals_cover_what_the_live_path_would_have_measured(dragged_flights,
         return replace(flight, live=flight.judged._replace(wrench=wrench))
 
     flights = [replace(flight, live=None) for flight in dragged_flights]
-    plain = identify(flights[:3], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ))
+    plain = identify(flights[:3], vehicle, pools, IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ))
     wider = identify(
-        [noisier(flight) for flight in flights[:3]], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ)
+        [noisier(flight) for flight in flights[:3]],
+        vehicle,
+        pools,
+        IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ),
     )
     np.testing.assert_array_equal(
         wider.fitted["Fx"].arrays()["coefficients"], plain.fitted["Fx"].arrays()["coefficients"]
@@ -77,7 +80,10 @@ def test_model_remembers_what_it_came_from(dragged_model, dragged_flights):
 
 def test_settings_of_the_paper(dragged_flights, vehicle):
     model = identify(
-        dragged_flights[:1], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, settings="paper")
+        dragged_flights[:1],
+        vehicle,
+        POOLS,
+        IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ, settings="paper"),
     )
     assert model.settings == "paper"
     assert model.fitted["Fx"].rule.to_json()["kind"] == "residual"
@@ -94,7 +100,13 @@ def test_stop_rule_can_be_chosen(dragged_flights, vehicle):
 
 def test_progress_names_each_axis(dragged_flights, vehicle):
     words = []
-    identify(dragged_flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ), progress=words.append)
+    identify(
+        dragged_flights[:2],
+        vehicle,
+        POOLS,
+        IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ),
+        progress=words.append,
+    )
     assert [progress.task for progress in words] == ["Identifying Fx", "Identifying Fz"]
 
 
@@ -110,16 +122,32 @@ def test_errors_name_the_axis(dragged_flights, vehicle):
             dragged_flights[:1],
             vehicle,
             POOLS,
-            IdentifyOptions(cutoff_hz=CUTOFF_HZ, settings="paper", method=Polynomial("leave-one-flight-out")),
+            IdentifyOptions(
+                cutoff_hz=CUTOFF_HZ,
+                settings="paper",
+                method=Polynomial("leave-one-flight-out"),
+            ),
         )
     with pytest.raises(ModelError, match=r"^confidence 1\.5"):
-        identify(dragged_flights[:2], vehicle, POOLS, IdentifyOptions(cutoff_hz=CUTOFF_HZ, confidence=1.5))
+        identify(
+            dragged_flights[:2],
+            vehicle,
+            POOLS,
+            IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ, confidence=1.5),
+        )
 
 
 def test_one_flight_cannot_be_left_out_and_two_can(dragged_flights, vehicle):
     pools = {"Fx": POOLS["Fx"]}
     with pytest.raises(ModelError, match="too few flights: 1 given, 2 or more needed"):
-        identify(dragged_flights[:1], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ))
+        identify(
+            dragged_flights[:1], vehicle, pools, IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ)
+        )
     assert (
-        len(identify(dragged_flights[:2], vehicle, pools, IdentifyOptions(cutoff_hz=CUTOFF_HZ)).flights) == 2
+        len(
+            identify(
+                dragged_flights[:2], vehicle, pools, IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ)
+            ).flights
+        )
+        == 2
     )

@@ -5,21 +5,21 @@
 from __future__ import annotations
 
 import ast
-import inspect
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import quadpi_core
-from quadpi_core.cli.identify_command import identify
 from quadpi_core.errors import ModelError
 from quadpi_core.models import kinds
-from quadpi_core.models.kind_registry import kind_named
+from quadpi_core.models.kind_registry import default_kind, kind_named, kind_of
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.plugins import names_in
 
-PACKAGES = [Path(quadpi_core.__file__).parents[1] / name for name in ("quadpi_core", "quadpi_ros")]
+ROOT = Path(quadpi_core.__file__).parents[1]
+PACKAGES = [ROOT / name for name in ("quadpi_core", "quadpi_ros")]
 
 
 def test_a_kind_has_the_name_of_its_file() -> None:
@@ -43,8 +43,24 @@ def test_another_name_is_refused(name: str) -> None:
         kind_named(name)
 
 
-def test_the_command_line_has_the_same_default() -> None:
-    assert inspect.signature(identify).parameters["method"].default == IdentifyOptions().method
+def test_the_default_is_the_best_on_flights_that_it_has_not_seen() -> None:
+    """That of `make models`; see also test_kind_options.py for the command line."""
+    (best,) = re.findall(r"^Best: \*\*(\S+)\*\*\.$", (ROOT / "docs" / "models.md").read_text(), re.MULTILINE)
+    assert kind_of(IdentifyOptions()) is kind_named(best)
+
+
+def test_settings_choose_a_default_that_has_them() -> None:
+    assert kind_of(IdentifyOptions(settings="paper")) is kind_named("polynomial")
+    assert kind_of(IdentifyOptions(settings="paper", method="bootstrap")) is kind_named("bootstrap")
+    own = kind_named("polynomial").having(stop="pse")
+    assert kind_of(IdentifyOptions(method=own)) is own
+
+
+def test_a_default_is_the_first_that_has_what_is_asked_for() -> None:
+    first, second = kinds.DEFAULTS
+    assert default_kind(lambda _: True).name == first
+    assert default_kind(lambda kind: kind.name != first).name == second
+    assert default_kind(lambda _: False).name == first
 
 
 def test_no_condition_names_a_kind_outside_its_file() -> None:

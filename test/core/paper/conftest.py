@@ -73,7 +73,8 @@ def training(clean, vehicle):
 
 @pytest.fixture(scope="session")
 def model(training, vehicle):
-    identified = identify(training, vehicle, POOLS, IdentifyOptions(cutoff_hz=250.0, settings="paper"))
+    options = IdentifyOptions(method="polynomial", cutoff_hz=250.0, settings="paper")
+    identified = identify(training, vehicle, POOLS, options)
     return replace(identified, name="fitted")
 
 

@@ -42,9 +42,12 @@ def folders(bags, tmp_path_factory):
     }
     for name, (settings, cutoff_hz, pools) in kinds.items():
         flights = prepare_flights(bags[:2], vehicle, cutoff_hz)
-        identify(flights, vehicle, pools, IdentifyOptions(cutoff_hz=cutoff_hz, settings=settings)).save(
-            place / name
-        )
+        identify(
+            flights,
+            vehicle,
+            pools,
+            IdentifyOptions(method="polynomial", cutoff_hz=cutoff_hz, settings=settings),
+        ).save(place / name)
     return {name: place / name for name in kinds}
 
 
@@ -111,7 +114,9 @@ def test_different_confidences_need_one_that_is_asked_for(quadpi, folders, group
     flights = prepare_flights(bags[:2], vehicle, 30.0)
     pools = {"Fz": FORCES["Fz"]}
     loose = tmp_path / "loose"
-    identify(flights, vehicle, pools, IdentifyOptions(cutoff_hz=30.0, confidence=0.8)).save(loose)
+    identify(
+        flights, vehicle, pools, IdentifyOptions(method="polynomial", cutoff_hz=30.0, confidence=0.8)
+    ).save(loose)
     assert "different confidences" in quadpi("evaluate", folders["thrust"], loose, *groups).errors
     data = tmp_path / "data.json"
     asked = ("--confidence", "0.9", "--json", data)
@@ -124,7 +129,9 @@ def test_a_model_of_another_vehicle_is_refused(quadpi, folders, groups, bags, tm
     heavy = replace(vehicle, mass_kg=2.0 * vehicle.mass_kg)
     flights = prepare_flights(bags[:2], vehicle, 30.0)
     other = tmp_path / "other"
-    identify(flights, heavy, {"Fz": FORCES["Fz"]}, IdentifyOptions(cutoff_hz=30.0)).save(other)
+    identify(flights, heavy, {"Fz": FORCES["Fz"]}, IdentifyOptions(method="polynomial", cutoff_hz=30.0)).save(
+        other
+    )
     ran = quadpi("evaluate", folders["thrust"], other, *groups)
     assert ran.status == 2
     assert "model other was identified with another mass" in ran.errors
