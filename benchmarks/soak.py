@@ -24,7 +24,7 @@ from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from quadpi_ros.collector import Listener
-    from quadpi_ros.player import Playlist
+    from quadpi_ros.playlist import Playlist
 
 NAMES = ("soak_growth_mib", "soak_lost")
 
@@ -46,7 +46,7 @@ _START_S = 300.0
 
 def run() -> list[Result]:
     require_ros()
-    from quadpi_ros.player import Playlist
+    from quadpi_ros.playlist import Playlist
     from quadpi_ros.processes import Child, isolated_domain
 
     vehicle = Vehicle.load(VEHICLE)
@@ -160,7 +160,7 @@ def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, loo
     from rclpy.node import Node
 
     from quadpi_ros.dds_profile import SENSOR_QOS, await_listeners
-    from quadpi_ros.player import SENSOR_TYPES
+    from quadpi_ros.playlist import SENSOR_TYPES
 
     context = Context()
     context.init()

@@ -25,7 +25,8 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.paths import config_directory
 from quadpi_core.view.view_server import ADDRESS, PORT
 from quadpi_ros.mavlink_link import is_replay
-from quadpi_ros.player import START_TIMEOUT_S, live_inputs
+from quadpi_ros.player import START_TIMEOUT_S
+from quadpi_ros.playlist import live_inputs
 
 SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
 OUTPUTS = ("odometry", "prediction", "extrapolation_alarm", "alarm_log")

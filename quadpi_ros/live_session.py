@@ -22,7 +22,8 @@ from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.health import SILENT_S
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Predictions, ReportedAlarms
 from quadpi_ros.collector import AlarmChange, Collector
-from quadpi_ros.player import START_TIMEOUT_S, Playlist, live_inputs
+from quadpi_ros.player import START_TIMEOUT_S
+from quadpi_ros.playlist import Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain
 
 # A busy machine may hold the nodes up for seconds; one that needs longer to judge what it has loses samples.

@@ -10,49 +10,19 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import rclpy
-from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
-from nav_msgs.msg import Odometry
-from quadpi.msg import Erpm, RotorSpeeds
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import Imu
 
-from quadpi_core.errors import QuadpiError
-from quadpi_core.flight import Stamps
-from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bag_topics import find_topic
 from quadpi_core.messages.adapters import known_adapters
-from quadpi_core.messages.payloads import Topic
-from quadpi_core.messages.sensor_messages import unpack_stamps
-from quadpi_core.paths import whole_output
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
-from quadpi_ros.input_sources import AdapterError, message_class
-from quadpi_ros.node_parameters import adapters_of
+from quadpi_ros.input_sources import message_class
+from quadpi_ros.playlist import SENSOR_TYPES, PlayerError, Playlist, checked_names, playable
 from quadpi_ros.runtime import run
-
-SENSOR_TYPES: dict[str, type] = {
-    "imu": Imu,
-    "rotor_speeds": RotorSpeeds,
-    "erpm": Erpm,
-    "mocap/pose": PoseStamped,
-    "mocap/odometry": Odometry,
-    "mocap/twist": TwistStamped,
-    "wind": Vector3Stamped,
-}
-# Standard topics that the messages of an adapter replace, by the kind of the adapter.
-_STANDS_IN_FOR = {
-    "imu": ("imu",),
-    "rotor_speeds": ("rotor_speeds", "erpm"),
-    "mocap": ("mocap/pose", "mocap/odometry", "mocap/twist"),
-    "odometry": ("mocap/pose", "mocap/odometry", "mocap/twist"),
-}
 
 # Time for nodes to become active: the first start on a machine compiles the kernels.
 START_TIMEOUT_S = 300.0
@@ -63,203 +33,6 @@ _TOPICS_HELP = (
     "standard topics, and messages of other packages by the name of their adapter; "
     "without it, the standard topics, and adapters where those are missing"
 )
-
-
-class PlayerError(QuadpiError):
-    """A bag cannot be played."""
-
-
-@dataclass(frozen=True)
-class Playlist:
-    """Messages of several topics in the order of their log times.
-
-    Attributes:
-        names: standard name of each topic, relative to the player's namespace, or name of an adapter.
-        topics: messages of each.
-        due_ns: (M,) time of each message since the first.
-        topic: (M,) index of the topic of each message.
-        message: (M,) index of each message within its topic.
-    """
-
-    names: tuple[str, ...]
-    topics: tuple[Topic, ...]
-    due_ns: Stamps
-    topic: Stamps
-    message: Stamps
-
-    @classmethod
-    def read(cls, path: Path, names: Sequence[str] = tuple(SENSOR_TYPES)) -> Playlist:
-        """Read those of the named topics that the bag has, in any namespace.
-
-        Args:
-            path: of the bag.
-            names: standard names, and names of adapters, whose topics are found by type.
-
-        Raises:
-            LogError: if the bag cannot be read.
-            PlayerError: if it holds none of the topics, or several of an adapter's type.
-        """
-        with Bag(path) as bag:
-            found = {name: topic for name in names if (topic := _topic_of(bag, name))}
-            by_name = bag.read(list(found.values()))
-        if not found:
-            raise PlayerError(f"{path}: holds none of the topics {', '.join(names)}")
-        topics = tuple(by_name[topic] for topic in found.values())
-        log_time_ns = np.concatenate([topic.log_time_ns for topic in topics])
-        lengths = [len(topic.log_time_ns) for topic in topics]
-        order = np.argsort(log_time_ns, kind="stable")
-        return cls(
-            names=tuple(found),
-            topics=topics,
-            due_ns=log_time_ns[order] - log_time_ns[order[0]],
-            topic=np.repeat(np.arange(len(topics)), lengths)[order],
-            message=np.concatenate([np.arange(length) for length in lengths])[order],
-        )
-
-    def by_name(self) -> dict[str, Topic]:
-        """The topics by their standard names."""
-        return dict(zip(self.names, self.topics, strict=True))
-
-    def __len__(self) -> int:
-        return len(self.due_ns)
-
-    def play(self, publishers: Sequence[Callable[[bytes], None]], rate: float) -> Stamps:
-        """Publish every message when it is due.
-
-        Args:
-            publishers: one per topic.
-            rate: speed; 1 is real time.
-
-        Returns:
-            (M,) publication of each message, monotonic clock; fewer after a shutdown.
-        """
-        payloads = [self.topics[t].payloads[m] for t, m in zip(self.topic, self.message, strict=True)]
-        publish = [publishers[t] for t in self.topic]
-        sent_ns = np.zeros(len(self), dtype=np.int64)
-        due_ns = time.monotonic_ns() + np.rint(self.due_ns / rate).astype(np.int64)
-        for index, due in enumerate(due_ns.tolist()):
-            wait_ns = due - time.monotonic_ns()
-            if wait_ns > 0:
-                time.sleep(1e-9 * wait_ns)
-            if not rclpy.ok():
-                return sent_ns[:index]
-            sent_ns[index] = time.monotonic_ns()
-            publish[index](payloads[index])
-        return sent_ns
-
-    def save_sent(self, path: Path, sent_ns: Stamps) -> None:
-        """Write stamp and publication time, (n, 2) nanoseconds per standard topic, to a .npz file."""
-        published = self.topic[: len(sent_ns)], self.message[: len(sent_ns)]
-        columns = {}
-        for index, (name, topic) in enumerate(self.by_name().items()):
-            if name not in SENSOR_TYPES:
-                continue
-            mine = published[0] == index
-            stamps = unpack_stamps(topic.payloads)[published[1][mine]]
-            columns[name] = np.column_stack((stamps, sent_ns[mine]))
-        with whole_output(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **columns)  # type: ignore[arg-type]  # no topic is called allow_pickle
-
-
-def playable(path: Path) -> list[str]:
-    """The standard topics of a bag, and adapters for inputs without a standard topic.
-
-    Warns on stderr of messages whose package is not installed.
-
-    Raises:
-        LogError: if the bag cannot be read.
-        PlayerError: see :meth:`Playlist.read`.
-    """
-    with Bag(path) as bag:
-        standard = [name for name in SENSOR_TYPES if _topic_of(bag, name)]
-        candidates = [
-            name
-            for name, adapter in known_adapters().items()
-            if not set(_STANDS_IN_FOR[adapter.kind]) & set(standard) and _topic_of(bag, name)
-        ]
-    adapted = []
-    for name in candidates:
-        try:
-            message_class(known_adapters()[name].type_name)
-            adapted.append(name)
-        except AdapterError as error:
-            print(f"quadpi: {path}: cannot be played: {error}", file=sys.stderr)
-    return standard + adapted
-
-
-def checked_names(path: Path, names: Sequence[str]) -> list[str]:
-    """Check that a bag has all named topics, and return the names.
-
-    Raises:
-        LogError: if the bag cannot be read.
-        PlayerError: for an unknown name or a missing topic; see also :meth:`Playlist.read`.
-    """
-    with Bag(path) as bag:
-        for name in names:
-            if name not in SENSOR_TYPES and name not in known_adapters():
-                known = ", ".join((*SENSOR_TYPES, *known_adapters()))
-                raise PlayerError(f"{path}: topic {name}: not known; known: {known}")
-            if _topic_of(bag, name) is None:
-                raise PlayerError(f"{path}: topic {name}: the bag does not hold it")
-    return list(names)
-
-
-@dataclass(frozen=True)
-class LiveInputs:
-    """Topics of a bag that the live nodes use.
-
-    Attributes:
-        rotor_topic, mocap_topic: parameters of the nodes.
-        topics: to play, by the player's names.
-    """
-
-    rotor_topic: str
-    mocap_topic: str
-    topics: tuple[str, ...]
-
-
-def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
-    """Choose the topics of a bag for the live nodes: the first of each kind of input.
-
-    Args:
-        path: of the bag.
-        topics: standard names and names of adapters to choose from; by default all that can be played.
-
-    Raises:
-        LogError: if the bag cannot be read.
-        PlayerError: see :func:`checked_names`; if the bag lacks a kind of input.
-    """
-    names = checked_names(path, topics) or playable(path)
-
-    def first_of(standard: Sequence[str], kind: str) -> str:
-        candidates = (*standard, *adapters_of(kind))
-        found = next((name for name in candidates if name in names), None)
-        if found is None:
-            raise PlayerError(
-                f"{path}: topic {standard[0]}: the live nodes need it or one of {', '.join(candidates[1:])}; "
-                f"the bag does not hold it"
-            )
-        return found
-
-    imu = first_of(_STANDS_IN_FOR["imu"], "imu")
-    rotors = first_of(_STANDS_IN_FOR["rotor_speeds"], "rotor_speeds")
-    mocap = first_of(_STANDS_IN_FOR["mocap"], "mocap")
-    optional = [name for name in ("wind",) if name in names]
-    return LiveInputs(rotors, mocap, (imu, rotors, mocap, *optional))
-
-
-def _topic_of(bag: Bag, name: str) -> str | None:
-    """Full name in the bag of a topic given by its standard name or its adapter; None if it is missing."""
-    if name in SENSOR_TYPES:
-        connection = find_topic(bag, name)
-        return connection.topic if connection else None
-    type_name = known_adapters()[name].type_name
-    topics = sorted({one.topic for one in bag.connections if one.msgcount and one.msgtype == type_name})
-    if len(topics) > 1:
-        raise PlayerError(
-            f"{bag.path}: {type_name} on several topics, {', '.join(topics)}: choose others with --topics"
-        )
-    return topics[0] if topics else None
 
 
 def _announcement(name: str) -> tuple[type, str]:

@@ -31,7 +31,7 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Collector
 from quadpi_ros.input_sources import AdaptedSources, AdapterError
 from quadpi_ros.live_session import play
-from quadpi_ros.player import playable
+from quadpi_ros.playlist import playable
 from quadpi_ros.processes import Child, isolated_domain
 
 from ..core.messages.adapters.vendor_messages import (

@@ -30,7 +30,8 @@ from quadpi_ros import live_session
 from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.dds_profile import OUTPUT_QOS
 from quadpi_ros.live_session import SessionError, SessionResult, await_rest, await_start, play, run_session
-from quadpi_ros.player import START_TIMEOUT_S, PlayerError
+from quadpi_ros.player import START_TIMEOUT_S
+from quadpi_ros.playlist import PlayerError
 from quadpi_ros.processes import ChildError
 
 from .rig import PATIENCE_S, wait_until
