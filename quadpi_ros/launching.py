@@ -25,7 +25,7 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.paths import config_directory
 from quadpi_core.view.view_server import ADDRESS, PORT
 from quadpi_ros.mavlink_link import is_replay
-from quadpi_ros.player import START_TIMEOUT_S
+from quadpi_ros.player import CLOCK_HZ, START_TIMEOUT_S
 from quadpi_ros.playlist import live_inputs
 
 SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
@@ -304,12 +304,16 @@ def replay(launch: Launch) -> list[Any]:
         inputs = live_inputs(bag, launch.values["topics"].split())
     except QuadpiError as error:
         raise LaunchError(str(error)) from error
+    clock_hz = launch.values["clock"] or (str(CLOCK_HZ) if launch.switch("use_sim_time") else "")
     player = Node(
         package="quadpi",
         executable="player",
         namespace=launch.values["namespace"],
         arguments=[
             *(str(bag), "--rate", launch.values["rate"], "--topics", *inputs.topics),
+            *("--start-offset", launch.values["start_offset"]),
+            *(f"--{name.replace('_', '-')}" for name in ("loop", "start_paused") if launch.switch(name)),
+            *(("--clock", clock_hz) if clock_hz else ()),
             *("--nodes", "estimator", "monitor", "--wait", str(START_TIMEOUT_S)),
         ],
         remappings=launch.remappings(SENSORS),

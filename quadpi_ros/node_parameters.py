@@ -204,9 +204,16 @@ class BridgeParameters:
     world_frame: str = parameter(WORLD_FRAME, "frame_id of the world, east-north-up")
 
 
+@dataclass(frozen=True)
+class PlayerParameters:
+    """Parameters of the node `player`."""
+
+    rate: float = parameter(1.0, "speed; 1 is real time", limits=(0.01, 100.0), in_flight=True)
+
+
 ALL_NAMES = {
     item.name
-    for parameters in (EstimatorParameters, MonitorParameters, BridgeParameters)
+    for parameters in (EstimatorParameters, MonitorParameters, BridgeParameters, PlayerParameters)
     for item in fields(parameters)
 }
 """Names of the parameters of all nodes: one file may hold them all, under `/**`."""

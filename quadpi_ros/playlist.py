@@ -27,6 +27,7 @@ from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import whole_output
 from quadpi_ros.input_sources import AdapterError, message_class
 from quadpi_ros.node_parameters import adapters_of
+from quadpi_ros.playback import Playback
 
 SENSOR_TYPES: dict[str, type] = {
     "imu": Imu,
@@ -51,12 +52,26 @@ class PlayerError(QuadpiError):
 
 
 @dataclass(frozen=True)
+class Sent:
+    """What a player has published.
+
+    Attributes:
+        time_ns: (M,) last publication of each message, monotonic clock; 0 before the first.
+        counts: messages by topic, over all loops.
+    """
+
+    time_ns: Stamps
+    counts: list[int]
+
+
+@dataclass(frozen=True)
 class Playlist:
     """Messages of several topics in the order of their log times.
 
     Attributes:
         names: standard name of each topic, relative to the player's namespace, or name of an adapter.
         topics: messages of each.
+        start_ns: log time of the first message.
         due_ns: (M,) time of each message since the first.
         topic: (M,) index of the topic of each message.
         message: (M,) index of each message within its topic.
@@ -64,6 +79,7 @@ class Playlist:
 
     names: tuple[str, ...]
     topics: tuple[Topic, ...]
+    start_ns: int
     due_ns: Stamps
     topic: Stamps
     message: Stamps
@@ -92,6 +108,7 @@ class Playlist:
         return cls(
             names=tuple(found),
             topics=topics,
+            start_ns=int(log_time_ns[order[0]]),
             due_ns=log_time_ns[order] - log_time_ns[order[0]],
             topic=np.repeat(np.arange(len(topics)), lengths)[order],
             message=np.concatenate([np.arange(length) for length in lengths])[order],
@@ -104,39 +121,49 @@ class Playlist:
     def __len__(self) -> int:
         return len(self.due_ns)
 
-    def play(self, publishers: Sequence[Callable[[bytes], None]], rate: float) -> Stamps:
+    def play(
+        self, publishers: Sequence[Callable[[bytes], None]], playback: Playback, start_ns: int, loop: bool
+    ) -> Sent:
         """Publish every message when it is due.
 
         Args:
             publishers: one per topic.
-            rate: speed; 1 is real time.
+            playback: the position, at `start_ns`.
+            start_ns: where to begin, and to begin again.
+            loop: whether to begin again at the end.
 
         Returns:
-            (M,) publication of each message, monotonic clock; fewer after a shutdown.
+            What was published, at the end or at a shutdown of ROS.
         """
         payloads = [self.topics[t].payloads[m] for t, m in zip(self.topic, self.message, strict=True)]
         publish = [publishers[t] for t in self.topic]
-        sent_ns = np.zeros(len(self), dtype=np.int64)
-        due_ns = time.monotonic_ns() + np.rint(self.due_ns / rate).astype(np.int64)
-        for index, due in enumerate(due_ns.tolist()):
-            wait_ns = due - time.monotonic_ns()
-            if wait_ns > 0:
-                time.sleep(1e-9 * wait_ns)
-            if not rclpy.ok():
-                return sent_ns[:index]
-            sent_ns[index] = time.monotonic_ns()
-            publish[index](payloads[index])
-        return sent_ns
+        due_ns, topics = self.due_ns.tolist(), self.topic.tolist()
+        first = int(np.searchsorted(self.due_ns, start_ns))
+        sent = Sent(np.zeros(len(self), dtype=np.int64), [0] * len(self.topics))
+        while True:
+            for index in range(first, len(self)):
+                if not playback.wait_until(due_ns[index], rclpy.ok):
+                    return sent
+                sent.time_ns[index] = time.monotonic_ns()
+                publish[index](payloads[index])
+                sent.counts[topics[index]] += 1
+            if not loop:
+                return sent
+            playback.seek(start_ns)
 
     def save_sent(self, path: Path, sent_ns: Stamps) -> None:
-        """Write stamp and publication time, (n, 2) nanoseconds per standard topic, to a .npz file."""
-        published = self.topic[: len(sent_ns)], self.message[: len(sent_ns)]
+        """Write stamp and publication time, (n, 2) nanoseconds per standard topic, to a .npz file.
+
+        Args:
+            path: of the file.
+            sent_ns: (M,) publication of each message; 0: not published.
+        """
         columns = {}
         for index, (name, topic) in enumerate(self.by_name().items()):
             if name not in SENSOR_TYPES:
                 continue
-            mine = published[0] == index
-            stamps = unpack_stamps(topic.payloads)[published[1][mine]]
+            mine = (self.topic == index) & (sent_ns > 0)
+            stamps = unpack_stamps(topic.payloads)[self.message[mine]]
             columns[name] = np.column_stack((stamps, sent_ns[mine]))
         with whole_output(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **columns)  # type: ignore[arg-type]  # no topic is called allow_pickle

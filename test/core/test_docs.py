@@ -58,9 +58,10 @@ def commands(page: str) -> list[str]:
 RUN_BY = {
     r"make .*": "test/test_makefile.py",
     r"ros2 launch quadpi .*": "test/ros/test_launching.py",
-    r"ros2 run quadpi mavlink_bridge .*": "test/ros/test_launching.py",
+    r"ros2 run quadpi (mavlink_bridge|player) .*": "test/ros/test_launching.py",
     r"ros2 lifecycle set /monitor .*": "test/ros/test_node_services.py - by the service that it calls",
     r"ros2 service call /monitor/load_model .*": "test/ros/test_live_process.py - by that service",
+    r"ros2 (service call|param set) /player.*": "test/ros/test_playback_controls.py - by those services",
     r"(rosdep|colcon) .*": "test/test_packaging.py - what they install; neither has a wheel",
     r"python3 -m venv --system-site-packages .*": "test/test_packaging.py - on a ROS machine",
     r"pip install .*": "test/test_packaging.py - the names in it",

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import re
 import shlex
@@ -19,17 +20,20 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from urllib.request import urlopen
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from quadpi.msg import WrenchPrediction
+from rosgraph_msgs.msg import Clock
 
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Listener
 from quadpi_ros.node_parameters import EstimatorParameters, MonitorParameters
+from quadpi_ros.player import parse_arguments
 
 from . import launch_child
 
@@ -154,8 +158,12 @@ def test_programs_of_the_documents(line: str, run: Launch) -> None:
     program, *arguments = shlex.split(line)
     installed = Path(sys.prefix, "lib", "quadpi", program)
     heard: list[bytes] = []
+    topics = [(DiagnosticArray, "/diagnostics", heard.append)]
+    if program == "player":
+        topics = [(Clock, "/clock", heard.append)]
+        arguments += ("--wait", "0")
     with (
-        Listener("test_launch", [(DiagnosticArray, "/diagnostics", heard.append)]) as listener,
+        Listener("test_launch", topics) as listener,
         run(str(installed), *arguments) as running,
     ):
         running.wait_until(lambda: listener.spin_until(lambda: bool(heard), 0.1))
@@ -242,12 +250,47 @@ def test_a_parameter_file_that_is_not_there_is_refused(launch: Launch) -> None:
         assert not launched.pids()
 
 
-def test_arguments_are_parameters_of_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def launching(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """The module with stand-ins for launch and launch_ros."""
     for name, module in launch_child.stand_ins().items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.delitem(sys.modules, "quadpi_ros.launching", raising=False)
-    launching = importlib.import_module("quadpi_ros.launching")
+    yield importlib.import_module("quadpi_ros.launching")
     monkeypatch.delitem(sys.modules, "quadpi_ros.launching")
+
+
+def test_arguments_are_parameters_of_the_nodes(launching: ModuleType) -> None:
     parameters = {item.name for kind in (EstimatorParameters, MonitorParameters) for item in fields(kind)}
     arguments = {argument.name for argument in launching.monitor_arguments(respawn=True)}
     assert set(launching.PARAMETERS) - {"use_sim_time"} == arguments & parameters
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, {"loop": False, "start_paused": False, "start_offset": 0.0, "clock": None, "rate": 1.0}),
+        (
+            {"loop": "true", "start_offset": "2.5", "rate": "3"},
+            {"loop": True, "start_offset": 2.5, "rate": 3.0},
+        ),
+        ({"start_paused": "true", "clock": "100"}, {"start_paused": True, "clock": 100.0}),
+        ({"use_sim_time": "true"}, {"clock": 40.0}),
+        ({"use_sim_time": "true", "clock": "10"}, {"clock": 10.0}),
+    ],
+)
+def test_arguments_of_the_replay_are_options_of_the_player(
+    launching: ModuleType, given: dict[str, str], expected: dict[str, object]
+) -> None:
+    file = importlib.util.spec_from_file_location("replay_launch", ROOT / "launch" / "replay.launch.py")
+    assert file is not None
+    assert file.loader is not None
+    module = importlib.util.module_from_spec(file)
+    file.loader.exec_module(module)
+    declared = module.generate_launch_description().value
+    values = {one.value: one.default_value for one in declared if hasattr(one, "default_value")}
+    values |= {"bag": str(bags_directory() / "interpolation.mcap"), "vehicle": "bebop2", "model": "m"} | given
+    actions = launching.replay(launching.Launch(values, direct=False))
+    (player,) = (one for one in actions if getattr(one, "executable", "") == "player")
+    options = parse_arguments(player.arguments)
+    assert {name: getattr(options, name) for name in expected} == expected

@@ -171,7 +171,7 @@ def test_standard_parameters_do_what_rclpy_says(ros_domain: int, tmp_path: Path)
         node.destroy_node()
 
 
-def test_the_player_takes_overrides_and_offers_no_service_that_it_cannot_answer(ros_domain: int) -> None:
+def test_the_player_takes_overrides_and_offers_no_service_before_it_answers(ros_domain: int) -> None:
     override = "qos_overrides./uav1/imu.publisher.reliability:=reliable"
     with started(
         ros_domain, "-r", "__ns:=/uav1", "-p", override, "-p", "start_type_description_service:=true"

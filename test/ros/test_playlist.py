@@ -42,11 +42,12 @@ def test_what_was_sent_is_stored_by_topic_and_nothing_else(
     """numpy below 2.1 stores every keyword as an array, also an option that later versions know."""
     given: dict[str, object] = {}
     playlist = Playlist.read(BAG, ("imu", "erpm"))
-    sent_ns = 7 * np.arange(100)
+    sent_ns = np.zeros(len(playlist), dtype=np.int64)
+    sent_ns[:100] = 7 * np.arange(1, 101)
     playlist.save_sent(tmp_path / "sent.npz", sent_ns)
     with np.load(tmp_path / "sent.npz") as stored:
         assert sorted(stored.files) == ["erpm", "imu"]
-        assert sorted(np.concatenate([stored[name][:, 1] for name in stored.files])) == sent_ns.tolist()
+        assert sorted(np.concatenate([stored[name][:, 1] for name in stored.files])) == sent_ns[:100].tolist()
         imu = stored["imu"]
     of_imu = playlist.topic[:100] == playlist.names.index("imu")
     np.testing.assert_array_equal(imu[:, 1], sent_ns[of_imu])
