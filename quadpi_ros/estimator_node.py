@@ -81,7 +81,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._mocap, self._take_mocap = self._motion_capture(adapted)
         _warm_up(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
-        self._publish = self.announce(Odometry, "odometry")
+        self._publish = self.announce(Odometry, "odometry", batched=True)
 
     def activate(self) -> None:
         """Reset the filter and subscribe to its inputs."""

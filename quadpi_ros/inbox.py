@@ -63,6 +63,10 @@ class Inbox:
         payloads = self.take()
         return unpack(Payloads.join(payloads)) if payloads else None
 
+    def close(self, node: Node) -> None:
+        """Leave the topic."""
+        node.destroy_subscription(self._subscription)
+
     def publishers(self, node: Node) -> int:
         """How many publish on it."""
         return node.count_publishers(self.topic)

@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 from quadpi.msg import AlarmEvent, ExtrapolationAlarm, WrenchPrediction
 from quadpi.srv import LoadModel
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.flight import Stamps
 from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.one_by_one import OutgoingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
@@ -25,11 +28,16 @@ from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.results import LEVEL_OK
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.dds_profile import LOG_QOS
+from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
 
 _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
 _LEVELS = ("ok", "warning", "alarm")
+# Latched: the models, their training ranges and the topics below, whatever they are remapped to.
+DESCRIPTION_TOPIC = "~/description"
+DESCRIBED_TOPICS = ("prediction", "extrapolation_alarm", "alarm_log")
+# Rows of the batch: inputs of the first model as it sees them, and rotor speeds in rad/s from whatever topic.
+INPUT_ROWS, ROTOR_ROWS = "inputs", "rotor_speeds"
 # Sample rate of the warm-up, in cut-offs of the low-pass.
 _WARM_UP_RATE = 10.0
 
@@ -100,12 +108,18 @@ class Results:
         self._frame_id = frame_id
         self._messages = {name: _message(monitor, frame_id) for name, monitor in monitors.items()}
         self._first, *others = monitors
-        self._publish_first = node.announce(WrenchPrediction, "prediction")
+        self._publish_first = node.announce(WrenchPrediction, "prediction", batched=True)
         # Below the resolved topic of the first, as a remapping does not cover topics below the one it names.
         below = node.resolve_topic_name("prediction")
-        self._publish_others = [(name, node.announce(WrenchPrediction, f"{below}/{name}")) for name in others]
+        self._publish_others = [
+            (name, node.announce(WrenchPrediction, f"{below}/{name}", batched=True)) for name in others
+        ]
+        self._batch_inputs, self._batch_rotors = map(node.announce_rows, (INPUT_ROWS, ROTOR_ROWS))
         self._publish_alarm = node.announce(ExtrapolationAlarm, "extrapolation_alarm")
         self._publish_log = node.announce(AlarmEvent, "alarm_log", LOG_QOS)
+        self._topics = {name: node.resolve_topic_name(name) for name in DESCRIBED_TOPICS}
+        self._publish_description = node.announce(String, DESCRIPTION_TOPIC, DESCRIPTION_QOS)
+        self._describe()
         self._alarm = (LEVEL_OK, 0)
 
     def publish(self, samples: PairedSamples) -> Stamps:
@@ -123,6 +137,9 @@ class Results:
         for (name, publish), other in zip(self._publish_others, others, strict=True):
             for payload in result_messages.write_predictions(other, self._messages[name]):
                 publish(payload)
+        if (prepared := self.monitors.prepared) is not None:
+            self._batch_inputs(prepared.usable_ns, prepared.inputs)
+        self._batch_rotors(samples.time_ns, samples.rotor_speeds)
         return predictions.time_ns
 
     def publish_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
@@ -140,12 +157,17 @@ class Results:
                 raise ModelError(error)
             self.monitors.replace(name, monitor)
             self._messages[name] = _message(monitor, self._frame_id)
+            self._describe()
             response.success = True
             response.message = f"{monitor.model.identity} flies as {name}"
         except ModelError as refused:
             response.message = str(refused)
         if name in self.monitors.names:
             response.model = self.monitors[name].model.identity
+
+    def _describe(self) -> None:
+        described = [self.monitors[name].model.described() for name in self.monitors.names]
+        self._publish_description(serialize_message(String(data=pack_description(described, self._topics))))
 
     def alarm_status(self) -> tuple[bytes, str, dict[str, Any]]:
         """Level, message and values of the status of the alarm."""

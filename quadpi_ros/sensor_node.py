@@ -22,13 +22,15 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.type_hash import TypeHash
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording, Stream
+from quadpi_core.flight import Recording, Stamps, Stream
+from quadpi_core.frames import Array
 from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.monitor.health import TopicHealth
 from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
+from quadpi_ros.batches import OutgoingBatch
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
 from quadpi_ros.input_sources import AdapterError, message_class
 from quadpi_ros.node_parameters import STRICT
@@ -94,6 +96,7 @@ class SensorNode(ManagedNode[Parameters]):
         self._outputs: dict[str, _Output] = {}
         self._problem = _Problem()
         self._transforms: Subscription | None = None
+        self._batch: OutgoingBatch | None = None
         self.lacking: dict[str, str] = {}
         self._diagnosed_s = time.monotonic()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -178,9 +181,11 @@ class SensorNode(ManagedNode[Parameters]):
         )
 
     def announce(
-        self, message_type: type, topic: str, qos: QoSProfile = OUTPUT_QOS
+        self, message_type: type, topic: str, qos: QoSProfile = OUTPUT_QOS, *, batched: bool = False
     ) -> Callable[[bytes], None]:
         """Create a publisher and return its function that publishes a serialized message.
+
+        With `batched` it goes into the node's batch too, see :mod:`quadpi_ros.batches`.
 
         An ordinary publisher, as a lifecycle publisher checks the node's state at every message; a node that
         is not active receives nothing and so publishes nothing.
@@ -189,7 +194,24 @@ class SensorNode(ManagedNode[Parameters]):
         events = PublisherEventCallbacks(incompatible_qos=lambda event: self._note_policy(output, event))
         output.publisher = self.create_publisher(message_type, topic, qos, event_callbacks=events)
         publish: Callable[[Any], None] = output.publisher.publish
-        return publish
+        if not batched:
+            return publish
+        add = self._open_batch().adding(output.publisher.topic_name, diagnostics.type_name(message_type))
+
+        def publish_and_add(payload: bytes) -> None:
+            publish(payload)
+            add(payload)
+
+        return publish_and_add
+
+    def announce_rows(self, name: str) -> Callable[[Stamps, Array], None]:
+        """A function that takes rows for the node's batch, which no topic of their own has."""
+        return self._open_batch().adding_rows(name)
+
+    def _open_batch(self) -> OutgoingBatch:
+        if self._batch is None:
+            self._batch = OutgoingBatch(self)
+        return self._batch
 
     def deactivate(self) -> None:
         """Destroy the subscriptions."""
@@ -206,6 +228,9 @@ class SensorNode(ManagedNode[Parameters]):
             if output.publisher is not None:
                 self.destroy_publisher(output.publisher)
         self._outputs.clear()
+        if self._batch is not None:
+            self._batch.destroy()
+            self._batch = None
 
     def warn(self, about: str, text: str) -> bool:
         """Log a warning, at most one every few seconds with the same `about`; says whether it was logged.
@@ -245,6 +270,9 @@ class SensorNode(ManagedNode[Parameters]):
 
     def _diagnose(self) -> None:
         """Publish the health of every topic, and log a persistent problem once until it changes."""
+        if self._batch is not None:
+            # What came last before a silence.
+            self._batch.send()
         now_s = time.monotonic()
         period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         problem = None

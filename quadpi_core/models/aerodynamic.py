@@ -19,6 +19,7 @@ from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule
@@ -129,6 +130,10 @@ class AerodynamicModel:
             vehicle = Vehicle.load(given)
         self.require(vehicle)
         return vehicle
+
+    def described(self) -> DescribedModel:
+        """What others are told of it: who it is and what it was trained on."""
+        return DescribedModel(self.identity, self.vehicle, self.envelope.lower, self.envelope.upper)
 
     def require(self, vehicle: Vehicle) -> None:
         """Refuse a vehicle other than the one that the model was identified for.

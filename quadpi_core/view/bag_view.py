@@ -17,6 +17,7 @@ from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import pairing_kernel
@@ -69,7 +70,7 @@ class BagSource:
     live = False
 
     def __init__(
-        self, title: str, name: str, parts: Iterator[Part], known: Mapping[str, AerodynamicModel]
+        self, title: str, name: str, parts: Iterator[Part], known: Mapping[str, DescribedModel]
     ) -> None:
         self.title = title
         view = VehicleView(name, known, BLOCK_NS, _BLOCKS)
@@ -143,7 +144,7 @@ def open_bag(
     Raises:
         QuadpiError: for a bag that cannot be read or holds no results, and models of another vehicle.
     """
-    known = {model.identity: model for model in models}
+    known = {model.identity: model.described() for model in models}
     if models:
         assert vehicle is not None
         names = dict.fromkeys(model.name for model in models)

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.envelope import Envelope
 from quadpi_core.results import (
     ACTIVE,
     CAUSES,
@@ -41,6 +40,18 @@ SILENCE_S = 1.0
 _JUDGED = (ACTIVE, UNCALIBRATED)
 # Inputs that a reason names; the envelope's panel shows all.
 _MOST = 3
+
+
+class TrainingRanges(Protocol):
+    """Smallest and largest value of each input (19,) on the training flights."""
+
+    @property
+    def lower(self) -> Array:
+        """Smallest values."""
+
+    @property
+    def upper(self) -> Array:
+        """Largest values."""
 
 
 class InputWords(NamedTuple):
@@ -97,14 +108,14 @@ def states_of(alarms: ReportedAlarms) -> list[State]:
 
 
 def reasons_of(
-    alarms: ReportedAlarms, row: int, envelope: Envelope | None, low: Array, high: Array
+    alarms: ReportedAlarms, row: int, training: TrainingRanges | None, low: Array, high: Array
 ) -> tuple[str, ...]:
     """Why one message is not `trusted`, in plain words, what is farthest outside first.
 
     Args:
         alarms: messages.
         row: of them.
-        envelope: of the model that flies; None where it is not known here.
+        training: ranges of the model that flies; None where they are not known here.
         low: (19,) smallest inputs around the message, NaN where not known.
         high: (19,) largest inputs.
     """
@@ -118,8 +129,8 @@ def reasons_of(
         settles = health[CAUSES.index(MISCOVERAGE)] not in (*_JUDGED, UNAVAILABLE)
         return ("coverage is judged once the state has settled",) if settles else ()
     words: list[str] = []
-    if envelope is not None and alarms.causes[row] & EXTRAPOLATION:
-        words = _outside(alarms.inputs_outside[row], envelope, low, high)
+    if training is not None and alarms.causes[row] & EXTRAPOLATION:
+        words = _outside(alarms.inputs_outside[row], training, low, high)
     said = INPUT_NAMES if words else ()
     words += [plain(text) for text in given if text.partition(" ")[0] not in said]
     return tuple(words)
@@ -133,13 +144,13 @@ def plain(reason: str) -> str:
     return f"outside: {INPUT_WORDS[symbol].name} ({symbol}) {rest}"
 
 
-def _outside(names: Sequence[str], envelope: Envelope, low: Array, high: Array) -> list[str]:
+def _outside(names: Sequence[str], training: TrainingRanges, low: Array, high: Array) -> list[str]:
     sentences = []
     for name in names:
         if name not in INPUT_WORDS:
             continue
         k = INPUT_NAMES.index(name)
-        sentence = outside_words(name, (low[k], high[k]), (envelope.lower[k], envelope.upper[k]))
+        sentence = outside_words(name, (low[k], high[k]), (training.lower[k], training.upper[k]))
         if sentence:
             sentences.append(sentence)
     return sentences[:_MOST]

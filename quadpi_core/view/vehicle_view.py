@@ -14,7 +14,7 @@ import numpy as np
 from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, MISCOVERAGE, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.blocks import BlockStore, Rows, columns
 from quadpi_core.view.flight_clock import FlightClock
@@ -68,14 +68,12 @@ class VehicleView:
 
     Args:
         name: its namespace, or that of its flight.
-        known: models whose envelopes are known, by identity.
+        known: models whose training ranges are known, by identity.
         block_ns: duration of a block.
         capacity: blocks kept.
     """
 
-    def __init__(
-        self, name: str, known: Mapping[str, AerodynamicModel], block_ns: int, capacity: int
-    ) -> None:
+    def __init__(self, name: str, known: Mapping[str, DescribedModel], block_ns: int, capacity: int) -> None:
         self.name = name
         self.blocks = BlockStore(block_ns, capacity)
         self.models: dict[str, ShownModel] = {}
@@ -86,17 +84,22 @@ class VehicleView:
         self.start_ns = 0
         self.state = State.NO_DATA
         self.reasons: tuple[str, ...] = ("nothing has come yet",)
-        self._known = known
+        self._known = dict(known)
         self._clock = FlightClock(self._jumped)
         self._events: dict[tuple[int, int], dict[str, Any]] = {}
         # Block and words at every change of the words; ends with the blocks.
         self._words: list[tuple[int, tuple[str, ...]]] = []
 
     @property
-    def model(self) -> AerodynamicModel | None:
-        """The first model, if its envelope is known."""
+    def training(self) -> DescribedModel | None:
+        """The first model, if its training ranges are known."""
         first = next(iter(self.models.values()), None)
         return None if first is None else self._known.get(first.identity)
+
+    def learn(self, models: Mapping[str, DescribedModel]) -> None:
+        """Take the training ranges of further models, by identity."""
+        self._known |= models
+        self.version += 1
 
     def take_predictions(
         self, model: str, predictions: Predictions, identity: str, confidence: float, axes: Sequence[str]
@@ -184,9 +187,9 @@ class VehicleView:
             distance=alarms.envelope_distance,
         )
         self.timeline.add(_seconds(times), states)
-        envelope = self.model.envelope if self.model is not None else None
+        training = self.training
         for row, number in enumerate((times // self.blocks.block_ns).tolist()):
-            words = reasons_of(alarms, row, envelope, *self._inputs_before(number))
+            words = reasons_of(alarms, row, training, *self._inputs_before(number))
             self._note(number, words)
         self.state, self.reasons = State(int(states[-1])), self._words[-1][1]
 
@@ -212,7 +215,7 @@ class VehicleView:
 
     def describe(self) -> dict[str, Any]:
         """What a page has to know before it can draw blocks."""
-        envelope = self.model.envelope if self.model is not None else None
+        training = self.training
         return {
             "id": self.name,
             "block_s": _NANOSECONDS * self.blocks.block_ns,
@@ -234,8 +237,8 @@ class VehicleView:
                     "words": INPUT_WORDS[name].name,
                     "unit": INPUT_WORDS[name].unit,
                     "angle": INPUT_WORDS[name].angle,
-                    "lower": None if envelope is None else float(envelope.lower[k]),
-                    "upper": None if envelope is None else float(envelope.upper[k]),
+                    "lower": None if training is None else float(training.lower[k]),
+                    "upper": None if training is None else float(training.upper[k]),
                 }
                 for k, name in enumerate(INPUT_NAMES)
             ],

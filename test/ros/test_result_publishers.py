@@ -15,9 +15,12 @@ import pytest
 import rclpy
 from quadpi.srv import LoadModel
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
 from quadpi_core.messages import result_messages
+from quadpi_core.messages.model_description import MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
@@ -37,9 +40,13 @@ class Outputs:
 
     def __init__(self) -> None:
         self.sent: dict[str, list[bytes]] = defaultdict(list)
+        self.rows: dict[str, list[tuple[int, np.ndarray]]] = defaultdict(list)
 
-    def announce(self, _: type, topic: str, *__: Any) -> Callable[[bytes], None]:
+    def announce(self, _: type, topic: str, *__: Any, **___: Any) -> Callable[[bytes], None]:
         return self.sent[topic].append
+
+    def announce_rows(self, name: str) -> Callable[[np.ndarray, np.ndarray], None]:
+        return lambda time_ns, values: self.rows[name].extend(zip(time_ns, values, strict=True))
 
     def resolve_topic_name(self, topic: str) -> str:
         return f"/uav/{topic}"
@@ -88,7 +95,8 @@ def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
     for k in range(300):
         one = PairedSamples(samples.time_ns[k : k + 1], samples.values[k : k + 1])
         assert results.publish(one).tolist() == one.time_ns.tolist()
-    assert set(outputs.sent) == {*("prediction", "/uav/prediction/other", "extrapolation_alarm", "alarm_log")}
+    topics = ("prediction", "/uav/prediction/other", "extrapolation_alarm", "alarm_log", "~/description")
+    assert set(outputs.sent) == set(topics)
     for topic, model in (("prediction", models["model"]), ("/uav/prediction/other", models["other"])):
         expected, alarms, _ = monitor_of(model).step(*samples)
         packed = result_messages.pack_predictions(
@@ -100,6 +108,28 @@ def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
     level, word, values = results.alarm_status()
     assert (level, word, values["level"]) == (diagnostics.OK, "ok", LEVEL_OK)
     assert values["model model"] == models["model"].identity
+    # For the batch: inputs as the first model sees them, and the rotor speeds.
+    prepared = monitor_of(models["model"]).preparation.step(*samples)
+    for name, expected_rows in (("inputs", prepared.inputs), ("rotor_speeds", samples.rotor_speeds)):
+        stamps, rows = zip(*outputs.rows[name], strict=True)
+        assert set(stamps) <= set(samples.time_ns.tolist())
+        np.testing.assert_array_equal(rows, expected_rows)
+
+
+def test_the_models_that_fly_are_described_with_their_training_ranges_and_topics(models):
+    outputs = Outputs()
+    results = Results(outputs, named(monitor_of(model) for model in models.values()), "body")
+
+    def described() -> MonitorDescription:
+        return unpack_description(deserialize_message(outputs.sent["~/description"][-1], String).data)
+
+    assert list(described().models) == [model.identity for model in models.values()]
+    first = described().models[models["model"].identity]
+    np.testing.assert_array_equal(first.upper, models["model"].envelope.upper)
+    assert described().topics["alarm_log"] == "/uav/alarm_log"
+    replaced = replace(models["other"], identity="new@1")
+    results.swap("model", monitor_of(replaced), None, LoadModel.Response())
+    assert list(described().models) == ["new@1", models["other"].identity]
 
 
 def test_silence_and_alarms_are_published_and_logged(models):

@@ -137,8 +137,8 @@ def test_vehicles_are_found_by_namespace_with_their_models_and_states(node, sour
         "another@1",
         "second@1",
     ]
-    assert first.model is model
-    assert second.model is None
+    assert first.training.identity == model.identity
+    assert second.training is None
     wait_until(lambda: (first.state, second.state) == (State.TRUSTED, State.ALARM), turn)
     assert second.reasons == ("outside: longitudinal speed (u) 2.0 x the training range",)
     assert first.describe()["inputs"][0]["upper"] == model.envelope.upper[0]

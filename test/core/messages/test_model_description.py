@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a monitor says of its models is what a page reads, and nothing else is read."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages.model_description import DescribedModel, pack_description, unpack_description
+
+LOWER = -np.arange(1.0, len(INPUT_NAMES) + 1.0)
+MODEL = DescribedModel('hover "1"@0123', "bebop2", LOWER, -2.0 * LOWER)
+
+
+def test_it_is_read_as_it_was_written():
+    other = DescribedModel("other@1", "neurobem", LOWER, LOWER)
+    found = unpack_description(pack_description([MODEL, other], {"prediction": "/uav/prediction"}))
+    assert list(found.models) == [MODEL.identity, "other@1"]
+    assert found.models[MODEL.identity].vehicle == "bebop2"
+    np.testing.assert_array_equal(found.models[MODEL.identity].lower, MODEL.lower)
+    np.testing.assert_array_equal(found.models[MODEL.identity].upper, MODEL.upper)
+    assert found.topics == {"prediction": "/uav/prediction"}
+
+
+def changed(**training: object) -> str:
+    given = json.loads(pack_description([MODEL], {}))
+    given["models"][0]["training"] |= training
+    return json.dumps(given)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"models": 3, "topics": {}}',
+        '{"models": [], "topics": []}',
+        "[" * 100_000,
+        changed(u=None),
+        changed(u=[1.0]),
+        changed(u=[float("nan"), 1.0]),
+        changed(u=[10**400, 1.0]),
+    ],
+)
+def test_another_text_is_refused(text):
+    with pytest.raises(LogError, match="not the description of a monitor"):
+        unpack_description(text)

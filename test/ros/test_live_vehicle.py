@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A vehicle whose nodes send batches, and how the page finds what batches do not carry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import rclpy
+from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from quadpi_core.flight import AXES, OdometryStream
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.model_description import DescribedModel, pack_description
+from quadpi_core.view.trust import State
+from quadpi_ros.batches import OutgoingBatch
+from quadpi_ros.dds_profile import DESCRIPTION_QOS, OUTPUT_QOS
+from quadpi_ros.live_vehicle import PREDICTION
+from quadpi_ros.view_node import LiveSource
+
+from .rig import wait_until
+from .test_view_node import alarms, flying, predictions
+
+LOWER, UPPER = np.full(len(INPUT_NAMES), -2.0), np.full(len(INPUT_NAMES), 2.0)
+ROTOR_RAD_S = 850.0
+
+
+@pytest.fixture
+def source(ros: None) -> Iterator[LiveSource]:
+    """It knows no model."""
+    del ros
+    source = LiveSource(rclpy.get_default_context(), {})
+    yield source
+    source.close()
+
+
+@pytest.fixture
+def monitor(ros: None) -> Iterator[Node]:
+    del ros
+    node = Node("monitor", namespace="/uav")
+    yield node
+    node.destroy_node()
+
+
+class Batching:
+    """What a monitor and its estimator publish, the results on topics that may be in another namespace."""
+
+    def __init__(self, node: Node, results: str = "/uav") -> None:
+        prediction, alarm = f"{results}/prediction", f"{results}/extrapolation_alarm"
+        self.predictions = node.create_publisher(WrenchPrediction, prediction, OUTPUT_QOS)
+        self._alarm = node.create_publisher(ExtrapolationAlarm, alarm, OUTPUT_QOS)
+        self._description = node.create_publisher(String, "~/description", DESCRIPTION_QOS)
+        topics = {"prediction": prediction, "extrapolation_alarm": alarm}
+        model = DescribedModel("flies@1", "quad", LOWER, UPPER)
+        self._description.publish(String(data=pack_description([model], topics)))
+        self.batch = OutgoingBatch(node)
+        self._add = self.batch.adding(prediction, PREDICTION)
+        self._add_state = self.batch.adding("/uav/odometry", "nav_msgs/msg/Odometry")
+        self._add_rows = [self.batch.adding_rows(name) for name in ("inputs", "rotor_speeds")]
+        self._sent = 0
+        self.batched = True
+
+    def fly(self) -> None:
+        """50 ms, one metre a second to the north."""
+        given = predictions(self._sent)
+        count = len(given.time_ns)
+        self._sent += count
+        for payload in result_messages.pack_predictions(given, model="flies@1", confidence=0.9, axes=AXES):
+            self.predictions.publish(payload)
+            if self.batched:
+                self._add(payload)
+        (payload,) = result_messages.pack_alarms(alarms(int(given.time_ns[-1]), 0), [()])
+        self._alarm.publish(payload)
+        if not self.batched:
+            return
+        level, north = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.tile([1.0, 0.0, 0.0], (count, 1))
+        for payload in sensor_messages.pack_odometry(
+            OdometryStream(given.time_ns, north, level, north, 0.0 * north)
+        ):
+            self._add_state(payload)
+        for add, width, value in zip(self._add_rows, (len(INPUT_NAMES), 4), (3.0, ROTOR_RAD_S), strict=True):
+            add(given.time_ns, np.full((count, width), value))
+        self.batch.send()
+
+
+def newest(source: LiveSource, name: str, vehicle: str = "/uav") -> float:
+    """The last value of a quantity that has one."""
+    view = source.vehicles.get(vehicle)
+    if view is None:
+        return float("nan")
+    values = [float(view.blocks.value(number, name)[0]) for number in range(view.blocks.newest + 1)]
+    return next((value for value in reversed(values) if np.isfinite(value)), float("nan"))
+
+
+def shown(source: LiveSource) -> Callable[[], bool]:
+    return lambda: all(
+        np.isfinite(newest(source, name)) for name in ("0.upper", "speed", "inputs_max", "rotor_max", "state")
+    )
+
+
+def test_batches_are_shown_and_their_topics_not_heard_one_by_one(monitor, source):
+    vehicle = Batching(monitor)
+    turn = flying(source, vehicle)
+    wait_until(shown(source), turn)
+    assert newest(source, "speed") == pytest.approx(1.0)
+    assert newest(source, "rotor_max") == ROTOR_RAD_S
+    assert newest(source, "inputs_max") == 3.0
+    assert source.vehicles["/uav"].describe()["models"][0]["confidence"] == 0.9
+    wait_until(lambda: vehicle.predictions.get_subscription_count() == 0, turn)
+
+
+def test_training_ranges_come_from_the_monitor(monitor, source):
+    wait_until(shown(source), flying(source, Batching(monitor)))
+    view = source.vehicles["/uav"]
+    assert [one["upper"] for one in view.describe()["inputs"]] == UPPER.tolist()
+    assert view.training is not None
+    assert view.training.vehicle == "quad"
+
+
+def test_results_in_another_namespace_belong_to_the_vehicle_of_the_monitor(monitor, source):
+    turn = flying(source, Batching(monitor, results="/elsewhere"))
+    wait_until(lambda: shown(source)() and set(source.vehicles) == {"/uav"}, turn)
+    assert source.vehicles["/uav"].state == State.TRUSTED
+
+
+def test_without_batches_the_topics_are_heard_again(monitor, source):
+    vehicle = Batching(monitor)
+    turn = flying(source, vehicle)
+    wait_until(shown(source), turn)
+    vehicle.batched = False
+    before = source.vehicles["/uav"].blocks.newest
+    wait_until(lambda: newest(source, "0.count") > 0 and vehicle.predictions.get_subscription_count(), turn)
+    wait_until(lambda: source.vehicles["/uav"].blocks.newest > before + 60, turn)
+    assert np.isfinite(newest(source, "0.upper"))
+
+
+def test_a_description_that_is_none_is_counted_and_shown(monitor, source):
+    vehicle = Batching(monitor)
+    bad = monitor.create_publisher(String, "~/description", DESCRIPTION_QOS)
+    bad.publish(String(data="{}"))
+    turn = flying(source, vehicle)
+
+    def told() -> bool:
+        rows = [row for view in source.vehicles.values() for row in view.health.rows]
+        return any(
+            about == "messages" and "not the description of a monitor" in text for about, _, text in rows
+        )
+
+    wait_until(told, turn)
+    assert source.vehicles["/uav"].state == State.TRUSTED
