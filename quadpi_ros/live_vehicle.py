@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One vehicle of a ROS domain as the page shows it: what its topics say goes into its view.
 
-Nodes of quadpi give their results in batches, see :mod:`quadpi_ros.batches`; what no batch carries, as of a
-bag that is played or of an estimator of somebody else, is heard topic by topic.
+Nodes of quadpi give their results in batches, see :mod:`quadpi_ros.message_batches`; what no batch carries,
+as of a bag that is played or of an estimator of somebody else, is heard topic by topic.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_core.view.live_inputs import LiveInputs
 from quadpi_core.view.trust import SILENCE_S
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
-from quadpi_ros.batches import BATCH_QOS, ROWS, parts_of, unpack_rows
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.diagnostics import type_name
 from quadpi_ros.inbox import TAKEN_QOS, Inbox
+from quadpi_ros.message_batches import BATCH_QOS, ROWS, parts_of, unpack_rows
 from quadpi_ros.result_publishers import INPUT_ROWS, ROTOR_ROWS
 
 # What is held at full resolution: a quarter of an hour, 15 MB with three models.

@@ -30,9 +30,9 @@ from quadpi_core.monitor.health import TopicHealth
 from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.batches import OutgoingBatch
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
 from quadpi_ros.input_sources import AdapterError, message_class
+from quadpi_ros.message_batches import OutgoingBatch
 from quadpi_ros.node_parameters import STRICT
 from quadpi_ros.parameters import Parameters
 from quadpi_ros.runtime import ManagedNode
@@ -185,7 +185,7 @@ class SensorNode(ManagedNode[Parameters]):
     ) -> Callable[[bytes], None]:
         """Create a publisher and return its function that publishes a serialized message.
 
-        With `batched` it goes into the node's batch too, see :mod:`quadpi_ros.batches`.
+        With `batched` it goes into the node's batch too, see :mod:`quadpi_ros.message_batches`.
 
         An ordinary publisher, as a lifecycle publisher checks the node's state at every message; a node that
         is not active receives nothing and so publishes nothing.

@@ -18,9 +18,9 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.model_description import DescribedModel, pack_description
 from quadpi_core.view.trust import State
-from quadpi_ros.batches import OutgoingBatch
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, OUTPUT_QOS
 from quadpi_ros.live_vehicle import PREDICTION
+from quadpi_ros.message_batches import OutgoingBatch
 from quadpi_ros.view_node import LiveSource
 
 from .rig import wait_until

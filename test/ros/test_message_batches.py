@@ -13,8 +13,8 @@ from std_msgs.msg import MultiArrayDimension, MultiArrayLayout, UInt8MultiArray
 
 from quadpi_core.errors import LogError
 from quadpi_core.messages.payloads import Payloads
-from quadpi_ros.batches import BATCH_QOS, ROWS, OutgoingBatch, batch_of, parts_of, unpack_rows
 from quadpi_ros.inbox import Inbox
+from quadpi_ros.message_batches import BATCH_QOS, ROWS, OutgoingBatch, batch_of, parts_of, unpack_rows
 
 from .rig import wait_until
 
