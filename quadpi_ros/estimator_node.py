@@ -19,15 +19,17 @@ from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus
 from quadpi_core.estimator.output import FusedSamples, fill_odometry, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.frame_ids import BodyFrames
 from quadpi_core.messages.one_by_one import IncomingMessage, OutgoingMessage
-from quadpi_core.messages.values import ODOMETRY_VALUES
+from quadpi_core.messages.values import ODOMETRY_VALUES, POSE
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.input_sources import AdaptedSources, Source
 from quadpi_ros.node_parameters import EstimatorParameters
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, ConsistencyWatch, SensorNode
+from quadpi_ros.transform_publisher import TransformPublisher
 
 IMU_TOPIC = "imu"
 
@@ -72,7 +74,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         parameters = self.parameters
         vehicle = Vehicle.load(parameters.vehicle)
         self._odometry = OutgoingMessage(
-            sensor_messages.ODOMETRY,
+            codec(sensor_messages.ODOMETRY),
             sensor_messages.odometry_constants(parameters.world_frame, parameters.body_frame),
         )
         adapted = AdaptedSources(self.get_name(), parameters.adapters, vehicle)
@@ -82,6 +84,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         _warm_up(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
         self._publish = self.announce(Odometry, "odometry", batched=True)
+        self._tf = TransformPublisher(self) if parameters.tf_rate_hz else None
 
     def activate(self) -> None:
         """Reset the filter and subscribe to its inputs."""
@@ -181,7 +184,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         if self.listener:
             self.listener.take_estimate(sample)
         fill_odometry(sample.rows, self._odometry.values)
-        self._publish(self._odometry.stamped(int(sample.time_ns[0])))
+        time_ns = int(sample.time_ns[0])
+        self._publish(self._odometry.stamped(time_ns))
+        if self._tf is not None:
+            self._tf.publish(time_ns, self._odometry.values[:, POSE])
 
     def _take_pose(self, pose: PoseStream) -> None:
         self._consistency.take_copy(pose)

@@ -29,13 +29,16 @@ from quadpi_ros.player import CLOCK_HZ, START_TIMEOUT_S
 from quadpi_ros.playlist import live_inputs
 
 SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
-OUTPUTS = ("odometry", "prediction", "extrapolation_alarm", "alarm_log")
+OUTPUTS = (
+    *("odometry", "prediction", "extrapolation_alarm", "alarm_log"),
+    *("wrench/predicted", "wrench/measured", "wrench/residual"),
+)
 
 # Arguments that are node parameters of the same name. Each live node gets them all and ignores those of the
 # other.
 PARAMETERS = (
     *("vehicle", "model", "rotor_topic", "mocap_topic", "imu_rate_hz", "adapters"),
-    *("body_frame", "world_frame", "frames", "autostart", "use_sim_time"),
+    *("body_frame", "world_frame", "frames", "tf_rate_hz", "publish_wrenches", "autostart", "use_sim_time"),
 )
 
 # Arguments that `ros2 launch` adds for its own options.
@@ -94,6 +97,8 @@ def monitor_arguments(respawn: bool) -> tuple[Argument, ...]:
         Argument("adapters", f"how messages of other packages are read{of_the_file}", ""),
         Argument("body_frame", f"frame_id of the body{of_the_file}", ""),
         Argument("world_frame", f"frame_id of the world{of_the_file}", ""),
+        Argument("tf_rate_hz", f"rate of the estimate on /tf; 0: none{of_the_file}", ""),
+        Argument("publish_wrenches", f"predictions also as geometry_msgs/WrenchStamped{of_the_file}", ""),
         Argument("view", "page in a browser: can the model be trusted now, and why not", "false"),
         Argument("view_port", "port of the page", str(PORT)),
         Argument("view_bind", "address of the page; another than loopback lets the network in", ADDRESS),
@@ -131,9 +136,9 @@ class Launch:
 
     def _parameter(self, name: str) -> Any:
         value = self.values[name]
-        if name in {"autostart", "use_sim_time"}:
+        if name in {"autostart", "use_sim_time", "publish_wrenches"}:
             return self.switch(name)
-        if name == "imu_rate_hz":
+        if name in {"imu_rate_hz", "tf_rate_hz"}:
             try:
                 return float(value)
             except ValueError:

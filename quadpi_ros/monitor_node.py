@@ -84,7 +84,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             odometry = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, self._body.world, self._body)
             self._odometry = adapted.instead_of(Source(Odometry, "odometry", odometry), "odometry")
         monitors = named(self._load(path) for path in parameters.model)
-        self._results = Results(self, monitors, parameters.body_frame)
+        self._results = Results(self, monitors, parameters.body_frame, parameters.publish_wrenches)
 
     def activate(self) -> None:
         """Start to listen, with an empty memory."""

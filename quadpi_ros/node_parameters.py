@@ -113,6 +113,11 @@ class EstimatorParameters:
         empty_means=namespaced_body_frame,
     )
     frames: str = parameter(WARN, _FRAMES, choices=(WARN, STRICT))
+    tf_rate_hz: float = parameter(
+        0.0,
+        "rate of the transform from world_frame to body_frame on /tf; 0: none",
+        limits=(0.0, FASTEST_IMU_HZ),
+    )
     autostart: bool = parameter(True, _AUTOSTART)
 
 
@@ -170,6 +175,9 @@ class MonitorParameters:
         empty_means=namespaced_body_frame,
     )
     frames: str = parameter(WARN, _FRAMES, choices=(WARN, STRICT))
+    publish_wrenches: bool = parameter(
+        False, "publish wrench/predicted, wrench/measured and wrench/residual as geometry_msgs/WrenchStamped"
+    )
     autostart: bool = parameter(True, _AUTOSTART)
 
 

@@ -30,6 +30,7 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
+from quadpi_ros.wrench_publisher import WrenchPublisher
 
 _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
 _LEVELS = ("ok", "warning", "alarm")
@@ -101,9 +102,12 @@ class Results:
         node: to publish from.
         monitors: by name.
         frame_id: body frame.
+        wrenches: whether the predictions are published as wrenches, too.
     """
 
-    def __init__(self, node: SensorNode[Any], monitors: dict[str, Monitor], frame_id: str) -> None:
+    def __init__(
+        self, node: SensorNode[Any], monitors: dict[str, Monitor], frame_id: str, wrenches: bool = False
+    ) -> None:
         self.monitors = Monitors(monitors)
         self._frame_id = frame_id
         self._messages = {name: _message(monitor, frame_id) for name, monitor in monitors.items()}
@@ -120,6 +124,9 @@ class Results:
         self._topics = {name: node.resolve_topic_name(name) for name in DESCRIBED_TOPICS}
         self._publish_description = node.announce(String, DESCRIPTION_TOPIC, DESCRIPTION_QOS)
         self._describe()
+        self._wrenches = []
+        if wrenches:
+            self._wrenches = [WrenchPublisher(node, frame_id, name) for name in ("", *others)]
         self._alarm = (LEVEL_OK, 0)
 
     def publish(self, samples: PairedSamples) -> Stamps:
@@ -140,6 +147,9 @@ class Results:
         if (prepared := self.monitors.prepared) is not None:
             self._batch_inputs(prepared.usable_ns, prepared.inputs)
         self._batch_rotors(samples.time_ns, samples.rotor_speeds)
+        if self._wrenches:
+            for publisher, of_model in zip(self._wrenches, (predictions, *others), strict=True):
+                publisher.publish(of_model)
         return predictions.time_ns
 
     def publish_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:

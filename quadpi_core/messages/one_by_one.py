@@ -16,7 +16,7 @@ import numpy as np
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
-from quadpi_core.messages.cdr import NANOSECONDS, ORIGIN, STAMP, no_stamp
+from quadpi_core.messages.cdr import NANOSECONDS, ORIGIN, STAMP, Codec, no_stamp
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.frame_ids import BodyFrames, FrameRefusedError, Judge, names_of
 from quadpi_core.messages.mounting import Mounting
@@ -109,22 +109,24 @@ class OutgoingMessage:
     """A message that is written again and again.
 
     Args:
-        type_name: of the message.
+        codec: of the message, which has a header.
         constants: its fields that stay the same, with their values.
 
     Attributes:
         values: (1, K) the float64 fields that end the message, to be filled.
     """
 
-    def __init__(self, type_name: str, constants: tuple[tuple[str, str | float], ...]) -> None:
-        layout, template = codec(type_name).template(constants)
+    def __init__(self, codec: Codec, constants: tuple[tuple[str, str | float], ...]) -> None:
+        layout, template = codec.template(constants)
         buffer, self.values = _buffer(template.size, layout.doubles)
         buffer[:] = template
         self._memory = buffer.data
+        assert layout.dtype.fields
+        self._stamp = layout.dtype.fields["header.stamp.sec"][1]
 
     def stamped(self, time_ns: int) -> bytes:
         """The message with its present values and a stamp."""
-        STAMP.pack_into(self._memory, ORIGIN, *divmod(time_ns, NANOSECONDS))
+        STAMP.pack_into(self._memory, self._stamp, *divmod(time_ns, NANOSECONDS))
         return self._memory.tobytes()
 
 

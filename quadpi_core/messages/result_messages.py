@@ -25,6 +25,7 @@ from quadpi_core.messages.sensor_messages import (
     EVENT,
     FLU_SIGNS,
     PREDICTION,
+    WRENCH,
     header_columns,
     mirrored,
 )
@@ -101,7 +102,7 @@ def prediction_message(
     model: str, confidence: float, axes: Sequence[str], frame_id: str = BODY_FRAME
 ) -> OutgoingMessage:
     """A message for :func:`write_predictions`; see :func:`pack_predictions`."""
-    return OutgoingMessage(PREDICTION, _prediction_constants(model, confidence, axes, frame_id))
+    return OutgoingMessage(codec(PREDICTION), _prediction_constants(model, confidence, axes, frame_id))
 
 
 def write_predictions(predictions: Predictions, message: OutgoingMessage) -> list[bytes]:
@@ -134,6 +135,17 @@ def _prediction_constants(
         ("confidence", confidence),
         ("axes", _axis_flags(tuple(axes))),
     )
+
+
+def wrench_message(frame_id: str = BODY_FRAME) -> OutgoingMessage:
+    """A geometry_msgs/WrenchStamped whose values (1, 6) :func:`wrenches_of` gives."""
+    return OutgoingMessage(codec(WRENCH), (("header.frame_id", frame_id),))
+
+
+def wrenches_of(predictions: Predictions) -> dict[str, Array]:
+    """The wrenches (N, 6) of predictions in FLU: `predicted`, `measured` and `residual`, their difference."""
+    predicted, measured = mirrored(predictions.predicted), mirrored(predictions.measured)
+    return {"predicted": predicted, "measured": measured, "residual": measured - predicted}
 
 
 @cache

@@ -72,7 +72,11 @@ OUTPUT = Qos(depth=200)
 # Whoever subscribes late gets the events that the log keeps.
 LOG = Qos(depth=EVENTS_KEPT, latched=True)
 
-_OUTPUTS = {"odometry": OUTPUT, "prediction": OUTPUT, "extrapolation_alarm": OUTPUT, "alarm_log": LOG}
+_OUTPUTS = {
+    **dict.fromkeys(("odometry", "prediction", "extrapolation_alarm"), OUTPUT),
+    **dict.fromkeys(("wrench/predicted", "wrench/measured", "wrench/residual"), OUTPUT),
+    "alarm_log": LOG,
+}
 
 
 def qos_of(topic: str) -> Qos:

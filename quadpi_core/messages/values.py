@@ -16,6 +16,8 @@ from quadpi_core.compiled import njit
 
 # How many float64 fields end nav_msgs/Odometry and quadpi/WrenchPrediction.
 ODOMETRY_VALUES, PREDICTION_VALUES = 85, 30
+# Position and orientation among those of nav_msgs/Odometry.
+POSE = slice(0, 7)
 
 _QUATERNION_NORM_TOLERANCE = 0.01
 _SQRT_HALF = float(np.sqrt(0.5))

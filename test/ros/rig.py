@@ -330,3 +330,8 @@ def assert_whole(rig: Rig, topic: str, first_ns: int, last_ns: int) -> None:
 
 def values_of(status: DiagnosticStatus) -> dict[str, str]:
     return {item.key: item.value for item in status.values}
+
+
+def values_of_wrench(wrench: Any) -> np.ndarray:
+    """Force and torque of a geometry_msgs/Wrench, (6,)."""
+    return np.array([getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz"])

@@ -178,7 +178,7 @@ def test_a_message_is_written_as_in_a_block() -> None:
     assert result_messages.write_predictions(predictions, message) == list(block)
 
     constants = sensor_messages.odometry_constants("map", "base_link")
-    odometry = OutgoingMessage(sensor_messages.ODOMETRY, constants)
+    odometry = OutgoingMessage(codec(sensor_messages.ODOMETRY), constants)
     for packed, time_ns in zip(KINDS["odometry"][1], ODOMETRY.time_ns.tolist(), strict=True):
         odometry.values[:] = codec(sensor_messages.ODOMETRY).decode_stamped(packed).values
         assert odometry.stamped(time_ns) == packed

@@ -129,3 +129,19 @@ def test_events_survive_their_message():
         assert one.end.sec * 10**9 + one.end.nanosec == event.end_ns
         assert tuple(one.reasons) == event.reasons
     assert result_messages.unpack_events(payloads) == events
+
+
+def test_the_residual_is_what_was_measured_less_what_was_predicted(rng):
+    """In the axes of the message: forward, left, up."""
+    predicted, measured = rng.normal(size=(2, N, 6))
+    zeros = np.zeros((N, 6))
+    found = result_messages.wrenches_of(Predictions(TIME_NS, predicted, zeros, zeros, measured, zeros))
+    signs = np.tile([1.0, -1.0, -1.0], 2)
+    np.testing.assert_array_equal(found["predicted"], signs * predicted)
+    np.testing.assert_array_equal(found["measured"], signs * measured)
+    np.testing.assert_allclose(found["residual"], signs * (measured - predicted), atol=1e-15)
+    message = result_messages.wrench_message("uav/base_link")
+    message.values[:] = found["residual"][2]
+    one = typestore().deserialize_cdr(message.stamped(int(TIME_NS[2])), sensor_messages.WRENCH)
+    assert one.header.frame_id == "uav/base_link"
+    assert [one.wrench.force.x, one.wrench.torque.z] == found["residual"][2, [0, 5]].tolist()

@@ -23,6 +23,8 @@ def test_every_type_is_one_that_messages_are_made_of():
         ("anything/else", 1000, False, False),
         ("odometry", 200, True, False),
         ("prediction", 200, True, False),
+        ("wrench/predicted", 200, True, False),
+        ("wrench/residual", 200, True, False),
         ("extrapolation_alarm", 200, True, False),
         ("alarm_log", EVENTS_KEPT, True, True),
     ],
