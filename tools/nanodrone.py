@@ -17,7 +17,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,7 +35,7 @@ from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCITY
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.rollout_flight import RolloutFlight
-from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.models.rollout_model import RolloutModel, disturbance_left
 from quadpi_core.paths import data_directory, write_json
 from quadpi_core.report.style import number
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table
@@ -210,26 +210,33 @@ def train(flights: Sequence[BenchmarkFlight], vehicle: Vehicle) -> Trained:
         )
         for flight in own
     ]
-    delay = float(np.median(DELAYS_S))
-    fit = PhysicalStudy.of(physical, vehicle, sensing=Sensing(delay)).fit(choose=False)
-    step = own[0].step
-    start = RolloutModel(
-        fit.values,
-        fit.covariance,
-        fit.record,
-        vehicle.inertia,
-        vehicle.gravity_m_s2,
-        delay,
-        Disturbance.nothing(step),
-        np.full(STATES, 1e-12),
-        # Central differences: the residual of a sample is known with the next.
-        lead_s=step,
-    )
+    delay, step = float(np.median(DELAYS_S)), own[0].step
+    study = PhysicalStudy.of(physical, vehicle, sensing=Sensing(delay))
+
+    def first_step(left_out: int | None) -> RolloutModel:
+        fit = study.fit(choose=False, left_out=left_out)
+        return RolloutModel(
+            fit.values,
+            fit.covariance,
+            fit.record,
+            vehicle.inertia,
+            vehicle.gravity_m_s2,
+            delay,
+            Disturbance.nothing(step),
+            np.full(STATES, 1e-12),
+            # Central differences: the residual of a sample is known with the next.
+            lead_s=step,
+        )
+
+    start = first_step(None)
     delays = [DELAYS_S[int(np.argmin(delay_costs(flight, start)[-1]))] for flight in own]
-    start = start.delayed(float(np.median(delays)))
-    problem = Problem.of(vehicle, fit.reference_thrust)
-    found = fit_multi_step(own, start, problem, delays_s=delays)
-    return Trained(found.model, PositionLink.of(flights))
+    # Each flight with its own delay, to models without any.
+    late = [flight.delayed(there) for flight, there in zip(own, delays, strict=True)]
+    apart = [first_step(k).delayed(0.0) for k in range(len(own))]
+    whole = replace(start.delayed(0.0), disturbance=disturbance_left(apart, late))
+    found = fit_multi_step(late, whole, apart, Problem.of(vehicle, study.reference).lower)
+    model = replace(found.model, disturbance=disturbance_left(found.left_out, late))
+    return Trained(model.delayed(float(np.median(delays))), PositionLink.of(flights))
 
 
 def delay_costs(flight: RolloutFlight, model: RolloutModel) -> Array:

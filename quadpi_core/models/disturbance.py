@@ -101,14 +101,21 @@ class Disturbance:
         result: Array = kept * self.drive / (1.0 - kept * np.square(self.decay))
         return result
 
-    def filtered(self, residuals: Array) -> Array:
-        """Disturbance (N, ...) at each sample from the residuals (N, 6, ...) up to it; zero before the first.
+    def filtered(self, residuals: Array, before: Array | None = None) -> Array:
+        """Disturbance (N, 6, ...) at each sample from the residuals (N, 6, ...) up to it.
 
         The filter is linear, so it takes derivatives of residuals as well.
+
+        Args:
+            residuals: of samples in a row.
+            before: disturbance (6, ...) at the sample before them; zero unless given.
         """
         out = np.empty_like(residuals)
+        before = np.zeros_like(residuals[0]) if before is None else before
         for axis, (gain, decay) in enumerate(zip(self.gain, self.decay, strict=True)):
-            out[:, axis] = lfilter([gain], [1.0, -(1.0 - gain) * decay], residuals[:, axis], axis=0)
+            kept = (1.0 - gain) * decay
+            start = kept * before[axis][np.newaxis]
+            out[:, axis], _ = lfilter([gain], [1.0, -kept], residuals[:, axis], axis=0, zi=start)
         return out
 
     def to_json(self) -> dict[str, Any]:

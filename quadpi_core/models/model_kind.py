@@ -294,8 +294,12 @@ class Kind(Section, ABC):
             "flights have been, and nothing that holds in trim and beyond; identify with --method physical"
         )
 
-    def facts(self, fitted: Mapping[str, Any]) -> list[Facts]:  # noqa: ARG002 - for kinds that have any
-        """What there is to say of a fitted model beside its terms."""
+    def facts(
+        self,
+        fitted: Mapping[str, Any],  # noqa: ARG002 - for kinds that have any
+        rollouts: RolloutModel | None,  # noqa: ARG002
+    ) -> list[Facts]:
+        """What there is to say of a fitted model, and of how it predicts ahead, beside its terms."""
         return []
 
     def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:

@@ -3,18 +3,18 @@
 """Second step of the physical fit: parameters by the errors of predictions a tenth to half a second ahead.
 
 Moments from a differentiated gyro are noise above 10 Hz, and the slow moments below it are small: the
-equation error hardly sees them, but they add up over a roll-out. Roll-outs start with the disturbance that
-the past tells, as predictions do, so a controller that answers slow disturbances with rotor speeds does not
-bias what rotor speeds are found to do (the filter error method, Jategaonkar, Flight Vehicle System
-Identification, 2015, 5; without the disturbance it is his output error method, 4). Errors count by their
-norm, in units of their median over the flight, so that no wild sample and no fast flight outweighs the
-others. Minimised by Gauss-Newton with the derivatives of `physical_rollout`.
+equation error hardly sees them, but they add up over a roll-out. The first step's posterior is the prior.
+As roll-outs start with the disturbance that the past tells, this is the filter error method (Jategaonkar,
+Flight Vehicle System Identification, 2015, 5); without it, it would be his output error method (4). Minimised
+by Gauss-Newton with the derivatives of `physical_rollout`.
+
+What roll-outs weigh against the prior is what predicts flights left out best. A fit without a flight follows
+from the sums over the others, linearised at the fit to all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -22,231 +22,257 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.frames import Array
-from quadpi_core.models.disturbance import Disturbance
-from quadpi_core.models.physical_fit import FitStep, Problem
-from quadpi_core.models.physical_regressors import regressors
-from quadpi_core.models.physical_rollout import (
-    ATTITUDE,
-    POSITION,
-    RATES,
-    VELOCITY,
-    Disturbances,
-    Rolled,
-    Track,
-    roll_out,
+from quadpi_core.models.multi_step_errors import (
+    Part,
+    Windows,
+    all_rolled,
+    log_ratio,
+    mean_norms,
+    median_norms,
+    part_of,
 )
-from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
+from quadpi_core.models.physical_fit import FitStep, bounded_solution
+from quadpi_core.models.rollout_flight import RolloutFlight
 from quadpi_core.models.rollout_model import MOVES, RolloutModel
 
-# Horizons [s] of the errors, and what position, velocity, attitude and rates weigh there: at the first the
-# noise of two samples rules, which holds parameters to what the next sample shows.
-HORIZONS_S = (0.01, 0.1, 0.25, 0.5)
-_WEIGHTS = np.array(
-    [[0.0, 0.2, 0.2, 0.3], [0.0, 1.0, 1.0, 1.0], [0.0, 0.3, 0.3, 0.3], [0.5, 1.0, 1.0, 1.0]],
-)
-_PARTS = (POSITION, VELOCITY, ATTITUDE, RATES)
-# Between starts [s]: roll-outs of neighbours are then about independent.
-EVERY_S = 0.5
-# Share of the roll-outs that count as independent, all quantities and horizons of a start together.
-_INDEPENDENT = 0.15
-# Error [in medians] up to which it counts by its square: beyond, by its size.
-_SQUARE_TO = 0.5
-# Iterations end when the cost falls by less than this share.
-_ITERATIONS, _ENOUGH = 12, 2e-3
+# What an error of a roll-out weighs against the prior, tried in this order. All quantities and horizons of a
+# start are worth about one independent error, 0.15 each; the prior is of the same flights and too sure of
+# slow moments, so more may predict better. Beyond the last, errors a tenth of a second ahead grow.
+WEIGHTS_TRIED = (0.15, 0.6, 2.4)
+# Share of the errors on flights left out that must remain at most for the second step to be used: refits
+# with other starts move it by half a percent.
+WORTH_IT = 0.99
+# Iterations at each weight; they end earlier when the cost falls by less than this share.
+_ITERATIONS, _ENOUGH = 4, 5e-3
 _SHARES = (1.0, 0.5, 0.25, 0.1)
-# Share of the diagonal added to the Gauss-Newton matrix.
-_DAMPING = 0.02
-# Least median error, for flights of the model itself.
-_LEAST = 1e-9
-# Rounds of parameters, and of the disturbance that they leave.
-_ROUNDS = 2
-# Kernels release the interpreter.
-_THREADS = 2
-
-
-class _Cost(NamedTuple):
-    value: float
-    gradient: Array
-    matrix: Array
 
 
 @dataclass(frozen=True)
 class MultiStepFit:
-    """The model, and what was done.
+    """The models, and what was done.
 
     Attributes:
-        model: with the parameters found, their covariance and the disturbance left.
-        log: cost after each iteration.
+        model: fitted to all flights.
+        left_out: fitted without each of them.
+        weight: of the roll-outs; 0 where the first step is kept.
+        log: cost after each iteration, and error on flights left out at each weight.
     """
 
     model: RolloutModel
+    left_out: tuple[RolloutModel, ...]
+    weight: float
     log: tuple[FitStep, ...]
 
 
 def fit_multi_step(
     flights: Sequence[RolloutFlight],
-    start: RolloutModel,
-    problem: Problem,
-    *,
-    delays_s: Sequence[float] | None = None,
-    every_s: float = EVERY_S,
+    first: RolloutModel,
+    left_out: Sequence[RolloutModel],
+    lower: Array,
 ) -> MultiStepFit:
     """Improve a model by the errors of its predictions.
 
     Args:
         flights: to fit it to.
-        start: the model of the first step.
-        problem: prior of the parameters; bounds are not held.
-        delays_s: of the rotor speeds of each flight; default: the model's.
-        every_s: between starts.
+        first: the first step, fitted to all flights; its disturbance is that of roll-outs.
+        left_out: the first step without each of them.
+        lower: (P,) bounds of the parameters.
 
     Returns:
-        The start itself, said in the log, where predictions do not improve.
+        The models of the first step, said in their remark and the log, where predictions of flights left out
+        do not improve, or one flight is all there is.
     """
-    model, log = start, [FitStep("multi-step", "start", 0.0)]
-    for _ in range(_ROUNDS):
-        own = [
-            replace(model, rotor_delay_s=delay) for delay in delays_s or [model.rotor_delay_s] * len(flights)
+    if len(flights) < 2:
+        return _first_step(first, left_out, (), "one flight cannot tell whether predictions ahead improve")
+    found = [Windows.of(flight, first) for flight in flights]
+    used = [k for k, own in enumerate(found) if len(own.starts)]
+    windows = [found[k] for k in used]
+    free = MOVES & (np.diag(first.covariance) > 0.0)
+    for own in left_out:
+        free &= np.diag(own.covariance) > 0.0
+    if not windows:
+        return _first_step(first, left_out, (), "no roll-out of half a second can be used")
+    space = _Space(first.parameters, free, np.sqrt(np.diag(first.covariance))[free], lower)
+    prior, priors = _Prior.of(first, space), [_Prior.of(own, space) for own in left_out]
+    begun = mean_norms(windows, [left_out[k].parameters for k in used])
+    log: list[FitStep] = []
+    best, chosen, values = 0.0, None, first.parameters
+    for weight in WEIGHTS_TRIED:
+        solution = _minimised(windows, _Problem(space, prior, weight), values, log)
+        values = solution.values
+        apart = [
+            _without(solution, used.index(k) if k in used else None, _Problem(space, own, weight))
+            for k, own in enumerate(priors)
         ]
-        residuals = [m.residuals(flight) for m, flight in zip(own, flights, strict=True)]
-        process = Disturbance.of_residuals(residuals, flights[0].step, start.lead(flights[0].step))
-        model = replace(model, disturbance=process)
-        windows = [
-            _Windows.of(flight, replace(m, disturbance=process), every_s)
-            for m, flight in zip(own, flights, strict=True)
-        ]
-        model = _minimised([window for window in windows if len(window.starts)], model, problem, log)
-    return MultiStepFit(model, tuple(log))
+        gain = log_ratio(mean_norms(windows, [apart[k][0] for k in used]), begun)
+        log.append(FitStep("log error of flights left out", f"roll-outs weigh {weight:g}", gain))
+        if gain < best:
+            best, chosen = gain, (weight, solution.values, solution.covariance(), apart)
+    if chosen is None or best > np.log(WORTH_IT):
+        share = float(np.exp(min(best, 0.0)))
+        return _first_step(
+            first, left_out, log, f"flights left out are predicted with {share:.3f} of the errors at best"
+        )
+    weight, values, covariance, apart = chosen
+    remark = (
+        "parameters of their own, fitted to errors 0.01 to 0.5 s ahead: on flights left out these are "
+        f"{np.exp(best):.2f} times those by the parameters of the wrench"
+    )
+    return MultiStepFit(
+        _moved(first, space, values, covariance, remark),
+        tuple(_moved(own, space, *there, remark) for own, there in zip(left_out, apart, strict=True)),
+        weight,
+        tuple(log),
+    )
 
 
-class _Windows(NamedTuple):
-    """Roll-outs of a flight.
+class _Space(NamedTuple):
+    """Coordinates x (n,) of the parameters that move: in standard errors of the first step, from it.
 
     Attributes:
-        track: the flight.
-        starts: (W,) samples.
-        horizons: (H,) samples.
-        measured: (W, 6) wrench that a disturbance is filtered of.
-        predicted: (W, 6, P) per parameter, filtered alike.
-        decay: (6,) of the disturbance.
+        origin: (P,) parameters of the first step.
+        free: (P,) those that move.
+        unit: (n,) their standard errors.
+        lower: (P,) bounds.
     """
 
-    track: Track
-    starts: npt.NDArray[np.int64]
-    horizons: npt.NDArray[np.int64]
-    measured: Array
-    predicted: Array
-    decay: Array
+    origin: Array
+    free: npt.NDArray[np.bool_]
+    unit: Array
+    lower: Array
 
-    @classmethod
-    def of(cls, flight: RolloutFlight, model: RolloutModel, every_s: float) -> _Windows:
-        track = model.track(flight)
-        horizons = horizon_steps(HORIZONS_S, track.step)
-        starts = flight.starts(int(horizons[-1]), max(1, round(every_s / track.step)))
-        by_parameter = regressors(track.motion, model.vehicle).transpose(0, 2, 1)
-        process = replace(model.disturbance, step_s=track.step)
-        lead = model.lead(track.step)
-        before = np.maximum(starts - lead, 0)
-        aged = process.decay**lead
-        return cls(
-            track,
-            starts,
-            horizons,
-            process.filtered(flight.wrench)[before] * aged,
-            process.filtered(by_parameter)[before] * aged[:, np.newaxis],
-            process.decay,
-        )
-
-    def rolled(self, values: Array, *, derivatives: bool) -> Rolled:
-        """The roll-outs with parameters (P,)."""
-        known = self.measured - self.predicted @ values
-        slopes = -self.predicted if derivatives else np.zeros((0, 0, 0))
-        return roll_out(
-            self.track,
-            self.starts,
-            self.horizons,
-            np.where(MOVES, values, 0.0),
-            derivatives=derivatives,
-            disturbances=Disturbances(known, slopes, self.decay),
-        )
-
-
-def _minimised(
-    windows: Sequence[_Windows], start: RolloutModel, problem: Problem, log: list[FitStep]
-) -> RolloutModel:
-    free = MOVES & (np.diag(start.covariance) > 0.0)
-    spread = problem.spread[free]
-    values = start.parameters.copy()
-
-    def moved(trial: Array) -> Array:
-        result: Array = (trial - problem.mean)[free] / spread
+    def place(self, values: Array) -> Array:
+        """Coordinates of parameters (P,)."""
+        result: Array = (values - self.origin)[self.free] / self.unit
         return result
 
-    rolled = _rolled(windows, values, derivatives=True)
-    for number in range(_ITERATIONS):
-        scales = [_medians(own) for own in rolled]
-        cost = _cost(rolled, scales, moved(values), free, spread)
-        matrix = cost.matrix + _DAMPING * np.diag(np.diag(cost.matrix))
-        step = -np.linalg.solve(matrix, cost.gradient) * spread
+    def bound(self) -> Array:
+        """Bounds (n,) of the coordinates."""
+        return self.place(self.lower)
+
+
+class _Prior(NamedTuple):
+    """What the first step says: parameters (P,), their coordinates (n,), their information (n, n)."""
+
+    values: Array
+    centre: Array
+    information: Array
+
+    @classmethod
+    def of(cls, first: RolloutModel, space: _Space) -> _Prior:
+        scaled = first.covariance[np.ix_(space.free, space.free)] / np.outer(space.unit, space.unit)
+        information = np.asarray(np.linalg.inv(scaled), dtype=float)
+        return cls(first.parameters, space.place(first.parameters), information)
+
+
+class _Problem(NamedTuple):
+    """What is minimised: the prior and so many times the cost of the roll-outs."""
+
+    space: _Space
+    prior: _Prior
+    weight: float
+
+    def cost(self, values: Array, parts: Sequence[Part]) -> float:
+        away = self.space.place(values) - self.prior.centre
+        of_roll_outs = sum(part.value for part in parts)
+        return float(0.5 * away @ self.prior.information @ away) + self.weight * of_roll_outs
+
+    def matrix(self, parts: Sequence[Part]) -> Array:
+        result: Array = self.prior.information + self.weight * sum(part.matrix for part in parts)
+        return result
+
+    def step(self, values: Array, parts: Sequence[Part]) -> Array:
+        """Gauss-Newton step (n,) from parameters (P,) at which the parts were found."""
+        place = self.space.place(values)
+        gradient: Array = self.prior.information @ (place - self.prior.centre)
+        gradient = gradient + self.weight * sum(part.gradient for part in parts)
+        return bounded_solution(self.matrix(parts), -gradient, self.space.bound() - place)
+
+    def moved(self, values: Array, step: Array) -> Array:
+        result = values.copy()
+        result[self.space.free] += step * self.space.unit
+        return np.maximum(result, self.space.lower)
+
+    def covariance(self, parts: Sequence[Part]) -> Array:
+        """H⁻¹ (J + Λ) H⁻¹ (n, n), SI: J of the gradients of blocks, Λ that of the prior."""
+        inverse = np.linalg.inv(self.matrix(parts))
+        blocks = self.weight * np.concatenate([part.blocks for part in parts])
+        spread = inverse @ (blocks.T @ blocks + self.prior.information) @ inverse
+        result: Array = spread * np.outer(self.space.unit, self.space.unit)
+        return result
+
+
+class _Solution(NamedTuple):
+    """Parameters (P,) with the least cost, the problem, and the parts of each flight there."""
+
+    values: Array
+    problem: _Problem
+    parts: tuple[Part, ...]
+
+    def covariance(self) -> Array:
+        return self.problem.covariance(self.parts)
+
+
+def _minimised(windows: Sequence[Windows], problem: _Problem, start: Array, log: list[FitStep]) -> _Solution:
+    values, space = start, problem.space
+    rolled = all_rolled(windows, values, derivatives=True)
+    for _ in range(_ITERATIONS):
+        scales = [median_norms(own) for own in rolled]
+        parts = [
+            part_of(own, scale, space.free, space.unit) for own, scale in zip(rolled, scales, strict=True)
+        ]
+        before, step = problem.cost(values, parts), problem.step(values, parts)
         for share in _SHARES:
-            trial = values.copy()
-            trial[free] += share * step
-            tried = _cost(
-                _rolled(windows, trial, derivatives=False), scales, moved(trial), free, spread
-            ).value
-            if tried < cost.value:
+            trial = problem.moved(values, share * step)
+            there = all_rolled(windows, trial, derivatives=False)
+            tried = problem.cost(
+                trial,
+                [
+                    part_of(own, scale, space.free, space.unit)
+                    for own, scale in zip(there, scales, strict=True)
+                ],
+            )
+            if tried < before:
                 break
         else:
             break
         values = trial
-        log.append(
-            FitStep("multi-step", f"iteration {number + 1}, cost over that before", tried / cost.value)
-        )
-        rolled = _rolled(windows, values, derivatives=True)
-        if tried > cost.value * (1.0 - _ENOUGH):
+        log.append(FitStep("multi-step fit", f"roll-outs weigh {problem.weight:g}, cost", tried / before))
+        rolled = all_rolled(windows, values, derivatives=True)
+        if tried > before * (1.0 - _ENOUGH):
             break
-    final = _cost(rolled, [_medians(own) for own in rolled], moved(values), free, spread)
-    covariance = start.covariance.copy()
-    covariance[np.ix_(free, free)] = np.linalg.inv(final.matrix) * np.outer(spread, spread)
-    return replace(start, parameters=values, covariance=covariance)
+    return _Solution(
+        values, problem, tuple(part_of(own, median_norms(own), space.free, space.unit) for own in rolled)
+    )
 
 
-def _rolled(windows: Sequence[_Windows], values: Array, *, derivatives: bool) -> list[Rolled]:
-    with ThreadPoolExecutor(_THREADS) as threads:
-        return list(threads.map(lambda own: own.rolled(values, derivatives=derivatives), windows))
+def _without(solution: _Solution, flight: int | None, problem: _Problem) -> tuple[Array, Array]:
+    """Parameters (P,) and covariance (n, n) of a problem without the roll-outs of a flight."""
+    parts = [part for k, part in enumerate(solution.parts) if k != flight]
+    values = problem.moved(solution.values, problem.step(solution.values, parts))
+    return values, problem.covariance(parts)
 
 
-def _medians(rolled: Rolled) -> Array:
-    """Median norm (H, 4) of the errors of each horizon and quantity."""
-    norms = [np.linalg.norm(rolled.errors[..., part], axis=-1) for part in _PARTS]
-    result: Array = np.maximum(np.median(np.stack(norms, axis=-1), axis=0), _LEAST)
-    return result
+def _moved(first: RolloutModel, space: _Space, values: Array, covariance: Array, remark: str) -> RolloutModel:
+    """The model with other parameters; those of sensors follow as the first step correlates them."""
+    free = space.free
+    rest = (np.diag(first.covariance) > 0.0) & ~free
+    parameters, together = values.copy(), first.covariance.copy()
+    between = np.linalg.solve(first.covariance[np.ix_(free, free)], first.covariance[np.ix_(free, rest)])
+    parameters[~free] = first.parameters[~free]
+    parameters[rest] += between.T @ (values - first.parameters)[free]
+    together[np.ix_(free, free)] = covariance
+    together[np.ix_(free, rest)], together[np.ix_(rest, free)] = covariance @ between, between.T @ covariance
+    own = first.covariance[np.ix_(free, free)] - covariance
+    together[np.ix_(rest, rest)] -= between.T @ own @ between
+    return replace(first, parameters=parameters, covariance=together, remark=remark)
 
 
-def _cost(
-    rolled: Sequence[Rolled],
-    scales: Sequence[Array],
-    moved: Array,
-    free: npt.NDArray[np.bool_],
-    spread: Array,
-) -> _Cost:
-    """Cost of errors and parameters (moved, in spreads), gradient and Gauss-Newton matrix."""
-    value = 0.5 * float(moved @ moved)
-    gradient, matrix = moved.copy(), np.eye(len(moved))
-    for own, scale in zip(rolled, scales, strict=True):
-        if not np.all(np.isfinite(own.errors)):
-            return _Cost(np.inf, gradient, matrix)
-        for (horizon, quantity), weight in np.ndenumerate(_INDEPENDENT * _WEIGHTS):
-            if weight == 0.0:
-                continue
-            part, unit = _PARTS[quantity], scale[horizon, quantity]
-            errors = own.errors[:, horizon, part] / unit
-            size = np.sqrt(_SQUARE_TO**2 + np.sum(np.square(errors), axis=1))
-            value += weight * float(np.sum(size - _SQUARE_TO))
-            if len(own.derivatives):
-                slopes = own.derivatives[:, horizon, part][:, :, free] * (spread / unit)
-                rows = slopes.reshape(-1, len(spread))
-                flat = np.repeat(weight / size, 3)
-                gradient = gradient + rows.T @ (flat * errors.reshape(-1))
-                matrix = matrix + (rows * flat[:, np.newaxis]).T @ rows
-    return _Cost(value, gradient, matrix)
+def _first_step(
+    first: RolloutModel, left_out: Sequence[RolloutModel], log: Sequence[FitStep], why: str
+) -> MultiStepFit:
+    remark = f"parameters of the wrench; fitting them to errors ahead was not used: {why}"
+    kept = tuple(replace(own, remark=remark) for own in left_out)
+    return MultiStepFit(
+        replace(first, remark=remark), kept, 0.0, (*log, FitStep("multi-step fit", f"not used: {why}", 1.0))
+    )

@@ -24,7 +24,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_flight import FORCE, PhysicalFlight, Sensing
 from quadpi_core.models.physical_regressors import acting_terms, physical_vehicle
-from quadpi_core.models.physical_terms import TERM_NAMES, TERMS, scales
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 
@@ -35,8 +35,9 @@ _LONGEST_LAG_S = 5.0
 _FEWEST_INDEPENDENT_HZ = 1.0
 # A parameter whose standard error is this share of its prior spread was not identified by the flights.
 _UNKNOWN = 0.9
-# A bound holds within this share of the prior spread.
-_AT_BOUND = 1e-6
+# A bound holds within this share of the prior spread; what is said of it.
+_WITHIN = 1e-6
+AT_BOUND = "at its lower bound, 0"
 # Standard deviation of the thrust of a flight over that of others at the same rotor speeds, before there are
 # flights to tell, and how many flights that is worth. A NeuroBEM flight of another day has 3 % less, five of
 # an indiflight quadrotor spread by 2.6 %; 3 °C or 10 hPa are 1 %. Set with the NeuroBEM flights in view.
@@ -182,11 +183,7 @@ class PhysicalFit:
     @property
     def at_bound(self) -> list[str]:
         """Parameters that physics keeps from becoming negative."""
-        return [
-            term.name
-            for term, value, spread, kept in zip(TERMS, self.values, self.spreads, self.kept, strict=True)
-            if kept and term.positive and value <= _AT_BOUND * spread
-        ]
+        return [name for name in bounded_terms(self.values, self.spreads) if self.kept[TERM_INDEX[name]]]
 
     @property
     def notes(self) -> dict[str, str]:
@@ -195,19 +192,11 @@ class PhysicalFit:
         missing = {
             name: f"not identified by these flights: fly {manoeuvres[name]}" for name in self.unidentified
         }
-        return missing | dict.fromkeys(self.at_bound, "at its lower bound, 0")
+        return missing | dict.fromkeys(self.at_bound, AT_BOUND)
 
     def worst_pairs(self, count: int = 5) -> list[tuple[str, str, float]]:
         """The most correlated pairs of parameters, with their correlation."""
-        kept = np.flatnonzero(self.kept)
-        errors = self.standard_errors[kept]
-        correlation = self.covariance[np.ix_(kept, kept)] / np.outer(errors, errors)
-        rows, columns = np.triu_indices(len(kept), 1)
-        worst = np.argsort(-np.abs(correlation[rows, columns]))[:count]
-        return [
-            (TERM_NAMES[kept[rows[i]]], TERM_NAMES[kept[columns[i]]], float(correlation[rows[i], columns[i]]))
-            for i in worst
-        ]
+        return worst_pairs(self.covariance, count)
 
 
 @dataclass(frozen=True)
@@ -276,11 +265,7 @@ class Problem:
     ) -> Array:
         """Parameters (P,); zero where not kept."""
         matrix, right = self._normal(total(information), weighing, kept)
-        change = cho_solve(cho_factor(matrix), right)
-        lower = (self.lower[kept] - self.mean[kept]) / self.spread[kept]
-        if np.any(change < lower):
-            factor = np.linalg.cholesky(matrix)
-            change = lsq_linear(factor.T, np.linalg.solve(factor, right), bounds=(lower, np.inf)).x
+        change = bounded_solution(matrix, right, (self.lower[kept] - self.mean[kept]) / self.spread[kept])
         values = np.zeros(len(TERMS))
         values[kept] = self.mean[kept] + self.spread[kept] * change
         return values
@@ -314,6 +299,16 @@ class Problem:
         return matrix * np.outer(spread, spread) + np.eye(len(spread)), right
 
 
+def bounded_solution(matrix: Array, right: Array, lower: Array) -> Array:
+    """Least xᵀ M x / 2 - rᵀ x for a positive definite matrix (s, s), right side (s,) and bounds (s,)."""
+    free: Array = cho_solve(cho_factor(matrix), right)
+    if not np.any(free < lower):
+        return free
+    factor = np.linalg.cholesky(matrix)
+    bounded: Array = lsq_linear(factor.T, np.linalg.solve(factor, right), bounds=(lower, np.inf)).x
+    return bounded
+
+
 def total(information: Sequence[Information]) -> Information:
     """The sums over all flights."""
     sums = information[0]
@@ -334,6 +329,28 @@ def _independent_share(errors: Sequence[Array], lags: int) -> float:
     time = 2.0 * np.cumsum(sums / sums[0]) - 1.0
     window = int(np.argmax(np.arange(len(time)) >= 5.0 * time)) or len(time) - 1
     return float(1.0 / max(time[window], 1.0))
+
+
+def bounded_terms(values: Array, spreads: Array) -> list[str]:
+    """Terms that physics keeps from becoming negative, of parameters (P,) with spreads (P,)."""
+    return [
+        term.name
+        for term, value, spread in zip(TERMS, values, spreads, strict=True)
+        if term.positive and value <= _WITHIN * spread
+    ]
+
+
+def worst_pairs(covariance: Array, count: int = 5) -> list[tuple[str, str, float]]:
+    """The most correlated pairs of parameters of a covariance (P, P), with their correlation."""
+    errors = np.sqrt(np.diag(covariance))
+    kept = np.flatnonzero(errors > 0.0)
+    correlation = covariance[np.ix_(kept, kept)] / np.outer(errors[kept], errors[kept])
+    rows, columns = np.triu_indices(len(kept), 1)
+    worst = np.argsort(-np.abs(correlation[rows, columns]))[:count]
+    return [
+        (TERM_NAMES[kept[rows[i]]], TERM_NAMES[kept[columns[i]]], float(correlation[rows[i], columns[i]]))
+        for i in worst
+    ]
 
 
 def thrust_variance(changes: Sequence[float]) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.disturbance import Disturbance
 from quadpi_core.models.model_kind import TrainingSamples
-from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.multi_step_fit import fit_multi_step
+from quadpi_core.models.physical_fit import FitStep, PhysicalFit, Problem
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_rollout import STATES, roll_out
 from quadpi_core.models.rollout_calibration import HORIZONS_S, TubeCalibration, error_norms, tube_scores
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
-from quadpi_core.models.rollout_model import LEAD_S, MOVES, FlightRollouts, RolloutModel
+from quadpi_core.models.rollout_model import MOVES, FlightRollouts, RolloutModel, disturbance_left
 from quadpi_core.rotations import from_rotation_vectors, inverses, products
 
 # Between the starts that calibrate [s].
@@ -31,33 +33,46 @@ _THREADS = 2
 _ANGLES = slice(INPUT_INDEX["sin_phi"], INPUT_INDEX["cos_theta"] + 1)
 
 
+class CalibratedRollouts(NamedTuple):
+    """A model that predicts ahead, None where no flight is as long as the longest horizon; log of its fit."""
+
+    model: RolloutModel | None
+    log: tuple[FitStep, ...]
+
+
 def calibrated_rollouts(
-    flights: Sequence[RolloutFlight], whole: PhysicalFit, left_out: Sequence[PhysicalFit]
-) -> RolloutModel | None:
+    flights: Sequence[RolloutFlight],
+    whole: PhysicalFit,
+    left_out: Sequence[PhysicalFit],
+    *,
+    multi_step: bool,
+) -> CalibratedRollouts:
     """A model that predicts ahead, its tubes calibrated on flights that the parameters did not see.
 
     Args:
         flights: of the vehicle.
         whole: fit to all of them.
         left_out: fits without each of them; with a single flight, that of all.
-
-    Returns:
-        None where no flight is as long as the longest horizon.
+        multi_step: fit the parameters to errors of predictions ahead as well.
     """
     long = [k for k, flight in enumerate(flights) if flight.time[-1] - flight.time[0] > 1.1 * HORIZONS_S[-1]]
     if not long:
-        return None
+        return CalibratedRollouts(None, ())
     headed = [flights[k] for k in long]
     step = headed[0].step
     bare = [_uncalibrated(left_out[k], Disturbance.nothing(step)) for k in long]
-    lead = max(1, round(LEAD_S / step))
-    residuals = [model.residuals(flight) for model, flight in zip(bare, headed, strict=True)]
+    final = _uncalibrated(whole, disturbance_left(bare, headed))
+    log: tuple[FitStep, ...] = ()
+    if multi_step:
+        found = fit_multi_step(headed, final, bare, Problem.of(whole.vehicle, whole.reference_thrust).lower)
+        bare, log = list(found.left_out), found.log
+        final = replace(found.model, disturbance=disturbance_left(bare, headed))
     variance = _measured_variance(bare, headed)
-    models = [
-        replace(model, disturbance=Disturbance.of_residuals(own, step, lead), measured_variance=variance)
-        for k, model in enumerate(bare)
-        for own in [residuals[:k] + residuals[k + 1 :] or residuals]
-    ]
+    models = []
+    for k, model in enumerate(bare):
+        others = [j for j in range(len(bare)) if j != k] or [k]
+        process = disturbance_left([bare[j] for j in others], [headed[j] for j in others])
+        models.append(replace(model, disturbance=process, measured_variance=variance))
 
     def rolled(model: RolloutModel, flight: RolloutFlight) -> FlightRollouts:
         horizons = horizon_steps(HORIZONS_S, flight.step)
@@ -70,16 +85,12 @@ def calibrated_rollouts(
     with ThreadPoolExecutor(_THREADS) as threads:
         of_flights = [own for own in threads.map(rolled, models, headed) if len(own.starts)]
     if not of_flights:
-        return None
+        return CalibratedRollouts(None, log)
     calibration = TubeCalibration.of_flights(
         [tube_scores(own.errors, own.covariance) for own in of_flights],
         [error_norms(own.errors) for own in of_flights],
     )
-    return replace(
-        _uncalibrated(whole, Disturbance.of_residuals(residuals, step, lead)),
-        measured_variance=variance,
-        calibration=calibration,
-    )
+    return CalibratedRollouts(replace(final, measured_variance=variance, calibration=calibration), log)
 
 
 def _uncalibrated(fit: PhysicalFit, disturbance: Disturbance) -> RolloutModel:

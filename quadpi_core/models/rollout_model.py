@@ -9,7 +9,7 @@ parameters leave, scaled by a factor that was calibrated on flights left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -32,8 +32,9 @@ from quadpi_core.records import Records
 # Samples [s] before a start whose residual is not used: the low-pass of all signals works in both directions,
 # and its impulse response at 30 Hz has died out after this.
 LEAD_S = 0.02
-# Parameters of sensors move no body.
-MOVES = np.array([not name.startswith("imu_") for name in TERM_NAMES])
+# Parameters of sensors move no body: place, bias and inclination of the accelerometer.
+_SENSORS = ("imu_", "bias_x", "bias_y", "bias_z", "incline_")
+MOVES = np.array([not name.startswith(_SENSORS) for name in TERM_NAMES])
 
 
 class FlightRollouts(NamedTuple):
@@ -67,6 +68,7 @@ class RolloutModel:
         measured_variance: (12,) of a measured state.
         calibration: of the tubes; None before it is made.
         lead_s: before a start whose residuals are not used.
+        remark: on where the parameters come from.
     """
 
     parameters: Array
@@ -79,6 +81,7 @@ class RolloutModel:
     measured_variance: Array
     calibration: TubeCalibration | None = None
     lead_s: float = LEAD_S
+    remark: str = ""
 
     def track(self, flight: RolloutFlight) -> Track:
         """A flight on an even time grid as roll-outs need it."""
@@ -170,6 +173,7 @@ class RolloutModel:
             "gravity": self.gravity,
             "rotor_delay_s": self.rotor_delay_s,
             "disturbance": self.disturbance.to_json(),
+            "remark": self.remark,
         }
 
     @classmethod
@@ -210,7 +214,15 @@ class RolloutModel:
             Disturbance.from_json(entry.disturbance),
             arrays["measured_variance"],
             TubeCalibration.stored(dict(arrays)),
+            remark=entry.remark,
         )
+
+
+def disturbance_left(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Disturbance:
+    """The process that models leave on flights, best on ones that they did not see."""
+    residuals = [model.residuals(flight) for model, flight in zip(models, flights, strict=True)]
+    step = flights[0].step
+    return Disturbance.of_residuals(residuals, step, models[0].lead(step))
 
 
 @dataclass(frozen=True)
@@ -221,3 +233,4 @@ class _Entry:
     gravity: Positive
     rotor_delay_s: NotNegative
     disturbance: dict[str, Any]
+    remark: str = ""

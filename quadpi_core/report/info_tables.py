@@ -172,7 +172,7 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
         "axes": {axis: model.fitted[axis].terms for axis in model.axes},
         "facts": {
             facts.title: [dict(zip(facts.columns, row, strict=True)) for row in facts.rows]
-            for facts in model.kind.facts(model.fitted)
+            for facts in model.kind.facts(model.fitted, model.rollouts)
         },
         "flights": [asdict(flight) for flight in model.flights],
         "envelope": {

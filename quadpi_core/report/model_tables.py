@@ -104,7 +104,7 @@ def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
         model: of any kind.
         most: parameters to show.
     """
-    for facts in model.kind.facts(model.fitted):
+    for facts in model.kind.facts(model.fitted, model.rollouts):
         if not set(_PARAMETER) <= set(facts.columns):
             continue
         places = [facts.columns.index(heading) for heading in _PARAMETER]
@@ -123,7 +123,7 @@ def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
 def fact_tables(model: AerodynamicModel) -> list[Table]:
     """What the kind of the model has to say of it."""
     tables = []
-    for facts in model.kind.facts(model.fitted):
+    for facts in model.kind.facts(model.fitted, model.rollouts):
         numeric = [not isinstance(cell, str) for cell in facts.rows[0]] if facts.rows else []
         columns = [
             Column(heading, number) if is_number else Column(heading, is_text=True, wraps=True)

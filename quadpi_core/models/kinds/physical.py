@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,21 @@ from quadpi_core.models.model_kind import (
     Pools,
     StoredAxes,
     TrainingSamples,
+    option,
 )
-from quadpi_core.models.physical_fit import PhysicalFit, thrust_variance
+from quadpi_core.models.physical_fit import (
+    AT_BOUND,
+    PhysicalFit,
+    bounded_terms,
+    thrust_variance,
+    worst_pairs,
+)
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_regressors import acting_terms
 from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
-from quadpi_core.models.physical_terms import TERM_NAMES
+from quadpi_core.models.physical_terms import TERM_NAMES, TERMS
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
+from quadpi_core.models.rollout_model import MOVES, RolloutModel
 from quadpi_core.parallel import Progress, ReportProgress
 from quadpi_core.signals.force_bandwidth import as_recorded
 
@@ -42,8 +50,15 @@ FIT_FILE, TABLE_FILE = "fit.json", "parameters.csv"
 _PEAK_STEP = 8
 
 
+@dataclass(frozen=True)
 class Physical(Kind):
-    """All axes by one set of physical parameters."""
+    """All axes by one set of physical parameters.
+
+    Attributes:
+        multi_step: fit the parameters that predict ahead a second time, to errors of predictions.
+    """
+
+    multi_step: bool = option(False, "Fit the parameters of rollout to errors up to 0.5 s ahead as well.")
 
     name = FittedPhysical.method
     label = "physical model"
@@ -78,6 +93,10 @@ class Physical(Kind):
             for k in range(len(flights)):
                 progress(Progress("Identifying the physical model", k + 1, steps))
                 left_out.append(study.fit(choose=True, left_out=k) if len(flights) > 1 else whole)
+        progress(Progress("Calibrating predictions ahead", 0, 1))
+        with threadpool_limits(limits=1, user_api="blas"):
+            ahead = calibrated_rollouts(rollout_flights(samples), whole, left_out, multi_step=self.multi_step)
+        whole = replace(whole, log=(*whole.log, *ahead.log))
         every = range(len(flights))
         others = [[other for other in every if other != k] for k in every]
         # Shape and factor are those that these flights need. On a new flight thrust differs as a whole, which
@@ -112,8 +131,8 @@ class Physical(Kind):
             fitted[axis] = replace(
                 final[axis], shape=shape, rule=rules[axis], rms_spread=float(np.sqrt(np.mean(squares)))
             )
-        rollouts = calibrated_rollouts(rollout_flights(samples), whole, left_out)
-        return Fit(fitted, held_out, rollouts=rollouts)
+        progress(Progress("Calibrating predictions ahead", 1, 1))
+        return Fit(fitted, held_out, rollouts=ahead.model)
 
     def compile(self, fitted: Mapping[str, Any]) -> CompiledPhysical:
         """Pack the axes."""
@@ -139,8 +158,8 @@ class Physical(Kind):
             section["effects"] = {"imu_lever_arm": lever_arm}
         return section
 
-    def facts(self, fitted: Mapping[str, Any]) -> list[Facts]:
-        """Parameters, their most correlated pairs, and the log of the fit."""
+    def facts(self, fitted: Mapping[str, Any], rollouts: RolloutModel | None) -> list[Facts]:
+        """Parameters, their most correlated pairs, those that predict ahead, and the log of the fit."""
         shared = _shared(fitted)
         return [
             Facts(
@@ -150,6 +169,7 @@ class Physical(Kind):
                 _sensing_words(shared),
             ),
             Facts("most correlated parameters", ("one", "other", "correlation"), shared.worst_pairs),
+            *([] if rollouts is None else _facts_ahead(rollouts)),
             Facts(
                 "log of the fit",
                 ("step", "of", "error"),
@@ -183,6 +203,30 @@ class Physical(Kind):
 def _shared(fitted: Mapping[str, Any]) -> PhysicalParameters:
     shared: PhysicalParameters = next(iter(fitted.values())).parameters
     return shared
+
+
+def _facts_ahead(rollouts: RolloutModel) -> list[Facts]:
+    """The parameters that predict ahead, and their most correlated pairs."""
+    values, errors = rollouts.parameters, np.sqrt(np.diag(rollouts.covariance))
+    bounded = bounded_terms(values, errors)
+    rows = [
+        (term.name, float(values[k]), float(errors[k]), term.unit, AT_BOUND if term.name in bounded else "")
+        for k, term in enumerate(TERMS)
+        if MOVES[k] and errors[k] > 0.0
+    ]
+    return [
+        Facts(
+            "parameters that predict ahead",
+            ("parameter", "value", "standard error", "unit", "note"),
+            rows,
+            rollouts.remark,
+        ),
+        Facts(
+            "most correlated parameters that predict ahead",
+            ("one", "other", "correlation"),
+            worst_pairs(rollouts.covariance),
+        ),
+    ]
 
 
 def _sensing_words(shared: PhysicalParameters) -> str:

@@ -45,6 +45,13 @@ def test_a_disturbance_is_that_of_the_past() -> None:
     np.testing.assert_array_equal(found.filtered(series)[:3001], found.filtered(changed)[:3001])
 
 
+def test_a_flight_may_be_filtered_in_parts() -> None:
+    found, series = Disturbance.of_residuals([residuals(1)], STEP_S), residuals(2)
+    first = found.filtered(series[:700])
+    parts = np.concatenate((first, found.filtered(series[700:], first[-1])))
+    np.testing.assert_allclose(parts, found.filtered(series), rtol=1e-12, atol=1e-15)
+
+
 def test_white_residuals_hold_nothing() -> None:
     rng = np.random.default_rng(3)
     found = Disturbance.of_residuals([rng.normal(size=(6000, 6))], STEP_S)

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from quadpi_core.frames import Array
-from quadpi_core.models.multi_step_fit import MultiStepFit, fit_multi_step
+from quadpi_core.models import multi_step_fit
+from quadpi_core.models.multi_step_fit import WEIGHTS_TRIED, MultiStepFit, fit_multi_step
 from quadpi_core.models.physical_fit import Problem
 from quadpi_core.models.physical_rollout import ATTITUDE
-from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.models.physical_terms import TERM_INDEX
 from quadpi_core.models.rollout_flight import RolloutFlight
 from quadpi_core.models.rollout_model import RolloutModel
-from test.core.models.flights_ahead import ahead, true_model
-from test.core.models.physical_flights import REFERENCE, VEHICLE, known_parameters
+from test.core.models.flights_ahead import ahead, true_model, with_attitude
+from test.core.models.physical_flights import REFERENCE, VEHICLE, flown, known_parameters
 
 PROBLEM = Problem.of(VEHICLE, REFERENCE)
-HUB = TERM_INDEX["hub_height"]
+HUB, TORQUE = TERM_INDEX["hub_height"], TERM_INDEX["torque"]
 
 
 def wrong_model() -> RolloutModel:
@@ -29,6 +30,10 @@ def wrong_model() -> RolloutModel:
     return replace(true_model(), parameters=values, covariance=covariance)
 
 
+def fitted(flights: list[RolloutFlight], first: RolloutModel) -> MultiStepFit:
+    return fit_multi_step(flights, first, [first] * len(flights), PROBLEM.lower)
+
+
 def attitude_error(model: RolloutModel, flight: RolloutFlight) -> float:
     errors = model.predicted(flight, flight.starts(50, 10), np.array([50])).errors[:, 0, ATTITUDE]
     return float(np.median(np.linalg.norm(errors, axis=1)))
@@ -36,37 +41,111 @@ def attitude_error(model: RolloutModel, flight: RolloutFlight) -> float:
 
 @pytest.fixture(scope="module")
 def flights() -> list[RolloutFlight]:
-    return [ahead(10.0, seed, noise=1.0) for seed in (1, 2)]
+    return [ahead(10.0, seed, noise=1.0) for seed in (1, 2, 3)]
 
 
 @pytest.fixture(scope="module")
 def fit(flights: list[RolloutFlight]) -> MultiStepFit:
-    return fit_multi_step(flights, wrong_model(), PROBLEM)
+    return fitted(flights, wrong_model())
 
 
 def test_predictions_of_a_flight_that_was_not_seen_improve(fit: MultiStepFit) -> None:
     flight = ahead(10.0, 9, noise=1.0)
     assert attitude_error(fit.model, flight) < 0.3 * attitude_error(wrong_model(), flight)
     assert abs(fit.model.parameters[HUB] - known_parameters()[HUB]) < 0.2 * PROBLEM.spread[HUB]
+    assert fit.weight in WEIGHTS_TRIED
+    assert "times those by the parameters of the wrench" in fit.model.remark
 
 
-def test_the_cost_falls_with_each_iteration(fit: MultiStepFit) -> None:
-    costs = [step.error for step in fit.log if "iteration" in step.of]
+def test_the_log_has_the_cost_of_each_iteration_and_the_gain_of_each_weight(fit: MultiStepFit) -> None:
+    costs = [step.error for step in fit.log if step.of.endswith("cost")]
+    gains = [step.error for step in fit.log if step.step == "log error of flights left out"]
     assert costs
     assert max(costs) < 1.0
+    assert len(gains) == len(WEIGHTS_TRIED)
+    assert min(gains) < np.log(0.7)
+
+
+def test_a_fit_without_a_flight_is_that_of_the_others(
+    flights: list[RolloutFlight], fit: MultiStepFit
+) -> None:
+    others = fitted(flights[:2], wrong_model())
+    apart = (fit.left_out[2].parameters - others.model.parameters) / PROBLEM.spread
+    assert abs(apart[HUB]) < 0.1
+    assert attitude_error(fit.left_out[2], flights[2]) < 0.3 * attitude_error(wrong_model(), flights[2])
 
 
 def test_standard_errors_shrink_where_predictions_tell_a_parameter(fit: MultiStepFit) -> None:
     errors: Array = np.sqrt(np.diag(fit.model.covariance)) / PROBLEM.spread
     assert errors[HUB] < 0.4
-    # The position of the accelerometer moves no body.
-    assert errors[TERM_INDEX["imu_x"]] == pytest.approx(1.0)
+    # Place, bias and inclination of the accelerometer move no body.
+    for name in ("imu_x", "bias_x", "incline_y"):
+        assert errors[TERM_INDEX[name]] == pytest.approx(1.0)
+    away = (fit.model.parameters - known_parameters()) / np.sqrt(np.diag(fit.model.covariance))
+    assert np.mean(np.abs(away) < 2.0) > 0.9
+    correlation = fit.model.covariance / np.outer(PROBLEM.spread, PROBLEM.spread)
+    assert np.linalg.eigvalsh(correlation).min() > 0.0
+
+
+def test_parameters_of_sensors_follow_those_that_move(flights: list[RolloutFlight]) -> None:
+    """A force of the accelerometer that the first step confused with the hub moves with it."""
+    first = wrong_model()
+    bias = TERM_INDEX["bias_x"]
+    first.covariance[bias, HUB] = first.covariance[HUB, bias] = (
+        0.9 * PROBLEM.spread[bias] * PROBLEM.spread[HUB]
+    )
+    found = fitted(flights[:2], first).model
+    moved = (found.parameters - first.parameters) / PROBLEM.spread
+    assert moved[bias] == pytest.approx(0.9 * moved[HUB], rel=1e-6)
+    assert np.sqrt(found.covariance[bias, bias]) < 0.9 * PROBLEM.spread[bias]
 
 
 def test_a_wild_sample_changes_little(flights: list[RolloutFlight], fit: MultiStepFit) -> None:
     motion = flights[0].motion.copy()
     motion["rates"][305] += 50.0
-    wild = fit_multi_step([replace(flights[0], motion=motion), flights[1]], wrong_model(), PROBLEM)
+    wild = fitted([replace(flights[0], motion=motion), *flights[1:]], wrong_model())
     moved = (wild.model.parameters - fit.model.parameters) / PROBLEM.spread
     assert abs(moved[HUB]) < 0.2
-    assert len(wild.model.parameters) == len(TERMS)
+
+
+def test_a_bound_holds() -> None:
+    """Torque that turns the wrong way is not found, but none at all."""
+    values = known_parameters()
+    values[TORQUE] *= -0.5
+    flights = [with_attitude(flown(6.0, seed, noise=0.1, values=values)) for seed in (1, 2)]
+    first = wrong_model()
+    first.parameters[TORQUE] = 0.02 * PROBLEM.spread[TORQUE]
+    found = fitted(flights, first).model.parameters[TORQUE]
+    assert 0.0 <= found < 1e-9 * PROBLEM.spread[TORQUE]
+
+
+def test_the_first_step_is_kept_where_it_cannot_be_improved(flights: list[RolloutFlight]) -> None:
+    sure = replace(true_model(), covariance=1e-10 * wrong_model().covariance)
+    kept = fitted(flights[:2], sure)
+    assert kept.weight == 0.0
+    np.testing.assert_array_equal(kept.model.parameters, sure.parameters)
+    np.testing.assert_array_equal(kept.left_out[1].covariance, sure.covariance)
+    assert "was not used: flights left out are predicted with" in kept.model.remark
+    assert kept.log[-1].of.startswith("not used")
+
+
+def test_a_fit_that_diverges_on_flights_left_out_is_not_used(
+    flights: list[RolloutFlight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def diverging(*given: object) -> Array:
+        calls.append(given)
+        return np.full((2, 4, 4), np.inf if len(calls) > 1 else 1.0)
+
+    monkeypatch.setattr(multi_step_fit, "mean_norms", diverging)
+    kept = fitted(flights[:2], wrong_model())
+    assert len(calls) == 1 + len(WEIGHTS_TRIED)
+    assert kept.weight == 0.0
+    np.testing.assert_array_equal(kept.model.parameters, wrong_model().parameters)
+
+
+def test_one_flight_cannot_tell(flights: list[RolloutFlight]) -> None:
+    kept = fitted(flights[:1], wrong_model())
+    assert "one flight cannot tell" in kept.model.remark
+    np.testing.assert_array_equal(kept.model.parameters, wrong_model().parameters)

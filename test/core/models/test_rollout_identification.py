@@ -12,13 +12,14 @@ from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.physical_fit import PhysicalFit
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.models.rollout_calibration import HORIZONS_S, error_norms, tube_scores
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.rotations import inverses, products, to_rotation_vectors
 from test.core.models.flights_ahead import with_attitude
-from test.core.models.physical_flights import VEHICLE, flown, samples_of
+from test.core.models.physical_flights import VEHICLE, flown, known_parameters, samples_of
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +36,12 @@ def fits(flights: list[PhysicalFlight]) -> list[PhysicalFit]:
 
 @pytest.fixture(scope="module")
 def model(flights: list[PhysicalFlight], fits: list[PhysicalFit]) -> RolloutModel:
-    made = calibrated_rollouts([with_attitude(flight) for flight in flights], fits[0], fits[1:])
-    assert made is not None
-    return made
+    ahead = [with_attitude(flight) for flight in flights]
+    made = calibrated_rollouts(ahead, fits[0], fits[1:], multi_step=False)
+    assert made.model is not None
+    assert made.log == ()
+    np.testing.assert_array_equal(made.model.parameters, fits[0].values)
+    return made.model
 
 
 def samples(flight: PhysicalFlight, own: RolloutFlight) -> TrainingSamples:
@@ -66,6 +70,34 @@ def test_tubes_hold_a_flight_that_was_not_seen(model: RolloutModel) -> None:
     assert np.median(error_norms(rolled.errors)[:, -2, 2]) < 0.1
 
 
+def test_the_second_step_is_fitted_and_calibrated(
+    flights: list[PhysicalFlight], fits: list[PhysicalFit]
+) -> None:
+    ahead = [with_attitude(flight) for flight in flights]
+    # A moment of the hub that single samples did not tell, known as badly as the prior.
+    hub = TERM_INDEX["hub_height"]
+    spread = fits[0].spreads[hub]
+    for_hub = np.diag(np.where(np.arange(len(TERMS)) == hub, spread**2, 0.0))
+    wrong = [
+        replace(
+            fit,
+            values=fit.values + spread * (np.arange(len(TERMS)) == hub),
+            covariance=fit.covariance + for_hub,
+        )
+        for fit in fits
+    ]
+    first = calibrated_rollouts(ahead, wrong[0], wrong[1:], multi_step=False).model
+    second, log = calibrated_rollouts(ahead, wrong[0], wrong[1:], multi_step=True)
+    assert first is not None
+    assert second is not None
+    assert log
+    assert abs(second.parameters[hub] - known_parameters()[hub]) < 0.3 * spread
+    assert second.calibration is not None
+    assert first.calibration is not None
+    radii = [own.radii([0.5], 0.95)[0, 2] for own in (second.calibration, first.calibration)]
+    assert radii[0] < 0.6 * radii[1]
+
+
 def test_a_confidence_that_is_higher_takes_a_larger_tube(model: RolloutModel) -> None:
     assert model.calibration is not None
     low, high = (model.calibration.factors(HORIZONS_S, level) for level in (0.8, 0.99))
@@ -74,4 +106,4 @@ def test_a_confidence_that_is_higher_takes_a_larger_tube(model: RolloutModel) ->
 
 def test_flights_shorter_than_the_longest_horizon_calibrate_nothing(fits: list[PhysicalFit]) -> None:
     short = with_attitude(flown(1.05, 4))
-    assert calibrated_rollouts([short], fits[0], fits[:1]) is None
+    assert calibrated_rollouts([short], fits[0], fits[:1], multi_step=True).model is None

@@ -114,7 +114,10 @@ def test_a_fit_file_that_no_fit_gives_is_refused(fit: Fit, damage: dict[str, Any
 
 
 def test_facts_are_parameters_pairs_and_log(fit: Fit) -> None:
-    parameters, pairs, log = KIND.facts(fit.axes)
+    parameters, pairs, ahead, ahead_pairs, log = KIND.facts(fit.axes, fit.rollouts)
+    assert ahead.title == "parameters that predict ahead"
+    assert "imu_x" in {row[0] for row in parameters.rows} - {row[0] for row in ahead.rows}
+    assert abs(float(ahead_pairs.rows[0][2])) > 0.9
     assert parameters.note == "rotor speeds act 0 ms after they were measured"
     assert parameters.rows[0][0] == "thrust"
     assert abs(float(pairs.rows[0][2])) > 0.9
@@ -131,7 +134,7 @@ def test_errors_are_judged_by_forces_as_they_were_recorded() -> None:
     smoothed = KIND.fit(samples_of(flights), pools("Fz"), OPTIONS, ignore_progress)
     bandwidth = KIND.force_bandwidth_hz(smoothed.axes)
     assert bandwidth is not None
-    assert "smoothed alike" in KIND.facts(smoothed.axes)[0].note
+    assert "smoothed alike" in KIND.facts(smoothed.axes, smoothed.rollouts)[0].note
     raw = evaluated(smoothed, flights[0]).predicted[:, 2]
     unsmoothed = np.std(flights[0].wrench[:, 2] - raw)
     assert np.std(smoothed.held_out["Fz"][0].error) < 0.3 * unsmoothed
