@@ -79,7 +79,11 @@ def test_the_estimate_and_its_transform_are_the_same(
     given = ("vehicle:=neurobem", "tf_rate_hz:=50", "world_frame:=odom")
     with started(ros_domain, *(part for one in given for part in ("-p", one)), "-r", "__ns:=/uav"):
         node = EstimatorNode()
-        monkeypatch.setattr(node, "announce", lambda _, topic: published.setdefault(topic, []).append)
+
+        def announce(_: type, topic: str, **__: Any) -> Callable[[bytes], None]:
+            return published.setdefault(topic, []).append
+
+        monkeypatch.setattr(node, "announce", announce)
         start([node])
         take = {one.topic_name: one.callback for one in node.subscriptions}
         attitude, still = np.array([[0.8, 0.0, 0.0, 0.6]]), np.zeros((1, 3))
