@@ -119,7 +119,7 @@ SYSTEM_PACKAGES = {"pyyaml": "python3-yaml", "llvmlite": "python3-numba"}
 # Imported only where an extra of pyproject.toml is asked for, or what it tests with.
 OPTIONAL = {"sklearn", "torch"}
 # Needed by the messages, or found by its name where it is installed; not imported.
-NOT_IMPORTED = {"std_msgs", "rosidl_default_runtime", "tf2_msgs"}
+NOT_IMPORTED = {"rosidl_default_runtime", "tf2_msgs"}
 
 
 def imported() -> set[str]:
