@@ -99,6 +99,7 @@ def monitor_arguments(respawn: bool) -> tuple[Argument, ...]:
         Argument("world_frame", f"frame_id of the world{of_the_file}", ""),
         Argument("tf_rate_hz", f"rate of the estimate on /tf; 0: none{of_the_file}", ""),
         Argument("publish_wrenches", f"predictions also as geometry_msgs/WrenchStamped{of_the_file}", ""),
+        Argument("markers", "arrows of the wrench and words of the alarm, for RViz and Foxglove", "false"),
         Argument("view", "page in a browser: can the model be trusted now, and why not", "false"),
         Argument("view_port", "port of the page", str(PORT)),
         Argument("view_bind", "address of the page; another than loopback lets the network in", ADDRESS),
@@ -211,6 +212,8 @@ def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({}))
         for program in programs
         for action in whole.program(program, whole.given(PARAMETERS), SENSORS + OUTPUTS)
     ]
+    if launch.switch("markers"):
+        actions += whole.program("markers", {}, OUTPUTS)
     return actions + (page(launch) if launch.switch("view") else [])
 
 

@@ -219,9 +219,20 @@ class PlayerParameters:
     rate: float = parameter(1.0, "speed; 1 is real time", limits=(0.01, 100.0), in_flight=True)
 
 
+@dataclass(frozen=True)
+class MarkerParameters:
+    """Parameters of the node `markers`."""
+
+    rate_hz: float = parameter(15.0, "rate of the markers", limits=(1.0, 20.0))
+    m_per_n: float = parameter(0.05, "length of the arrows of forces [m/N]", limits=(1e-4, 100.0))
+    m_per_nm: float = parameter(1.0, "length of the arrows of moments [m/Nm]", limits=(1e-3, 1000.0))
+
+
 ALL_NAMES = {
     item.name
-    for parameters in (EstimatorParameters, MonitorParameters, BridgeParameters, PlayerParameters)
+    for parameters in (
+        *(EstimatorParameters, MonitorParameters, BridgeParameters, PlayerParameters, MarkerParameters),
+    )
     for item in fields(parameters)
 }
 """Names of the parameters of all nodes: one file may hold them all, under `/**`."""

@@ -62,6 +62,8 @@ RUN_BY = {
     r"ros2 lifecycle set /monitor .*": "test/ros/test_node_services.py - by the service that it calls",
     r"ros2 service call /monitor/load_model .*": "test/ros/test_live_process.py - by that service",
     r"ros2 (service call|param set) /player.*": "test/ros/test_playback_controls.py - by those services",
+    r"ros2 topic echo /prediction --field predicted.force": "test/test_layouts.py - that there is that field",
+    r"ros2 (launch foxglove_bridge|run (rviz2|plotjuggler)) .*": "test/test_layouts.py - the files of others",
     r"(rosdep|colcon) .*": "test/test_packaging.py - what they install; neither has a wheel",
     r"python3 -m venv --system-site-packages .*": "test/test_packaging.py - on a ROS machine",
     r"pip install .*": "test/test_packaging.py - the names in it",

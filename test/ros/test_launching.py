@@ -21,6 +21,7 @@ from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from urllib.request import urlopen
 
 import pytest
@@ -282,6 +283,19 @@ def test_arguments_are_parameters_of_the_nodes(launching: ModuleType) -> None:
 def test_arguments_of_the_replay_are_options_of_the_player(
     launching: ModuleType, given: dict[str, str], expected: dict[str, object]
 ) -> None:
+    (player,) = started_by_replay(launching, given)["player"]
+    options = parse_arguments(player.arguments)
+    assert {name: getattr(options, name) for name in expected} == expected
+
+
+def test_markers_are_published_where_asked(launching: ModuleType) -> None:
+    assert "markers" not in started_by_replay(launching, {})
+    (node,) = started_by_replay(launching, {"markers": "true", "prediction_topic": "wrench"})["markers"]
+    assert ("prediction", "wrench") in node.remappings
+
+
+def started_by_replay(launching: ModuleType, given: dict[str, str]) -> dict[str, list[Any]]:
+    """Nodes that replay.launch.py starts, by program."""
     file = importlib.util.spec_from_file_location("replay_launch", ROOT / "launch" / "replay.launch.py")
     assert file is not None
     assert file.loader is not None
@@ -291,6 +305,5 @@ def test_arguments_of_the_replay_are_options_of_the_player(
     values = {one.value: one.default_value for one in declared if hasattr(one, "default_value")}
     values |= {"bag": str(bags_directory() / "interpolation.mcap"), "vehicle": "bebop2", "model": "m"} | given
     actions = launching.replay(launching.Launch(values, direct=False))
-    (player,) = (one for one in actions if getattr(one, "executable", "") == "player")
-    options = parse_arguments(player.arguments)
-    assert {name: getattr(options, name) for name in expected} == expected
+    nodes = [one for one in actions if hasattr(one, "executable")]
+    return {node.executable: [one for one in nodes if one is node] for node in nodes}
