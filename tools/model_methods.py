@@ -90,7 +90,7 @@ DATA_SETS = (
     DataSet("Crazyflie, brushed", "imrc_brushed/*", "crazyflie_rpm", {"mass_kg": 0.0347}),
     DataSet("Crazyflie, slung load", "imrc_payload/*", "crazyflie_rpm", {"mass_kg": 0.0397}),
     DataSet("nanodrone", "nanodrone/*.parquet", "nanodrone", mapping="nanodrone"),
-    DataSet("IndiFlight", "indiflight/*.BFL", "nanodrone"),
+    DataSet("IndiFlight", "indiflight/*.BFL", "indiflight"),
 )
 
 

@@ -16,7 +16,7 @@ from quadpi_core.errors import VehicleError
 from quadpi_core.paths import config_directory
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
-VEHICLES = ("bebop2", "crazyflie_rpm", "hdbeetle", "nanodrone", "neurobem")
+VEHICLES = ("bebop2", "crazyflie_rpm", "hdbeetle", "indiflight", "nanodrone", "neurobem")
 
 
 def valid() -> dict[str, Any]:

@@ -1,24 +1,26 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reader for Betaflight's Blackbox logs (.bbl, .bfl, .txt).
+"""Reader for Blackbox logs (.bbl, .bfl, .txt) of Betaflight, and of INDIflight, which logs more fields.
 
 Betaflight's body axes are forward-left-up. `gyroADC` is in deg/s, `accSmooth` in counts (the header
 `acc_1G` gives counts per g), `eRPM` (bidirectional DShot) in hundreds of electrical revolutions per minute,
-time in µs.
-Source: Betaflight's blackbox.c, and the Blackbox log viewer.
+time in µs. INDIflight's `omega` is in mechanical rad/s; `extPos` [mm] and `extAtt` [mrad: roll, pitch, yaw]
+are poses of motion capture, forward-right-down in north-east-down, held from one to the next.
+Source: Betaflight's blackbox.c, and the Blackbox log viewer. Units and axes of INDIflight's fields: checked
+on flights, whose gyro, specific force and rotor speeds agree with them.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream, Stamps
-from quadpi_core.frames import Array, body_flu_to_frd
+from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import note, require_imu, usable
@@ -30,7 +32,11 @@ _MAGIC = b"H Product:Blackbox"
 _GYRO = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]")
 _ACCELERATION = ("accSmooth[0]", "accSmooth[1]", "accSmooth[2]")
 _ERPM = ("eRPM[0]", "eRPM[1]", "eRPM[2]", "eRPM[3]")
+_OMEGA = ("omega[0]", "omega[1]", "omega[2]", "omega[3]")
+_POSITION = ("extPos[0]", "extPos[1]", "extPos[2]")
+_ATTITUDE = ("extAtt[0]", "extAtt[1]", "extAtt[2]")
 _ITERATION = "loopIteration"
+_FIELDS = (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM, *_OMEGA, *_POSITION, *_ATTITUDE)
 _ERPM_PER_COUNT = 100.0
 _HIGH_RESOLUTION = 10.0
 # Of flights in one file, the largest; the flash of a flight controller holds fewer.
@@ -38,7 +44,7 @@ _FLIGHTS_MAX = 100
 
 
 def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
-    """Read the longest flight of one file, stamped by the flight controller.
+    """Read the longest flight of one file: IMU, rotor speeds, motion capture; stamped by the controller.
 
     Args:
         path: the log.
@@ -59,6 +65,7 @@ def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | Non
         source=source,
         imu=imu,
         rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order),
+        pose=_pose(source, columns),
     )
 
 
@@ -72,7 +79,7 @@ def _longest(source: str, path: Path) -> BlackboxLog:
     longest: tuple[int, BlackboxLog] | None = None
     for place in sorted(largest):
         try:
-            log = decode_blackbox(flights[place], (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM))
+            log = decode_blackbox(flights[place], _FIELDS)
         except LogError as error:
             note(source, f"flight {place + 1}: {error}")
             continue
@@ -118,20 +125,37 @@ def _time_ns(columns: Mapping[str, Array]) -> Stamps:
     return stamps
 
 
+def _stacked(columns: Mapping[str, Array], names: Sequence[str]) -> Array:
+    """Fields side by side (N, len(names))."""
+    return np.stack([columns[name] for name in names], axis=1)
+
+
 def _imu(source: str, headers: Mapping[str, int], columns: Mapping[str, Array]) -> ImuStream | None:
     if not all(name in columns for name in (*_GYRO, *_ACCELERATION)):
         return None
     one_g = headers.get("acc_1G")
     if one_g is None or one_g <= 0:
         raise LogError(f"{source}: the header acc_1G is missing: nothing says how many counts are one g")
-    gyro = np.stack([columns[name] for name in _GYRO], axis=1) * _gyro_scale(headers)
-    acceleration = np.stack([columns[name] for name in _ACCELERATION], axis=1) / one_g
+    gyro = _stacked(columns, _GYRO) * _gyro_scale(headers)
+    acceleration = _stacked(columns, _ACCELERATION) / one_g
     stream = ImuStream(
         _time_ns(columns),
         body_flu_to_frd(np.radians(gyro)),
         body_flu_to_frd(acceleration * STANDARD_GRAVITY),
     )
     return usable(source, stream)
+
+
+def _pose(source: str, columns: Mapping[str, Array]) -> PoseStream | None:
+    """The poses of motion capture, each once: a frame repeats the one before until the next has come."""
+    if not all(name in columns for name in (*_POSITION, *_ATTITUDE)):
+        return None
+    logged = 1e-3 * _stacked(columns, (*_POSITION, *_ATTITUDE))
+    fresh = np.any(np.diff(logged, axis=0, prepend=0.0) != 0.0, axis=1)
+    position, angles = logged[fresh, :3], logged[fresh, 3:]
+    return usable(
+        source, PoseStream(_time_ns(columns)[fresh], position, quaternion_from_roll_pitch_yaw(angles))
+    )
 
 
 def _gyro_scale(headers: Mapping[str, int]) -> float:
@@ -150,6 +174,10 @@ def _rotor_speeds(
     vehicle: Vehicle | None,
     order: RotorOrder | None,
 ) -> RotorSpeedStream | None:
+    if all(name in columns for name in _OMEGA):
+        order = order or RotorOrder.by_layout(vehicle, "betaflight")
+        speeds = np.abs(_stacked(columns, [_OMEGA[number] for number in order.controllers]))
+        return usable(source, RotorSpeedStream(_time_ns(columns), speeds))
     if not all(name in columns for name in _ERPM):
         if headers.get("dshot_bidir") == 1:
             note(
@@ -170,12 +198,12 @@ def _rotor_speeds(
             f"topic rotor_speeds: motor_poles is {poles}, the vehicle file says {2 * vehicle.pole_pairs}; "
             "the file counts",
         )
-    erpm = np.stack([columns[_ERPM[number]] for number in order.controllers], axis=1) * _ERPM_PER_COUNT
+    erpm = _stacked(columns, [_ERPM[number] for number in order.controllers]) * _ERPM_PER_COUNT
     return usable(source, RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle)))
 
 
 FORMAT = LogFormat(
-    description="Betaflight Blackbox log (.bbl, .bfl, .txt)",
+    description="Betaflight or INDIflight Blackbox log (.bbl, .bfl, .txt)",
     read=read_betaflight,
     begins=lambda head: head.startswith(_MAGIC),
     suffixes=(".bbl", ".bfl"),

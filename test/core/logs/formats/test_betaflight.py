@@ -14,7 +14,11 @@ import pytest
 
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording
+from quadpi_core.frames import roll_pitch_yaw_from_quaternion
+from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.formats.betaflight import read_betaflight
+from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 
 from ..blackbox_writer import PLAIN, intra, log, signed
@@ -125,6 +129,59 @@ def test_electrical_speeds_need_pole_pairs(read, vehicle, caplog):
         read(flight(*frames(3)), replace(vehicle, pole_pairs=None))
     assert read(flight(*frames(3)), None).rotor_speeds is None
     assert "topic rotor_speeds: left out, electrical speeds need the vehicle's pole pairs" in caplog.text
+
+
+OMEGA, EXT_POS, EXT_ATT = (
+    [f"{name}[{axis}]" for axis in range(count)]
+    for name, count in (("omega", 4), ("extPos", 3), ("extAtt", 3))
+)
+
+
+def with_poses(*poses: tuple[int, ...], omega: tuple[int, ...] = (1, -2, 3, 4)) -> bytes:
+    """A log as INDIflight's, one frame for each pose [mm, mrad]."""
+    parts = [
+        intra(32 * k, 1000 + 500 * k, b"".join(map(signed, (*VALUES[:6], *omega, *pose))))
+        for k, pose in enumerate(poses)
+    ]
+    return flight(*parts, names=[*SENSORS, *OMEGA, *EXT_POS, *EXT_ATT])
+
+
+def test_rotor_speeds_in_rad_s_need_no_pole_pairs(read, vehicle):
+    """INDIflight's, in neurobem's order, whichever way a rotor turns."""
+    content = with_poses((0, 0, -1000, 0, 0, 0), (0, 0, -1001, 0, 0, 0))
+    for of in (vehicle, replace(vehicle, pole_pairs=None), None):
+        assert read(content, of).rotor_speeds.speeds.tolist() == 2 * [[1.0, 2.0, 3.0, 4.0]]
+
+
+def test_rotor_speeds_in_rad_s_follow_a_mapping(tmp_path, vehicle):
+    path = tmp_path / "flight.bfl"
+    path.write_bytes(with_poses((0, 0, -1000, 0, 0, 0)))
+    recording = read_betaflight(path, vehicle, RotorOrder((3, 0, 1, 2)))
+    assert recording.rotor_speeds.speeds.tolist() == [[4.0, 1.0, 2.0, 3.0]]
+
+
+def test_a_pose_of_motion_capture_counts_once(read):
+    """mm, mrad of roll, pitch and yaw, forward-right-down in north-east-down, held until the next comes."""
+    first, second = (100, -200, -3000, 0, 0, 1571), (100, -200, -3000, 500, 0, 1571)
+    poses = read(with_poses(first, first, second, second)).pose
+    assert poses.time_ns.tolist() == [10**6, 2 * 10**6]
+    assert poses.position[0] == pytest.approx([0.1, -0.2, -3.0])
+    angles = [roll_pitch_yaw_from_quaternion(attitude) for attitude in poses.attitude]
+    assert np.array(angles) == pytest.approx(np.array([[0.0, 0.0, 1.571], [0.5, 0.0, 1.571]]))
+    assert read(flight(*frames(3))).pose is None
+
+
+def test_flights_that_were_thrown_and_caught(shared_data):
+    """Gyro, specific force, rotor speeds and motion capture of a real flight belong to one motion."""
+    thrown = Vehicle.load("indiflight")
+    (flown,) = prepare_flights([shared_data / "indiflight" / "LOG00267.BFL"], thrown)
+    squares = np.square(flown.inputs[:, INPUT_NAMES.index("omega_avg")])
+    thrust_n_s2 = -float(flown.wrench[:, 2] @ squares) / float(squares @ squares) / 4.0
+    assert thrust_n_s2 == pytest.approx(2.7e-7, rel=0.05)
+    for column, (control, least) in enumerate({"U_p": 0.7, "U_q": 0.7, "U_r": -0.6}.items()):
+        turned = flown.inputs[:, INPUT_NAMES.index(control)]
+        correlation = np.corrcoef(flown.wrench[:, 3 + column], turned)[0, 1]
+        assert correlation * np.sign(least) > abs(least), control
 
 
 def test_other_pole_pairs_than_the_log_says_are_noted(read, vehicle, caplog):
