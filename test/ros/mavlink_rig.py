@@ -79,7 +79,8 @@ class Listener:
         status, *others = array.status
         self.callbacks += [one.message for one in others if one.name == "mavlink_bridge: callbacks"]
         values = {item.key: item.value for item in status.values}
-        self.statuses.append(values | {"message": status.message, "level": str(status.level[0])})
+        told = {"name": status.name, "message": status.message, "level": str(status.level[0])}
+        self.statuses.append(values | told)
 
     def until(self, happened: Callable[[], bool]) -> None:
         def found() -> str:

@@ -25,6 +25,7 @@ from rclpy.serialization import deserialize_message
 from quadpi_core.flight import PoseStream, RotorSpeedStream
 from quadpi_ros.processes import Child
 
+from .aggregation import groups_of
 from .rig import STARTED_S, STEP_NS, TOPICS, Rig, arguments, assert_alive, assert_whole, values_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
@@ -234,6 +235,23 @@ def test_every_status_names_the_vehicle(rig: Rig) -> None:
     rig.fly(1.5)
     rig.await_status("monitor: alarm", DiagnosticStatus.OK, "")
     assert {status.hardware_id for status in rig.told} == {"neurobem"}
+
+
+def test_every_status_is_in_one_group_of_the_aggregator(rig: Rig) -> None:
+    """In any namespace; those of other packages are in none."""
+    rig.fly(1.5)
+    rig.await_status("monitor: alarm", DiagnosticStatus.OK, "")
+    rig.await_status("estimator: filter", DiagnosticStatus.OK, "")
+    names = {status.name for status in rig.told}
+    assert names >= {"monitor: state", "monitor: pairing", "estimator: mocap/pose", "estimator: consistency"}
+    for name in names:
+        node, _, task = name.partition(": ")
+        expected = "Alarm" if name == "monitor: alarm" else node.capitalize()
+        assert task
+        for given in (name, f"uav1/{name}", f"fleet/uav2/{name}"):
+            assert groups_of(given) == [expected]
+        for other in (f"pose_{name}", name.replace(":", "_2:")):
+            assert groups_of(other) == []
 
 
 def test_diagnostics_tell_rates_latency_and_states(rig: Rig) -> None:

@@ -34,6 +34,7 @@ from quadpi_ros.mavlink_bridge import MavlinkBridge
 from quadpi_ros.node_parameters import BridgeParameters
 from quadpi_ros.parameters import ParameterError
 
+from .aggregation import groups_of
 from .mavlink_rig import LONG_QUEUE, TOPICS, Sender, await_link, flying, free_port, listening
 from .rig import spinning, wait_until
 
@@ -71,6 +72,7 @@ def test_nothing_is_lost_at_500_hz_and_values_and_clock_are_right() -> None:
     assert state.attitude[0] == pytest.approx([0.5, 0.5, -0.5, 0.5])
     assert state.velocity[0] == pytest.approx([4.0, 5.0, 6.0])
     assert status["lost"] == status["checksum_errors"] == status["noise_bytes"] == "0"
+    assert groups_of(status["name"]) == groups_of(f"uav1/{status['name']}") == ["Link"]
     exchanged = [one for one in statuses if one.get("clock_offset_from") == "TIMESYNC"]
     errors_ms = [abs(float(one["clock_offset_ms"]) - epoch_ns * 1e-6) for one in exchanged]
     assert min(errors_ms) < 2.0
