@@ -25,6 +25,7 @@ from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page
 from quadpi_core.report.live_figure import LiveReplay
 from quadpi_core.report.model_tables import best_known_table, held_out_table
+from quadpi_core.report.page import FlightFiles
 from quadpi_core.report.progress_bar import progress_bar
 from quadpi_core.report.table import terminal_table
 from quadpi_core.vehicle import Vehicle
@@ -163,7 +164,9 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
     summary = evaluation.to_json() | {"live": live}
     write_json(output / "summary.json", summary)
     replay = _replay(flights.replayed.stem, session, live)
-    write_evaluation_page(output / "report.html", evaluation, results, model, replay)
+    bags = {bag.stem: bag for own in flights.groups.values() for bag in own}
+    files = FlightFiles(bags, [output / "model"])
+    write_evaluation_page(output / "report.html", evaluation, results, model, replay, files)
     console.print(f"Open {output / 'report.html'}; figures in {output / 'summary.json'}")
     again = f"quadpi view {flights.replayed} --model {output / 'model'}"
     console.print(f"See the flight again: {again}", soft_wrap=True)
@@ -198,4 +201,5 @@ def _replay(flight: str, session: SessionResult, statistics: dict[str, float | i
         leverage=alarms.leverage,
         width=alarms.width,
         inputs_outside=alarms.inputs_outside,
+        begins_s=1e-9 * (session.predictions.time_ns[0] - session.imu_stamps_ns[0]),
     )

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from quadpi_core.evaluation.evaluation_result import Evaluation
     from quadpi_core.identification.prepared_flights import PreparedFlight
     from quadpi_core.models.aerodynamic import AerodynamicModel
+    from quadpi_core.report.page import FlightFiles
 
 
 def evaluate(
@@ -50,8 +51,10 @@ def evaluate(
     from quadpi_core.parallel import Workers
     from quadpi_core.report.comparison_page import comparison_summary, write_comparison_page
     from quadpi_core.report.evaluation_page import evaluation_summary
+    from quadpi_core.report.page import FlightFiles
 
     console = open_console()
+    files = FlightFiles()
     if paths or group:
         if output is not None:
             raise QuadpiError("-o: only without models and flights, to keep those of the paper's table")
@@ -67,6 +70,9 @@ def evaluate(
         comparison = given_comparison(
             folders, members, vehicle=vehicle, confidence=confidence, workers=Workers(workers, scheduler)
         )
+        read = dict.fromkeys(path for bags in members.values() for path in bags)
+        names = (flight.name for flight in next(iter(comparison.flights.values())))
+        files = FlightFiles(dict(zip(names, read, strict=True)), folders)
     else:
         from quadpi_core.paper.published import wind_tunnel
 
@@ -90,7 +96,7 @@ def evaluate(
         (model,) = models.values()
         flights, level = comparison.flights[model.cutoff_hz], comparison.confidence
         evaluation = write_evaluation(
-            model, flights, comparison.groups, level, json_file, html_file, adaptive=adaptive
+            model, flights, comparison.groups, level, json_file, html_file, files, adaptive=adaptive
         )
         console.print(evaluation_summary(evaluation))
         return
@@ -98,7 +104,7 @@ def evaluate(
     console.print(comparison_summary(compared))
     write_result(json_file, compared.to_json())
     if html_file is not None:
-        write_comparison_page(html_file, compared, results, models)
+        write_comparison_page(html_file, compared, results, models, files)
 
 
 def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
@@ -126,6 +132,7 @@ def write_evaluation(
     confidence: float,
     json_file: Path | None,
     html_file: Path | None,
+    files: FlightFiles | None = None,
     *,
     adaptive: bool = False,
 ) -> Evaluation:
@@ -136,5 +143,5 @@ def write_evaluation(
     results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)
     write_result(json_file, evaluation.to_json())
     if html_file is not None:
-        write_evaluation_page(html_file, evaluation, results, model)
+        write_evaluation_page(html_file, evaluation, results, model, files=files)
     return evaluation

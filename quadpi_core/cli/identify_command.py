@@ -71,6 +71,7 @@ def identify(
     from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
     from quadpi_core.report.model_tables import fact_tables, held_out_table, selection_table
+    from quadpi_core.report.page import FlightFiles
     from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.table import terminal_table
     from quadpi_core.vehicle import Vehicle
@@ -111,4 +112,5 @@ def identify(
         console.print(terminal_table(held_out))
     if json_file or html_file:
         groups = {"identification": [flight.name for flight in flights]}
-        write_evaluation(model, flights, groups, confidence, json_file, html_file)
+        files = FlightFiles(dict(zip((flight.name for flight in flights), bags, strict=True)), [output])
+        write_evaluation(model, flights, groups, confidence, json_file, html_file, files)

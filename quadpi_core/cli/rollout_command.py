@@ -24,6 +24,7 @@ def rollout(
     """Predict flights ahead, open loop by the measured rotor speeds, with tubes; from every tenth sample."""
     from quadpi_core.evaluation.rollouts import evaluate_rollouts
     from quadpi_core.models.aerodynamic import AerodynamicModel
+    from quadpi_core.report.page import FlightFiles
     from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.rollout_page import rollout_summary, write_rollout_page
     from quadpi_core.report.table import terminal_table
@@ -40,4 +41,5 @@ def rollout(
     console.print(terminal_table(rollout_summary(evaluation)))
     write_result(json_file, evaluation.to_json())
     if html_file is not None:
-        write_rollout_page(html_file, flights, evaluation)
+        read = dict(zip((flight.name for flight in flights), bags, strict=True))
+        write_rollout_page(html_file, flights, evaluation, FlightFiles(read, [model]))

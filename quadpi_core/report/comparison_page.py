@@ -6,12 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 from rich.console import Group
 from rich.text import Text
 
@@ -20,6 +19,7 @@ from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.report.coverage_verdict import axis_coverages, count_verdicts
+from quadpi_core.report.evaluation_figures import time_history_figure
 from quadpi_core.report.evaluation_page import (
     alarm_sentence,
     axis_cell,
@@ -28,13 +28,13 @@ from quadpi_core.report.evaluation_page import (
     metrics_table,
     short_coverage_note,
 )
+from quadpi_core.report.figure import DASHES, Figure, Layer, Limit, Line, Panel, Points, Scale
+from quadpi_core.report.figure_data import bins_within, thinned_band, thinned_line
 from quadpi_core.report.model_tables import structure_table
-from quadpi_core.report.page import Page
-from quadpi_core.report.plots import Subplot, bins_within, label_axes_over_time, styled
+from quadpi_core.report.page import FlightFiles, Page
 from quadpi_core.report.style import (
     INK,
     MEASURED,
-    error_bar,
     hundredths,
     method_colours,
     nominal,
@@ -47,8 +47,7 @@ from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, ter
 
 PUBLISHED = "published"
 # Models of one method have its colour; these tell their settings apart.
-_MARKERS = {"default": "circle", "paper": "circle-open"}
-_DASHES = {"default": "solid", "paper": "dot"}
+_DASHES = {"default": "", "paper": "dotted"}
 
 
 @dataclass(frozen=True)
@@ -172,6 +171,7 @@ def write_comparison_page(
     comparison: Comparison,
     results: Mapping[str, Sequence[FlightResult]],
     models: Mapping[str, AerodynamicModel],
+    files: FlightFiles | None = None,
 ) -> None:
     """Write the page; it appears whole or not at all.
 
@@ -180,20 +180,27 @@ def write_comparison_page(
         comparison: of the models, on at least one group.
         results: predictions of each model on each flight.
         models: that were compared.
+        files: of flights and models, to look at moments in `quadpi view`.
 
     Raises:
         OutputError: if `path` cannot be written.
     """
     flights = [result.name for result in next(iter(results.values()))]
     bins = bins_within(_lines_drawn(comparison) * len(flights))
-    figures = {"groups": _group_figure(comparison)}
+    colours = _colours(comparison)
+    of_flight = {}
     for place, flight in enumerate(flights):
-        of_flight = {name: model_results[place] for name, model_results in results.items()}
-        figures[f"intervals {flight}"] = _interval_figure(comparison, of_flight, bins)
+        own = {name: model_results[place] for name, model_results in results.items()}
+        of_flight[flight] = {"intervals": _interval_figure(comparison, own, bins)} | {
+            f"model {name}": time_history_figure(
+                result, comparison.models[name].flights[flight].axes, colours[name], bins
+            )
+            for name, result in own.items()
+        }
     cutoffs = sorted({model.cutoff_hz for model in comparison.models.values()})
     facts = {
         "vehicle": comparison.vehicle,
-        "models": str(len(comparison.models)),
+        "models": ", ".join(model.model for model in comparison.models.values()),
         "flights": str(len({name for names in comparison.groups.values() for name in names})),
         "low-pass": " and ".join(f"{cutoff:g} Hz" for cutoff in cutoffs),
     }
@@ -203,7 +210,9 @@ def write_comparison_page(
         verdict=comparison_verdict(comparison),
         facts=facts | ({"intervals": "adaptive"} if comparison.adaptive else {}),
         definitions=metric_definitions(next(iter(comparison.models.values()))),
-        figures=figures,
+        figures={"groups": _group_figure(comparison)},
+        flight_figures=of_flight,
+        files=files or FlightFiles(),
     ).write(
         path,
         "comparison.html",
@@ -216,6 +225,7 @@ def write_comparison_page(
             for name, model in comparison.models.items()
         },
         flights=comparison.groups,
+        models=list(models),
         structures={
             name: structure_table(model.selection, [axis for axis in model.axes if model.selection[axis]])
             for name, model in models.items()
@@ -224,65 +234,45 @@ def write_comparison_page(
     )
 
 
-def _group_figure(comparison: Comparison) -> go.Figure:
+def _group_figure(comparison: Comparison) -> Figure:
     """A column per axis: coverage by group and model; below, width relative to that of the first group."""
     models, groups = comparison.models, list(comparison.groups)
-    axes = modelled_axes(comparison)
     colours = _colours(comparison)
-    figure = make_subplots(
-        rows=2,
-        cols=len(axes),
-        shared_xaxes="columns",
-        shared_yaxes="rows",
-        column_titles=axes,
-        horizontal_spacing=0.03,
-        vertical_spacing=0.06,
-    )
-    for column, axis in enumerate(axes, start=1):
+    ticks = [(float(place), group) for place, group in enumerate(groups)]
+    slots = Scale("", -0.5, len(groups) - 0.5, ticks=ticks)
+    panels = []
+    for column, axis in enumerate(modelled_axes(comparison)):
+        coverages: list[Layer] = [Limit("", INK, 100.0 * comparison.confidence)]
+        widths: list[Layer] = []
         for place, (name, model) in enumerate(models.items()):
             if axis not in _axes_of(model):
                 continue
             found = [model.groups[group].axes[axis] for group in groups]
-            coverage = 100.0 * np.array([metrics.picp for metrics in found])
-            interval = 100.0 * np.array([metrics.picp_ci for metrics in found])
+            x = np.arange(float(len(groups))) + 0.5 * ((place + 0.5) / len(models) - 0.5)
             width = np.array([metrics.mpiw for metrics in found])
-            style = {
-                "x": np.arange(len(groups)) + 0.5 * ((place + 0.5) / len(models) - 0.5),
-                "mode": "lines+markers",
-                "marker": {"color": colours[name], "size": 9, "symbol": _MARKERS[model.settings]},
-                "line": {"color": colours[name], "width": 1, "dash": _DASHES[model.settings]},
-                "name": name,
-                "legendgroup": name,
-            }
-            figure.add_scatter(
-                y=coverage,
-                error_y=error_bar(coverage, interval, 1.5),
-                text=[f"{name}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for m in found],
-                hovertemplate="%{text}<extra></extra>",
-                showlegend=column == 1,
-                row=1,
-                col=column,
-                **style,
+            coverage = Points(
+                name,
+                colours[name],
+                x,
+                100.0 * np.array([metrics.picp for metrics in found]),
+                100.0 * np.array([metrics.picp_ci for metrics in found]),
+                texts=[f"{name}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for m in found],
+                symbol=place % 4,
+                hollow=model.settings == "paper",
+                joined=True,
+                dash=_DASHES[model.settings],
             )
-            figure.add_scatter(
-                y=width / width[0],
-                text=[f"{name}: {w:.3g} {unit(axis)}" for w in width],
-                hovertemplate="%{text}<extra></extra>",
-                showlegend=False,
-                row=2,
-                col=column,
-                **style,
-            )
-    nominal = 100.0 * comparison.confidence
-    figure.add_hline(y=nominal, line={"color": INK, "width": 1, "dash": "dash"}, row=1, col="all")
-    # Slanted, or names of one column would touch those of the next.
-    figure.update_xaxes(tickvals=list(range(len(groups))), ticktext=groups, tickangle=-30, showgrid=False)
-    figure.update_yaxes(title_text="PICP [%]", row=1, col=1)
-    figure.update_yaxes(title_text=f"MPIW over {groups[0]}", row=2, col=1, rangemode="tozero")
-    return _with_legend_below(figure, height=620)
+            coverages.append(coverage)
+            texts = [f"{name}: {w:.3g} {unit(axis)}" for w in width]
+            widths.append(replace(coverage, y=width / width[0], error=None, texts=texts))
+        panels += [
+            Panel(coverages, slots, Scale("PICP [%]"), axis, column=column),
+            Panel(widths, slots, Scale(f"MPIW over {groups[0]}", low=0.0), row=1, column=column),
+        ]
+    return Figure("Coverage and width from group to group", panels, [190.0, 190.0], shared=True)
 
 
-def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult], bins: int) -> go.Figure:
+def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult], bins: int) -> Figure:
     """A row per axis and a column per low-pass: bounds of the models around what was measured.
 
     Args:
@@ -296,51 +286,35 @@ def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult]
         name: model.method if list(colours.values()).count(colours[name]) > 1 else name
         for name, model in models.items()
     }
-    shown: set[str] = set()
-    cutoffs = list(dict.fromkeys(model.cutoff_hz for model in models.values()))
-    figure = make_subplots(
-        rows=len(axes),
-        cols=len(cutoffs),
-        shared_xaxes="all",
-        shared_yaxes="rows",
-        column_titles=[_column_title(comparison, cutoff) for cutoff in cutoffs],
-        horizontal_spacing=0.03,
-        vertical_spacing=0.06 / max(1, len(axes) - 2),
-    )
-    for column, cutoff in enumerate(cutoffs, start=1):
+    patterns = dict(zip(dict.fromkeys(labels.values()), cycle(DASHES), strict=False))
+    panels = []
+    for column, cutoff in enumerate(dict.fromkeys(model.cutoff_hz for model in models.values())):
         names = [name for name, model in models.items() if model.cutoff_hz == cutoff]
-        for row, axis in enumerate(axes, start=1):
-            subplot = Subplot(figure, row, column, in_legend=row == column == 1)
+        for row, axis in enumerate(axes):
             flight = results[names[0]]
             measured = flight.column("measured", axis)
-            subplot.thinned_line(flight.time, measured, bins, name="measured", colour=MEASURED, width=1)
+            layers: list[Layer] = [
+                thinned_line(flight.time, measured, bins, name="measured", colour=MEASURED, width=1.0)
+            ]
             for name in (name for name in names if axis in results[name].axes):
-                for bound in ("lower", "upper"):
-                    in_legend = row == 1 and bound == "lower" and labels[name] not in shown
-                    replace(subplot, in_legend=in_legend).thinned_line(
-                        results[name].time,
-                        results[name].column(bound, axis),
-                        bins,
-                        name=labels[name],
-                        colour=colours[name],
-                        width=1.4,
-                    )
-                shown.add(labels[name])
-    label_axes_over_time(figure, axes)
-    return _with_legend_below(figure, height=130 + 230 * len(axes))
-
-
-def _with_legend_below(figure: go.Figure, height: int) -> go.Figure:
-    """Style a figure with its legend below: many entries above would lie under the buttons."""
-    styled(figure, height).update_layout(showlegend=True, margin_b=96)
-    return figure.update_layout(legend={"y": 0, "yanchor": "bottom"})
+                lower, upper = (results[name].column(bound, axis) for bound in ("lower", "upper"))
+                band = thinned_band(flight.time, lower, upper, bins, name="", colour=colours[name])
+                layers += [
+                    Line(labels[name], colours[name], band.x, bound, dash=patterns[labels[name]])
+                    for bound in (band.low, band.high)
+                ]
+            title = "" if row else _column_title(comparison, cutoff)
+            y = Scale(f"{axis} [{unit(axis)}]")
+            panels.append(Panel(layers, Scale("time [s]"), y, title, row=row, column=column))
+    heights = [170.0] * len(axes)
+    return Figure("Bounds of each model over time", panels, heights, over_time=True, shared=True)
 
 
 def _lines_drawn(comparison: Comparison) -> int:
-    """Lines in the figure of one flight."""
+    """Lines of one flight: interval and prediction of each model, and what was measured by low-pass."""
     models = comparison.models.values()
-    bounds = 2 * sum(len(_axes_of(model)) for model in models)
-    return bounds + len(modelled_axes(comparison)) * len({model.cutoff_hz for model in models})
+    own = 2 * sum(len(_axes_of(model)) for model in models)
+    return own + len(modelled_axes(comparison)) * len({model.cutoff_hz for model in models})
 
 
 def _colours(comparison: Comparison) -> dict[str, str]:

@@ -35,8 +35,9 @@ from quadpi_core.report.discrepancy_figures import (
     residual_figure,
 )
 from quadpi_core.report.evaluation_page import axis_cell
+from quadpi_core.report.figure import Figure
+from quadpi_core.report.figure_data import bins_within
 from quadpi_core.report.page import Page
-from quadpi_core.report.plots import bins_within
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Column, Row, Table, terminal_table
 from quadpi_core.simulation.effect_registry import EFFECTS
@@ -97,11 +98,16 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
     discovery, where = study.discovery, study.where
     bins = bins_within(LINES * len(where.residuals))
     loud = [axis for axis in AXES if any(part.axis == axis for part in where.ranges)]
-    figures = {"profiles": profile_figure(where.profiles), "gap": gap_figure(discovery.gap)}
+    figures: dict[str, Figure] = {
+        "profiles": profile_figure(where.profiles),
+        "gap": gap_figure(discovery.gap),
+    }
     if loud:
         figures["maps"] = map_figure(where.residuals, loud)
-    for flight in where.residuals:
-        figures[f"residual {flight.flight}"] = residual_figure(flight, discovery.gap.floor, bins)
+    of_flight = {
+        flight.flight: {"residual": residual_figure(flight, discovery.gap.floor, bins)}
+        for flight in where.residuals
+    }
     to_tell_apart = [item for effect in discovery.effects if effect.rivals for item in effect.shown_by]
     Page(
         title=f"quadpi: {study.simulation.name} against flights",
@@ -110,6 +116,7 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         facts=_facts(study),
         definitions=_DEFINITIONS,
         figures=figures,
+        flight_figures=of_flight,
     ).write(
         path,
         "discrepancy.html",
@@ -314,8 +321,8 @@ def _verdict(study: Study) -> str:
     discovery, simulation = study.discovery, study.simulation.name
     if discovery.verdict == "none":
         return (
-            f"Nothing is missing: {simulation} and {len(study.flights)} flights differ by no more than the "
-            "tolerances of the simulation and the noise allow."
+            f"No missing effect was found: {simulation} and {len(study.flights)} flights differ by no more "
+            "than the tolerances of the simulation and the noise allow."
         )
     named = listing([_name_with_rivals(effect) for effect in discovery.effects])
     if discovery.verdict == "effects":

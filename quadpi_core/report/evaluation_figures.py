@@ -7,25 +7,34 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from quadpi_core.evaluation.evaluation_result import AxisMetrics, Evaluation
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.report.plots import Subplot, extreme_samples, grid, label_axes_over_time, series, styled
+from quadpi_core.report.figure import (
+    DASHES,
+    Band,
+    Boxes,
+    Figure,
+    Layer,
+    Limit,
+    Line,
+    Panel,
+    Points,
+    Scale,
+    over_grid,
+)
+from quadpi_core.report.figure_data import thinned_band, thinned_line
 from quadpi_core.report.style import (
     INK,
     INPUT_LABELS,
     MEASURED,
     TRAINING,
-    error_bar,
     group_colours,
     percent,
     percent_range,
-    translucent,
     unit,
 )
 
@@ -35,9 +44,10 @@ _HISTOGRAM_BINS = 60
 _TAIL = 0.001
 # Lowest share on the logarithmic axis [%].
 _SHARE_FLOOR = 0.03
+_SHARE_TICKS = ((0.1, "0.1 %"), (1.0, "1 %"), (10.0, "10 %"), (100.0, "100 %"))
+_COLUMNS = 4
 # Share of the samples outside the training range from which on it is written in the figure.
 _WORTH_NOTING = 0.01
-_LIMIT_LINE = {"color": MEASURED, "width": 1, "dash": "dot"}
 # Bins of airspeed, and samples that one needs for its quantiles to be drawn.
 _SPEED_BINS, _FEWEST_SAMPLES = 14, 50
 
@@ -46,7 +56,7 @@ Groups = Mapping[str, Sequence[FlightResult]]
 
 def time_history_figure(
     result: FlightResult, metrics: Mapping[str, AxisMetrics], colour: str, bins: int
-) -> go.Figure:
+) -> Figure:
     """Measured and predicted wrench of one flight with the prediction interval as a band, axis by axis.
 
     Args:
@@ -55,152 +65,117 @@ def time_history_figure(
         colour: of prediction and band.
         bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
-    axes = list(metrics)
-    figure = make_subplots(rows=len(axes), cols=1, shared_xaxes=True, vertical_spacing=0.035)
-    for row, axis in enumerate(axes, start=1):
+    panels = []
+    for row, axis in enumerate(metrics):
         measured, predicted, lower, upper = (
             result.column(quantity, axis) for quantity in ("measured", "predicted", "lower", "upper")
         )
-        drawn = extreme_samples(lower, upper, bins)
-        time = result.time[drawn]
-        subplot = Subplot(figure, row, in_legend=row == 1)
-        subplot.band(time, lower[drawn], upper[drawn], name="prediction interval", colour=colour)
-        subplot.thinned_line(result.time, measured, bins, name="measured", colour=MEASURED, width=1)
-        subplot.line(time, predicted[drawn], name="predicted", colour=colour, width=1.5)
-        subplot.note(f"PICP {percent(metrics[axis].picp)}")
-    label_axes_over_time(figure, axes)
-    return styled(figure, height=90 + 150 * len(axes), hovermode="x unified")
+        time = result.time
+        layers: list[Layer] = [
+            thinned_band(time, lower, upper, bins, name="prediction interval", colour=colour),
+            thinned_line(time, measured, bins, name="measured", colour=MEASURED, width=0.8),
+            thinned_line(time, predicted, bins, name="predicted", colour=colour, width=2.0),
+        ]
+        notes = [f"PICP {percent(metrics[axis].picp)}"]
+        panels.append(Panel(layers, Scale("time [s]"), Scale(f"{axis} [{unit(axis)}]"), "", notes, row))
+    return Figure(
+        "Measured wrench in its prediction interval over time", panels, [110.0] * len(panels), over_time=True
+    )
 
 
-def coverage_figure(evaluation: Evaluation) -> go.Figure:
-    """Coverage of each axis and group with its confidence interval, beside the nominal coverage.
-
-    The table beside the figure has the same colours, in place of a legend.
-    """
+def coverage_figure(evaluation: Evaluation) -> Figure:
+    """Coverage of each axis and group with its confidence interval, beside the nominal coverage."""
     groups = evaluation.groups
     axes = list(dict.fromkeys(axis for part in groups.values() for axis in part.axes))
-    figure = go.Figure()
+    nominal = 100.0 * evaluation.confidence
+    layers: list[Layer] = [Limit("", INK, nominal, vertical=True, label=f"nominal {nominal:g} %")]
     for i, (group, colour) in enumerate(group_colours(groups).items()):
         held = groups[group].axes
-        coverage = 100.0 * np.array([metrics.picp for metrics in held.values()])
-        interval = 100.0 * np.array([metrics.picp_ci for metrics in held.values()]).reshape(-1, 2)
-        figure.add_scatter(
-            x=coverage,
-            y=[axes.index(axis) + 0.5 * (i + 0.5) / len(groups) - 0.25 for axis in held],
-            error_x=error_bar(coverage, interval, 2),
-            mode="markers",
-            marker={"color": colour, "size": 9},
-            name=group,
-            text=[f"{axis}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for axis, m in held.items()],
-            hovertemplate="%{text}",
+        places = [axes.index(axis) + 0.5 * (i + 0.5) / len(groups) - 0.25 for axis in held]
+        layers.append(
+            Points(
+                group,
+                colour,
+                100.0 * np.array([metrics.picp for metrics in held.values()]),
+                -np.array(places),
+                100.0 * np.array([metrics.picp_ci for metrics in held.values()]).reshape(-1, 2),
+                vertical=False,
+                texts=[f"{axis}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for axis, m in held.items()],
+                symbol=i % 4,
+            )
         )
-    nominal = 100.0 * evaluation.confidence
-    figure.add_vline(
-        x=nominal,
-        line={"color": INK, "width": 1, "dash": "dash"},
-        annotation={"text": f"nominal {nominal:g} %", "yanchor": "bottom", "y": 1, "xanchor": "right"},
-    )
     bounds = [m.picp_ci[0] for part in groups.values() for m in part.axes.values()]
     lowest = min(nominal, 100.0 * min(bounds, default=1.0))
-    figure.update_xaxes(title_text="PICP [%]", range=[lowest - 2.0, 101.0])
-    figure.update_yaxes(
-        tickvals=list(range(len(axes))), ticktext=axes, range=[len(axes) - 0.5, -0.5], showgrid=False
+    ticks = [(float(-place), axis) for place, axis in enumerate(axes)]
+    panel = Panel(
+        layers, Scale("PICP [%]", lowest - 2.0, 101.0), Scale("", 0.5 - len(axes), 0.5, ticks=ticks)
     )
-    return styled(figure, height=130 + 44 * len(axes)).update_layout(showlegend=False)
+    return Figure("Coverage of each axis by group", [panel], [20.0 + 44.0 * len(axes)])
 
 
-def envelope_figure(groups: Groups, envelope: Envelope, training_flights: Sequence[str]) -> go.Figure:
+def envelope_figure(groups: Groups, envelope: Envelope, training_flights: Sequence[str]) -> Figure:
     """Distributions of the main inputs by group over the range of the training flights.
 
     Shares have a logarithmic scale, as only the tails of a distribution leave the envelope. The range of the
     airspeed, which is not an input, is drawn if training flights are among those of the groups.
     """
-    columns = 4
-    figure = make_subplots(
-        rows=len(ENVELOPE_INPUTS) // columns,
-        cols=columns,
-        vertical_spacing=0.2,
-        horizontal_spacing=0.03,
-        shared_yaxes="all",
-        subplot_titles=[INPUT_LABELS[name] for name in ENVELOPE_INPUTS],
-    )
     training = [f for flights in groups.values() for f in flights if f.name in training_flights]
-    subplots = grid(figure, len(ENVELOPE_INPUTS), columns)
-    for name, subplot in zip(ENVELOPE_INPUTS, subplots, strict=True):
+    panels = []
+    for name in ENVELOPE_INPUTS:
         values = {
             group: np.concatenate([_input(f, name) for f in flights]) for group, flights in groups.items()
         }
-        _add_histograms(subplot, values)
+        layers, notes = _histograms(values), []
         limits = _training_limits(name, envelope, training)
         if limits is not None:
-            # After the histograms: plotly leaves shapes out of a subplot that is still empty.
-            figure.add_vrect(*limits, fillcolor=TRAINING, line=_LIMIT_LINE, layer="below", **subplot.cell)
-            _note_outside(subplot, values, limits)
-    shares = {"tickvals": [0.1, 1, 10, 100], "ticktext": ["0.1 %", "1 %", "10 %", "100 %"]}
-    figure.update_yaxes(type="log", range=[np.log10(_SHARE_FLOOR), 2], **shares)
-    return styled(figure, height=540)
+            whole = np.array([np.nan])
+            low, high = (np.array([limit]) for limit in limits)
+            layers.insert(0, Boxes("flown in training", TRAINING, low, high, whole, whole, outlined=True))
+            notes = _outside(values, limits)
+        shares = Scale("", _SHARE_FLOOR, 100.0, logarithmic=True, ticks=_SHARE_TICKS)
+        panels.append(Panel(layers, Scale(), shares, INPUT_LABELS[name], notes))
+    rows = len(panels) // _COLUMNS
+    return Figure("Share of samples by input", over_grid(panels, _COLUMNS), [150.0] * rows, shared=True)
 
 
-def _add_histograms(subplot: Subplot, values: Mapping[str, Array]) -> None:
+def _histograms(values: Mapping[str, Array]) -> list[Layer]:
     edges = _edges(list(values.values()))
-    for group, colour in group_colours(values).items():
+    layers: list[Layer] = []
+    for i, (group, colour) in enumerate(group_colours(values).items()):
         counts, _ = np.histogram(values[group], edges)
-        share = 100.0 * np.append(counts, counts[-1]) / len(values[group])
-        subplot.figure.add_scatter(
-            **series(edges, np.maximum(share, _SHARE_FLOOR)),
-            line={"color": colour, "width": 1.5, "shape": "hv"},
-            fill="tozeroy",
-            fillcolor=translucent(colour, 0.2),
-            name=group,
-            legendgroup=group,
-            showlegend=subplot.in_legend,
-            hovertemplate="%{y:.2f} %",
-            **subplot.cell,
-        )
+        share = np.maximum(100.0 * np.append(counts, counts[-1]) / len(values[group]), _SHARE_FLOOR)
+        floor = np.full(len(edges), _SHARE_FLOOR)
+        layers.append(Band("", colour, edges, floor, share, 0.12, stepped=True))
+        layers.append(Line(group, colour, edges, share, dash=DASHES[i % len(DASHES)], stepped=True))
+    return layers
 
 
-def _note_outside(subplot: Subplot, values: Mapping[str, Array], limits: tuple[float, float]) -> None:
+def _outside(values: Mapping[str, Array], limits: tuple[float, float]) -> list[str]:
     notes = []
-    for group, colour in group_colours(values).items():
-        outside = float(np.mean((values[group] < limits[0]) | (values[group] > limits[1])))
+    for group, own in values.items():
+        outside = float(np.mean((own < limits[0]) | (own > limits[1])))
         if outside >= _WORTH_NOTING:
-            notes.append(f"<span style='color:{colour}'>{100 * outside:.0f} % outside</span>")
-    if notes:
-        subplot.note("<br>".join(notes), inside=True)
+            notes.append(f"{group}: {100 * outside:.0f} % outside")
+    return notes
 
 
-def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> go.Figure:
+def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> Figure:
     """Residuals over airspeed: band of the central share `confidence`, and the mean interval, dashed."""
-    columns = min(3, len(axes))
-    rows = -(-len(axes) // columns)
-    figure = make_subplots(
-        rows=rows,
-        cols=columns,
-        vertical_spacing=0.18 / rows,
-        horizontal_spacing=0.07,
-        shared_xaxes=True,
-        subplot_titles=[f"{axis} [{unit(axis)}]" for axis in axes],
-    )
     fastest = max(float(f.speed.max()) for flights in groups.values() for f in flights)
     edges = np.linspace(0.0, fastest, _SPEED_BINS + 1)
     tail = 0.5 - 0.5 * confidence
-    for i, (axis, subplot) in enumerate(zip(axes, grid(figure, len(axes), columns), strict=True)):
-        for (group, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
-            speed, low, high, below, above = _residual_bands(flights, axis, edges, tail)
-            subplot.band(speed, low, high, name=group, colour=colour)
-            for bound in (below, above):
-                figure.add_scatter(
-                    **series(speed, bound),
-                    line={"color": colour, "width": 1.5, "dash": "dash"},
-                    showlegend=False,
-                    legendgroup=group,
-                    hoverinfo="skip",
-                    **subplot.cell,
-                )
-        figure.update_yaxes(zeroline=True, zerolinecolor=MEASURED, zerolinewidth=1, **subplot.cell)
-        if i + columns >= len(axes):
-            figure.update_xaxes(title_text=INPUT_LABELS["speed"], showticklabels=True, **subplot.cell)
-    return styled(figure, height=90 + 230 * rows)
+    panels = []
+    for axis in axes:
+        layers: list[Layer] = []
+        for i, (group, colour) in enumerate(group_colours(groups).items()):
+            speed, low, high, below, above = _residual_bands(groups[group], axis, edges, tail)
+            layers.append(Band(group, colour, speed, low, high, pattern=i % 4))
+            layers += [Line("", colour, speed, bound, dash="dashed") for bound in (below, above)]
+        layers.append(Limit("", MEASURED, 0.0, dash=""))
+        panels.append(Panel(layers, Scale(INPUT_LABELS["speed"]), Scale(), f"{axis} [{unit(axis)}]"))
+    columns = min(3, len(axes))
+    rows = -(-len(axes) // columns)
+    return Figure("Residuals against airspeed", over_grid(panels, columns), [180.0] * rows)
 
 
 def _residual_bands(flights: Sequence[FlightResult], axis: str, edges: Array, tail: float) -> Array:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-import plotly.graph_objects as go
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -28,10 +27,11 @@ from quadpi_core.report.evaluation_figures import (
     residual_figure,
     time_history_figure,
 )
+from quadpi_core.report.figure import Figure
+from quadpi_core.report.figure_data import bins_within
 from quadpi_core.report.live_figure import LiveReplay, alarm_figure
 from quadpi_core.report.model_tables import held_out_table, selection_table
-from quadpi_core.report.page import Page
-from quadpi_core.report.plots import bins_within
+from quadpi_core.report.page import FlightFiles, Page
 from quadpi_core.report.style import (
     count,
     group_colours,
@@ -43,8 +43,8 @@ from quadpi_core.report.style import (
 )
 from quadpi_core.report.table import Cell, Column, Mark, Table, Value, terminal_table
 
-# Measured, predicted, lower and upper bound.
-_LINES_PER_AXIS = 4
+# Measured, predicted and interval.
+_LINES_PER_AXIS = 3
 _UNGROUPED = "flights in no group"
 # Metrics that a terminal of 80 characters has no room for.
 _NOT_ON_TERMINAL = ("Winkler", "n")
@@ -193,6 +193,7 @@ def write_evaluation_page(
     results: Sequence[FlightResult],
     model: AerodynamicModel,
     live: LiveReplay | None = None,
+    files: FlightFiles | None = None,
 ) -> None:
     """Write the page; it appears whole or not at all.
 
@@ -202,6 +203,7 @@ def write_evaluation_page(
         results: the flights that were evaluated, at least one.
         model: that was evaluated; gives training flights, envelope and selection log.
         live: the alarms of the live nodes for one of the flights.
+        files: of flights and model, to look at moments in `quadpi view`.
 
     Raises:
         OutputError: if `path` cannot be written.
@@ -218,12 +220,12 @@ def write_evaluation_page(
     figures = {
         "envelope": envelope_figure(groups, model.envelope, training),
         "residuals": residual_figure(groups, axes, confidence),
-        **_histories(groups, evaluation, bins),
     }
     if evaluation.groups:
         figures["coverage"] = coverage_figure(evaluation)
     if live is not None:
         figures["alarm"] = alarm_figure(live, by_name.get(live.flight))
+    histories = _histories(groups, evaluation, bins)
     Page(
         title=f"quadpi: {evaluation.model}",
         about="how far can this model be trusted?",
@@ -239,6 +241,8 @@ def write_evaluation_page(
         | ({} if (hz := evaluation.force_bandwidth_hz) is None else {"forces": force_bandwidth_note(hz)}),
         definitions=metric_definitions(evaluation),
         figures=figures,
+        flight_figures={name: {"history": figure} for name, figure in histories.items()},
+        files=files or FlightFiles(),
     ).write(
         path,
         "evaluation.html",
@@ -263,15 +267,14 @@ def write_evaluation_page(
 
 def _histories(
     groups: Mapping[str, Sequence[FlightResult]], evaluation: Evaluation, bins: int
-) -> dict[str, go.Figure]:
+) -> dict[str, Figure]:
     """A time history of each flight; a flight of several groups has the colour of the first."""
-    figures: dict[str, go.Figure] = {}
+    figures: dict[str, Figure] = {}
     for (_, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
         for flight in flights:
-            name = f"history {flight.name}"
-            if name not in figures:
+            if flight.name not in figures:
                 metrics = evaluation.flights[flight.name].axes
-                figures[name] = time_history_figure(flight, metrics, colour, bins)
+                figures[flight.name] = time_history_figure(flight, metrics, colour, bins)
     return figures
 
 

@@ -11,18 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
-from quadpi_core.report.plots import extreme_samples, series, styled
+from quadpi_core.report.figure import Boxes, Figure, Layer, Limit, Line, Panel, Scale
+from quadpi_core.report.figure_data import thinned_line
 from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, LEVELS, count, number, percent
 
 _SPEED_BINS = 800
 _EVIDENCE_FLOOR = 0.05
-_EVIDENCE_TICKS = [0.1, 1, 10, 100, 1000]
-_BAR_WIDTH = 12
+_EVIDENCE_TICKS = tuple((float(value), f"{value:g}") for value in (0.1, 1, 10, 100, 1000))
+# Half of the height of a bar, where rows are 1 apart.
+_HALF_BAR = 0.32
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class LiveReplay:
         level: (M,) 0 ok, 1 warning, 2 alarm.
         leverage, width: (M, 6) evidence per axis over its alarm threshold.
         inputs_outside: M tuples of the names of the inputs outside the training envelope.
+        begins_s: first prediction, from which the time of an evaluated flight counts.
     """
 
     flight: str
@@ -46,6 +47,7 @@ class LiveReplay:
     leverage: Array
     width: Array
     inputs_outside: Sequence[tuple[str, ...]]
+    begins_s: float = 0.0
 
     @property
     def tiles(self) -> dict[str, str]:
@@ -73,35 +75,25 @@ def _milliseconds(value: float) -> str:
     return f"{number(value)} ms"
 
 
-def alarm_figure(live: LiveReplay, result: FlightResult | None) -> go.Figure:
+def alarm_figure(live: LiveReplay, result: FlightResult | None) -> Figure:
     """Timeline of a live replay: airspeed, alarm level, evidence, and inputs outside the envelope.
 
     Args:
         live: with at least one alarm message.
         result: the same flight evaluated offline, for its airspeed; None leaves that row out.
     """
-    names = _inputs_by_time_outside(live)
-    rows = ["speed"] * (result is not None) + ["level", "evidence"] + ["inputs"] * bool(names)
-    heights = {"speed": 90.0, "level": 80.0, "evidence": 130.0, "inputs": 26.0 * len(names) + 20.0}
-    figure = make_subplots(
-        rows=len(rows),
-        cols=1,
-        shared_xaxes=True,
-        vertical_spacing=0.05,
-        row_heights=[heights[row] for row in rows],
-    )
-    cells = {row: {"row": i + 1, "col": 1} for i, row in enumerate(rows)}
+    panels: list[tuple[float, Sequence[Layer], Scale]] = []
     if result is not None:
-        shown = extreme_samples(result.speed, result.speed, _SPEED_BINS)
-        line = series(result.time[shown], result.speed[shown]) | {"line": {"color": INK, "width": 1.2}}
-        figure.add_scatter(**line, name="airspeed", showlegend=False, **cells["speed"])
-        figure.update_yaxes(title_text=INPUT_LABELS["speed"], rangemode="tozero", **cells["speed"])
+        speed = thinned_line(
+            live.begins_s + result.time, result.speed, _SPEED_BINS, name="airspeed", colour=INK
+        )
+        panels.append((80.0, [speed], Scale(INPUT_LABELS["speed"], low=0.0)))
     levels = [
         _Bar(name, name, live.level == level, colour) for level, (name, colour) in enumerate(LEVELS.items())
     ]
-    _add_bars(figure, live.time, levels[::-1], cells["level"])
-    _add_evidence(figure, live, cells["evidence"])
-    if names:
+    panels.append((75.0, *_bars(live.time, levels[::-1])))
+    panels.append((120.0, *_evidence(live)))
+    if names := _inputs_by_time_outside(live):
         inputs = [
             _Bar(
                 name,
@@ -111,9 +103,15 @@ def alarm_figure(live: LiveReplay, result: FlightResult | None) -> go.Figure:
             )
             for name in names
         ]
-        _add_bars(figure, live.time, inputs, cells["inputs"])
-    figure.update_xaxes(title_text="time [s]", row=len(rows), col=1)
-    return styled(figure, height=int(120 + 1.15 * sum(heights[row] for row in rows)))
+        panels.append((22.0 * len(names) + 8.0, *_bars(live.time, inputs)))
+    return Figure(
+        "Alarm over time",
+        [Panel(layers, Scale("time [s]"), y, row=row) for row, (_, layers, y) in enumerate(panels)],
+        [height for height, *_ in panels],
+        over_time=True,
+        flight=live.flight,
+        begins_s=live.begins_s,
+    )
 
 
 class _Bar(NamedTuple):
@@ -130,34 +128,26 @@ def _inputs_by_time_outside(live: LiveReplay) -> list[str]:
     return [name for name, _ in counts.most_common()]
 
 
-def _add_evidence(figure: go.Figure, live: LiveReplay, cell: dict[str, int]) -> None:
-    for name, evidence, colour in (("leverage", live.leverage, GROUPS[0]), ("width", live.width, GROUPS[3])):
+def _evidence(live: LiveReplay) -> tuple[list[Layer], Scale]:
+    layers: list[Layer] = [Limit("", INK, 1.0)]
+    for name, evidence, colour, dash in (
+        ("leverage", live.leverage, GROUPS[0], ""),
+        ("width", live.width, GROUPS[3], "dashed"),
+    ):
         # Zero has no place on a logarithmic scale.
         worst = np.maximum(evidence.max(axis=1), _EVIDENCE_FLOOR)
-        line = series(live.time, worst) | {"line": {"color": colour, "width": 1.5, "shape": "hv"}}
-        figure.add_scatter(**line, name=f"{name}, worst axis", hovertemplate="%{y:.2f}", **cell)
-    figure.add_hline(y=1.0, line={"color": INK, "width": 1, "dash": "dash"}, **cell)
-    # As text: plotly writes powers of ten in another size.
-    ticks = {"tickvals": _EVIDENCE_TICKS, "ticktext": [f"{value:g}" for value in _EVIDENCE_TICKS]}
-    figure.update_yaxes(title_text="over threshold", type="log", **ticks, **cell)
+        layers.append(Line(f"{name}, worst axis", colour, live.time, worst, dash=dash, stepped=True))
+    return layers, Scale("over threshold", logarithmic=True, ticks=_EVIDENCE_TICKS)
 
 
-def _add_bars(figure: go.Figure, time: Array, rows: Sequence[_Bar], cell: dict[str, int]) -> None:
-    """Draw rows of bars, the first on top; each ends at the first message without it."""
-    for height, row in enumerate(rows):
+def _bars(time: Array, rows: Sequence[_Bar]) -> tuple[list[Layer], Scale]:
+    """Rows of bars, the first on top; each bar ends at the first message without it."""
+    layers: list[Layer] = []
+    for place, row in enumerate(rows):
         edges = np.flatnonzero(np.diff(np.concatenate(([False], row.on, [False])).astype(np.int8)))
-        spans: list[float | None] = []
-        for start, stop in edges.reshape(-1, 2):
-            spans += [float(time[start]), float(time[min(stop, len(time) - 1)]), None]
-        figure.add_scatter(
-            x=spans,
-            y=[height] * len(spans),
-            mode="lines",
-            line={"color": row.colour, "width": _BAR_WIDTH},
-            name=row.name,
-            showlegend=False,
-            hovertemplate="%{x:.1f} s",
-            **cell,
-        )
-    labels = {"tickvals": list(range(len(rows))), "ticktext": [row.label for row in rows]}
-    figure.update_yaxes(**labels, range=[len(rows) - 0.4, -0.6], showgrid=False, **cell)
+        starts, stops = edges.reshape(-1, 2).T
+        level = np.full(len(starts), -float(place))
+        spans = time[starts], time[np.minimum(stops, len(time) - 1)]
+        layers.append(Boxes(row.name, row.colour, *spans, level - _HALF_BAR, level + _HALF_BAR))
+    ticks = [(-float(place), row.label) for place, row in enumerate(rows)]
+    return layers, Scale("", 0.4 - len(rows), 0.6, ticks=ticks)

@@ -2,25 +2,50 @@
 # SPDX-License-Identifier: Apache-2.0
 """Self-contained HTML pages from the templates beside this file: no network, no other file.
 
-Every page has a menu of flights. A figure is either fixed, or drawn for the flight that the menu selects: the
-page then holds one for each flight, by the name "KIND FLIGHT".
+A figure is either fixed, or drawn for the flight that a menu selects: the page then holds one for each
+flight, which is read when it is first chosen.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from plotly.offline import get_plotlyjs
 
 from quadpi_core.paths import whole_output
+from quadpi_core.report import ASSETS
+from quadpi_core.report.figure import Figure, Space
+from quadpi_core.report.figure_data import figures_as_json
+from quadpi_core.report.style import css_colour
 from quadpi_core.report.table import html_body, html_head
 from quadpi_core.version import __version__
+
+_STYLES = ("look.css", "report.css")
+# Each after those that it imports from.
+_SCRIPTS = ("ticks.js", "figures.js", "space.js", "report.js")
+
+
+@dataclass(frozen=True)
+class FlightFiles:
+    """Where the flights and models of a page are, for the commands that it gives.
+
+    Attributes:
+        bags: by the name of the flight.
+        models: folders.
+    """
+
+    bags: Mapping[str, Path] = field(default_factory=dict)
+    models: Sequence[Path] = ()
+
+    def commands(self) -> dict[str, str]:
+        """The command that shows each flight live, to which `--at` is added; quoted for a shell."""
+        models = [word for folder in self.models for word in ("--model", str(folder))]
+        return {name: shlex.join(["quadpi", "view", str(bag), *models]) for name, bag in self.bags.items()}
 
 
 @dataclass(frozen=True)
@@ -29,11 +54,13 @@ class Page:
 
     Attributes:
         title: of the window.
-        about: the question that the page answers, as its heading.
-        verdict: the answer in one sentence.
+        about: the question that the page answers.
+        verdict: the answer in one sentence, as its heading.
         facts: such as vehicle and number of flights, by name.
         definitions: meaning of each term.
-        figures: by name, or "KIND FLIGHT" for those that follow the menu.
+        figures: by name.
+        flight_figures: those that follow the menu, by flight, then by kind.
+        files: of the flights; empty where there are none to look at.
     """
 
     title: str
@@ -41,7 +68,9 @@ class Page:
     verdict: str
     facts: Mapping[str, str]
     definitions: Mapping[str, str]
-    figures: Mapping[str, go.Figure]
+    figures: Mapping[str, Figure | Space]
+    flight_figures: Mapping[str, Mapping[str, Figure | Space]] = field(default_factory=dict)
+    files: FlightFiles = FlightFiles()
 
     def write(self, path: Path, template: str, **content: Any) -> None:
         """Write the page; it appears whole or not at all.
@@ -61,10 +90,18 @@ class Page:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.filters.update(html_head=html_head, html_body=html_body)
+        environment.filters.update(html_head=html_head, html_body=html_body, css_colour=css_colour)
         page = environment.get_template(template).render(
-            **vars(self) | {"figures": _json_for_script(self.figures)},
-            plotly=get_plotlyjs(),
+            title=self.title,
+            about=self.about,
+            verdict=self.verdict,
+            facts=self.facts,
+            definitions=self.definitions,
+            figures=figures_as_json(self.figures),
+            flight_figures={name: figures_as_json(own) for name, own in self.flight_figures.items()},
+            commands=_for_script(self.files.commands()),
+            style="\n".join(_asset(name) for name in _STYLES),
+            script=_one_module(_SCRIPTS),
             version=__version__,
             **content,
         )
@@ -72,7 +109,16 @@ class Page:
             temporary.write_text(page, encoding="utf-8")
 
 
-def _json_for_script(figures: Mapping[str, go.Figure]) -> str:
-    """Figures as JSON that cannot end the script element that holds it."""
-    entries = (f"{json.dumps(name)}:{figure.to_json()}" for name, figure in figures.items())
-    return "{" + ",".join(entries).replace("<", "\\u003c") + "}"
+def _asset(name: str) -> str:
+    return (ASSETS / name).read_text(encoding="utf-8")
+
+
+def _one_module(names: Sequence[str]) -> str:
+    """The text of several modules as one, which needs no imports: a page from a file cannot load any."""
+    lines = (line for name in names for line in _asset(name).splitlines())
+    return "\n".join(line.removeprefix("export ") for line in lines if not line.startswith("import "))
+
+
+def _for_script(content: Any) -> str:
+    """JSON that cannot end the script element that holds it."""
+    return json.dumps(content).replace("<", "\\u003c")

@@ -4,19 +4,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from quadpi_core.evaluation.rollouts import RolledFlight, RolloutEvaluation
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
-from quadpi_core.report.page import Page
-from quadpi_core.report.plots import Subplot, series, styled
-from quadpi_core.report.style import GROUPS, MEASURED, nominal, number, percent, translucent
+from quadpi_core.report.figure import Band, Figure, Layer, Line, Panel, Scale, Shapes
+from quadpi_core.report.figure_data import bins_within, thinned_line
+from quadpi_core.report.page import FlightFiles, Page
+from quadpi_core.report.style import GROUPS, MEASURED, nominal, number, percent
 from quadpi_core.report.table import Column, Row, Table
 from quadpi_core.rotations import rotate_body_to_world
 
@@ -29,6 +28,8 @@ _QUANTITIES = {
 }
 # Fans drawn of a flight, evenly over it: more would lie upon each other.
 _FANS = 40
+# States that fans are drawn of.
+_STATES = 5
 # Between fans, where a line is not drawn.
 _GAP = (np.nan, np.nan)
 
@@ -72,27 +73,36 @@ def rollout_verdict(evaluation: RolloutEvaluation) -> str:
         own.coverage for flight in evaluation.flights.values() for own in flight.horizons[last].values()
     ]
     return (
-        f"{last} s ahead the attitude errs by {number(min(errors))}° to {number(max(errors))}°; the tubes of "
-        f"{nominal(evaluation.confidence)} hold {percent(min(shares))} to {percent(max(shares))} of the "
-        f"roll-outs of each flight."
+        f"{last} s ahead the attitude errs by {_span(errors, number, '°')} (root mean square of a flight); "
+        f"the tubes of {nominal(evaluation.confidence)} hold {_span(shares, percent)} of the roll-outs of "
+        "each flight."
     )
 
 
-def write_rollout_page(path: Path, flights: Sequence[RolledFlight], evaluation: RolloutEvaluation) -> None:
+def _span(values: Sequence[float], text: Callable[[float], str], unit: str = "") -> str:
+    """Least and largest value, or the one that both are."""
+    ends = dict.fromkeys(f"{text(end)}{unit}" for end in (min(values), max(values)))
+    return " to ".join(ends)
+
+
+def write_rollout_page(
+    path: Path,
+    flights: Sequence[RolledFlight],
+    evaluation: RolloutEvaluation,
+    files: FlightFiles | None = None,
+) -> None:
     """Write the page; it appears whole or not at all.
 
     Args:
         path: of the HTML file.
         flights: that were predicted.
         evaluation: of them.
+        files: of flights and model, to look at moments in `quadpi view`.
 
     Raises:
         OutputError: if `path` cannot be written.
     """
-    figures: dict[str, go.Figure] = {}
-    for flight in flights:
-        figures[f"fan {flight.name}"] = fan_figure(flight)
-        figures[f"growth {flight.name}"] = growth_figure(flight)
+    bins = bins_within(_STATES * len(flights))
     Page(
         title=f"quadpi: roll-outs of {evaluation.model}",
         about="how far ahead can this model be trusted?",
@@ -110,7 +120,12 @@ def write_rollout_page(path: Path, flights: Sequence[RolledFlight], evaluation: 
             "Split conformal": "Balls of one size from the same errors on flights left out, which follow the "
             "flight likewise.",
         },
-        figures=figures,
+        figures={},
+        flight_figures={
+            flight.name: {"fan": fan_figure(flight, bins), "growth": growth_figure(flight)}
+            for flight in flights
+        },
+        files=files or FlightFiles(),
     ).write(
         path,
         "rollouts.html",
@@ -120,14 +135,18 @@ def write_rollout_page(path: Path, flights: Sequence[RolledFlight], evaluation: 
     )
 
 
-def fan_figure(flight: RolledFlight) -> go.Figure:
-    """Velocity along each axis and tilt as they were, and fans of predictions with their tubes."""
+def fan_figure(flight: RolledFlight, bins: int) -> Figure:
+    """Velocity along each axis and tilt as they were, and fans of predictions with their tubes.
+
+    Args:
+        flight: that was predicted.
+        bins: number of parts that the flight is cut into, of which the extremes are drawn.
+    """
     measured = _states(flight)
-    figure = make_subplots(len(measured), 1, shared_xaxes=True, vertical_spacing=0.04)
     time = flight.flight.time
     chosen = np.unique(np.linspace(0, len(flight.time) - 1, _FANS).astype(int))
-    for row, (name, (values, part, scale)) in enumerate(measured.items(), start=1):
-        plot = Subplot(figure, row, in_legend=row == 1)
+    panels = []
+    for row, (name, (values, part, scale)) in enumerate(measured.items()):
         tube: list[tuple[float, float]] = []
         mean: list[tuple[float, float]] = []
         for k in chosen:
@@ -140,38 +159,35 @@ def fan_figure(flight: RolledFlight) -> go.Figure:
             around = np.concatenate((x, x[::-1])), np.concatenate((centre - half, (centre + half)[::-1]))
             tube += [*zip(*around, strict=True), _GAP]
             mean += [*zip(x, centre, strict=True), _GAP]
-        drawn = np.array(tube)
-        figure.add_scatter(
-            **series(drawn[:, 0], drawn[:, 1]),
-            fill="toself",
-            fillcolor=translucent(GROUPS[0], 0.25),
-            line_width=0,
-            hoverinfo="skip",
-            name="tube",
-            legendgroup="tube",
-            showlegend=plot.in_legend,
-            **plot.cell,
-        )
-        plot.line(time, values, name="measured", colour=MEASURED)
-        plot.line(*np.array(mean).T, name="predicted", colour=GROUPS[0])
-        figure.update_yaxes(title_text=name, row=row, col=1)
-    figure.update_xaxes(title_text="time [s]", row=len(measured), col=1)
-    return styled(figure, 190 * len(measured))
+        layers: list[Layer] = [
+            _shapes("tube", tube, closed=True),
+            thinned_line(time, values, bins, name="measured", colour=MEASURED),
+            # No line: fans overlap, so their times do not ascend.
+            _shapes("predicted", mean, closed=False),
+        ]
+        panels.append(Panel(layers, Scale("time [s]"), Scale(name), row=row))
+    return Figure("Fans of predictions", panels, [150.0] * len(panels), over_time=True)
 
 
-def growth_figure(flight: RolledFlight) -> go.Figure:
+def _shapes(name: str, points: list[tuple[float, float]], *, closed: bool) -> Shapes:
+    x, y = np.array(points).T
+    return Shapes(name, GROUPS[0], x, y, closed)
+
+
+def growth_figure(flight: RolledFlight) -> Figure:
     """Errors and tube over the horizon: median, 95 % quantile, and mean radius of the tubes."""
-    figure = make_subplots(1, len(_QUANTITIES), horizontal_spacing=0.07)
     x = np.array(flight.horizons_s)
+    panels = []
     for place, (name, unit, _, scale) in enumerate(_QUANTITIES.values()):
-        plot = Subplot(figure, 1, place + 1, in_legend=place == 0)
         norms = scale * flight.norms[:, :, place]
-        plot.band(x, 0 * x, scale * flight.radii[:, :, place].mean(axis=0), name="tube", colour=GROUPS[0])
-        plot.line(x, np.median(norms, axis=0), name="median error", colour=MEASURED)
-        plot.line(x, np.quantile(norms, 0.95, axis=0), name="95 % of the errors", colour=GROUPS[1])
-        figure.update_yaxes(title_text=f"{name} [{unit}]", row=1, col=place + 1)
-        figure.update_xaxes(title_text="horizon [s]", row=1, col=place + 1)
-    return styled(figure, 330)
+        layers: list[Layer] = [
+            Band("tube", GROUPS[0], x, 0 * x, scale * flight.radii[:, :, place].mean(axis=0)),
+            Line("median error", MEASURED, x, np.median(norms, axis=0)),
+            Line("95 % of the errors", GROUPS[1], x, np.quantile(norms, 0.95, axis=0), dash="dashed"),
+        ]
+        y = Scale(f"{name} [{unit}]", low=0.0)
+        panels.append(Panel(layers, Scale("horizon [s]"), y, column=place))
+    return Figure("Growth of the errors over the horizon", panels, [230.0])
 
 
 def _states(flight: RolledFlight) -> Mapping[str, tuple[Array, int, float]]:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quadpi_core.paths import config_directory
+from quadpi_core.report.figure_data import bins_within
 from quadpi_core.report.page import Page
-from quadpi_core.report.plots import bins_within
 from quadpi_core.report.simulation_figures import LINES, effort_figure, tracking_figure, trajectory_figure
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Row, Table
@@ -177,11 +177,6 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
     """
     summaries = [summarise(plan, truth) for plan, truth in flights]
     bins = bins_within(LINES * len(flights))
-    figures = {}
-    for plan, truth in flights:
-        figures[f"trajectory {plan.name}"] = trajectory_figure(truth)
-        figures[f"tracking {plan.name}"] = tracking_figure(truth, bins)
-        figures[f"effort {plan.name}"] = effort_figure(truth, bins)
     scenarios = _distinct(plan.scenario for plan, _ in flights)
     facts = {
         "scenario": scenarios,
@@ -200,7 +195,15 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
             "Airspeed": "Speed of the vehicle relative to the air, gusts included.",
             "Seed": "The same scenario, seed and version of quadpi make the same bag, byte for byte.",
         },
-        figures=figures,
+        figures={},
+        flight_figures={
+            plan.name: {
+                "trajectory": trajectory_figure(truth),
+                "tracking": tracking_figure(truth, bins),
+                "effort": effort_figure(truth, bins),
+            }
+            for plan, truth in flights
+        },
     ).write(
         path,
         "simulation.html",

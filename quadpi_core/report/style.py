@@ -1,43 +1,47 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Colours of figures, from the colour-blind safe set of Okabe and Ito, and texts of numbers."""
+"""Colours of figures, from a set that the colour-blind tell apart, and texts of numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import cycle
-from typing import Any
 
 from quadpi_core.models.kind_registry import KINDS
 
-MEASURED = "#7a7f87"
-GROUPS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-LEVELS = {"ok": "#009E73", "warning": "#E69F00", "alarm": "#D55E00"}
-PREDICTED = "#CC79A7"
-INK = "#1f2933"
-RULE = "#e4e7eb"
-TRAINING = "#e9edf2"
+# Names of colours in assets/look.css.
+MEASURED, INK, RULE, TRAINING, PREDICTED = "measured", "ink", "rule", "training", "predicted"
+GROUPS = ("model-1", "model-2", "model-3", "model-4", "model-5", "model-6")
+LEVELS = {"ok": "trusted-line", "warning": "warning-line", "alarm": "alarm-line"}
+# The set of Okabe and Ito, and the indigo of Tol: the style sheet has a form of each for every ground.
+_NAMES = dict(
+    zip(
+        ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#332288"),
+        (*GROUPS, "model-7"),
+        strict=True,
+    )
+)
 
 INPUT_LABELS = {
     "u": "u [m/s]",
     "v": "v [m/s]",
     "w": "w [m/s]",
-    "v_in": "v<sub>in</sub> [m/s]",
+    "v_in": "v_in [m/s]",
     "p": "p [rad/s]",
     "q": "q [rad/s]",
     "r": "r [rad/s]",
-    "omega_avg": "ω<sub>avg</sub> [rad/s]",
+    "omega_avg": "ω_avg [rad/s]",
     "sin_phi": "sin φ",
     "cos_phi": "cos φ",
     "sin_theta": "sin θ",
     "cos_theta": "cos θ",
-    "U_p": "U<sub>p</sub> [rad/s]",
-    "U_q": "U<sub>q</sub> [rad/s]",
-    "U_r": "U<sub>r</sub> [rad/s]",
-    "mu_x": "μ<sub>x</sub>",
-    "mu_y": "μ<sub>y</sub>",
-    "mu_z": "μ<sub>z</sub>",
-    "mu_v_in": "μ<sub>v,in</sub>",
+    "U_p": "U_p [rad/s]",
+    "U_q": "U_q [rad/s]",
+    "U_r": "U_r [rad/s]",
+    "mu_x": "μ_x",
+    "mu_y": "μ_y",
+    "mu_z": "μ_z",
+    "mu_v_in": "μ_v,in",
     "speed": "airspeed [m/s]",
 }
 
@@ -50,28 +54,15 @@ def group_colours(groups: Iterable[str]) -> dict[str, str]:
 def method_colours(names: Iterable[str]) -> dict[str, str]:
     """A colour per model, that of its kind where it is named after one; the others share what is left."""
     distinct = dict.fromkeys(names)
-    own = {name: kind.colour for name in distinct if (kind := KINDS.named(name))}
-    taken = {PREDICTED, *own.values()}
+    own = {name: _NAMES.get(kind.colour, kind.colour) for name in distinct if (kind := KINDS.named(name))}
+    taken = {*own.values(), GROUPS[3]}
     left = cycle(colour for colour in GROUPS if colour not in taken)
     return {name: own.get(name) or next(left) for name in distinct}
 
 
-def translucent(colour: str, opacity: float) -> str:
-    """A colour #rrggbb as rgba()."""
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({red}, {green}, {blue}, {opacity})"
-
-
-def error_bar(values: Any, intervals: Any, thickness: float) -> dict[str, Any]:
-    """Error bars of plotly from values (N,) to the ends of their intervals (N, 2)."""
-    return {
-        "type": "data",
-        "symmetric": False,
-        "thickness": thickness,
-        "width": 0,
-        "array": intervals[:, 1] - values,
-        "arrayminus": values - intervals[:, 0],
-    }
+def css_colour(colour: str) -> str:
+    """A colour for a style sheet: #rrggbb as it is, a name as the variable."""
+    return colour if colour.startswith("#") else f"var(--{colour})"
 
 
 def unit(axis: str) -> str:

@@ -6,17 +6,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 from rich.console import Group
 from rich.text import Text
 from scipy.stats import t as student_t
 
 from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
 from quadpi_core.paper.realisations import HIGHEST, LOWEST, Spread
 from quadpi_core.paper.validation_case import ValidationCase
 from quadpi_core.paper.validation_result import (
@@ -27,8 +26,9 @@ from quadpi_core.paper.validation_result import (
     Variation,
 )
 from quadpi_core.report.coverage_verdict import Coverage, count_verdicts
+from quadpi_core.report.figure import Band, Figure, Layer, Line, Panel, Scale
+from quadpi_core.report.figure_data import bins_within, blocks, thinned_line
 from quadpi_core.report.page import Page
-from quadpi_core.report.plots import Subplot, bins_within, extreme_samples, label_axes_over_time, styled
 from quadpi_core.report.style import (
     INK,
     MEASURED,
@@ -55,9 +55,9 @@ _NOISE = {
     "specific_force_m_s2": ("specific force", "m/s²"),
     "rotor_speeds_rad_s": ("rotor speeds", "rad/s"),
 }
-# The axes of the paper's figures, and the lines of each axis and model: two bands, two bounds, and the truth.
+# The axes of the paper's figures, and the lines of each axis and model: two bands, interval and truth.
 BAND_AXES = ("Fz", "Fx", "My")
-_LINES = 7
+_LINES = 4
 # Number of realisations whose extremes are drawn: those of 20 lie about two standard deviations from their
 # mean (1.87 expected for normal noise), as the bounds of a 95 % interval do.
 SHOWN = 20
@@ -178,8 +178,9 @@ def write_validation_page(
             "seed": str(result.seed),
         },
         definitions=_definitions(result),
-        figures={
-            f"bands {flight.name}": band_figure(case, place, spreads[flight.name], result, bins)
+        figures={},
+        flight_figures={
+            flight.name: {"bands": band_figure(case, place, spreads[flight.name], result, bins)}
             for place, flight in enumerate(case.flights)
         },
     ).write(
@@ -228,7 +229,7 @@ def _definitions(result: Validation) -> dict[str, str]:
     }
 
 
-def band_figure(case: ValidationCase, place: int, spread: Spread, result: Validation, bins: int) -> go.Figure:
+def band_figure(case: ValidationCase, place: int, spread: Spread, result: Validation, bins: int) -> Figure:
     """Bounds of each model (columns) on Fz, Fx and My (rows), and the variations that they have to cover.
 
     Args:
@@ -241,40 +242,34 @@ def band_figure(case: ValidationCase, place: int, spread: Spread, result: Valida
     flight = case.flights[place]
     held = {axis for model in case.models.values() for axis in model.axes}
     axes = [axis for axis in BAND_AXES if axis in held] or [axis for axis in AXES if axis in held][:1]
-    figure = make_subplots(
-        rows=len(axes),
-        cols=len(case.models),
-        shared_xaxes="all",
-        shared_yaxes="rows",
-        column_titles=list(case.models),
-        horizontal_spacing=0.03,
-        vertical_spacing=0.06,
-    )
-    for column, (name, colour) in enumerate(method_colours(case.models).items(), start=1):
+    panels = []
+    for column, (name, colour) in enumerate(method_colours(case.models).items()):
         reference = case.references[name][place]
-        for row, axis in enumerate(axes, start=1):
+        for row, axis in enumerate(axes):
             if axis not in case.models[name].axes:
                 continue
             k = AXES.index(axis)
-            subplot = Subplot(figure, row, column, in_legend=row == column == 1)
-            for name_of_band, extremes, shade in (
-                ("noisy measurements", spread.measured[..., k], MEASURED),
-                ("noisy predictions", spread.predicted[name][..., k], PREDICTED),
-            ):
-                low, high = extremes[LOWEST], extremes[HIGHEST]
-                drawn = extreme_samples(low, high, bins)
-                subplot.band(
-                    flight.time[drawn], low[drawn], high[drawn], name=name_of_band, colour=shade, opacity=0.45
+            layers: list[Layer] = [
+                Band(of, shade, *blocks(flight.time, low, high, bins), opacity=0.35, pattern=pattern)
+                for of, (low, high), shade, pattern in (
+                    ("noisy measurements", _ends(spread.measured, k), MEASURED, 0),
+                    ("noisy predictions", _ends(spread.predicted[name], k), PREDICTED, 1),
                 )
-            subplot.thinned_line(
-                flight.time, reference.wrench[:, k], bins, name="without noise", colour=INK, width=1.4
-            )
-            bounds = replace(subplot, in_legend=False)
-            for bound in (reference.lower, reference.upper):
-                bounds.thinned_line(
-                    flight.time, bound[:, k], bins, name=f"{name} interval", colour=colour, width=1.4
-                )
+            ]
+            truth = reference.wrench[:, k]
+            layers.append(thinned_line(flight.time, truth, bins, name="without noise", colour=INK))
+            found = blocks(flight.time, reference.lower[:, k], reference.upper[:, k], bins)
+            layers += [
+                Line(f"{name} interval", colour, found.x, bound, dash="dashed")
+                for bound in (found.low, found.high)
+            ]
             covered = result.models[name].flights[flight.name][axis].measurement_variation
-            subplot.note(f"{100.0 * covered:.1f} % covered")
-    label_axes_over_time(figure, axes)
-    return styled(figure, height=110 + 250 * len(axes)).update_layout(showlegend=True)
+            notes = [f"{100.0 * covered:.1f} % covered"]
+            title, y = "" if row else name, Scale(f"{axis} [{unit(axis)}]")
+            panels.append(Panel(layers, Scale("time [s]"), y, title, notes, row, column))
+    return Figure("Intervals and noise", panels, [190.0] * len(axes), over_time=True, shared=True)
+
+
+def _ends(extremes: Array, axis: int) -> tuple[Array, Array]:
+    """The lowest and the highest of realisations."""
+    return extremes[LOWEST][..., axis], extremes[HIGHEST][..., axis]

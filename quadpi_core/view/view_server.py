@@ -13,6 +13,7 @@ import errno
 import ipaddress
 import json
 import math
+import re
 import socket
 import struct
 import time
@@ -29,6 +30,7 @@ from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandle
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from quadpi_core.errors import QuadpiError
+from quadpi_core.report import ASSETS, SHARED_ASSETS
 from quadpi_core.version import __version__
 from quadpi_core.view.bag_view import Source
 from quadpi_core.view.vehicle_view import VehicleView
@@ -136,12 +138,13 @@ class ViewServer:
         self.pages: set[_Page] = set()
         self.failure: Exception | None = None
         self._overview_s = 0.0
-        page = str(PAGE_FOLDER)
+        page, shared = str(PAGE_FOLDER), "|".join(map(re.escape, SHARED_ASSETS))
         self._http = HTTPServer(
             Application(
                 [
                     (r"/socket", _Page, {"server": self}),
                     (r"/()", _Static, {"path": page, "default_filename": "index.html"}),
+                    (rf"/({shared})", _Static, {"path": str(ASSETS)}),
                     (r"/(.*)", _Static, {"path": page}),
                 ],
                 bound=address,

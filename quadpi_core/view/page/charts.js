@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Figures drawn on canvas: quantities over time, the envelope, the flight, the timeline.
 
+import {short, ticks} from "./ticks.js";
+
 export const WINDOW_S = 30;
 const STATE_LINES = ["--trusted-line", "--warning-line", "--alarm-line", "--none-line", "--none-line"];
 let colours = {};
@@ -29,16 +31,6 @@ export function cleared(canvas) {
   context.font = "12px system-ui, sans-serif";
   return [context, width, height];
 }
-
-function ticks(low, high, count) {
-  const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 2.5, 5, 10].map((factor) => factor * power).find((one) => one >= raw);
-  const found = [];
-  for (let value = Math.ceil(low / step) * step; value <= high; value += step) found.push(Math.abs(value) < 1e-9 * step ? 0 : value);
-  return found;
-}
-
-const short = (value) => Math.abs(value) >= 100 ? value.toFixed(0) : String(Number(value.toPrecision(3)));
 
 // Quantities over the last 30 s. A series: {low, high} columns, drawn as a line through the middle of its extremes;
 // a band is filled between its columns.

@@ -95,7 +95,7 @@ class TestFound:
         assert (second.status, second.errors) == (0, "")
         again = json.loads(data.read_text())
         assert (again["verdict"], again["effects"], again["where"]) == ("none", [], [])
-        assert "Nothing is missing" in second.output
+        assert "No missing effect was found" in second.output
         # Nothing to add: no vehicle file, no formula.
         assert again["files"] == []
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Three synthetic flights, a model that knows two of them, and their evaluation; a reader of pages."""
 
+import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -33,6 +34,7 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.open, self.tags, self.scripts, self.text = [], [], [], ""
+        self.script_attributes = []
         self.feed(text)
         assert self.open == []
 
@@ -42,6 +44,7 @@ class Page(HTMLParser):
             self.open.append(tag)
         if tag == "script":
             self.scripts.append("")
+            self.script_attributes.append(dict(attributes))
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
@@ -54,12 +57,30 @@ class Page(HTMLParser):
 
     def assert_needs_nothing_from_outside(self):
         for tag, attributes in self.tags:
-            assert tag not in {"link", "img", "iframe"}
-            assert not {"src", "href"} & set(attributes)
-        bundle, *own = self.scripts
-        assert "plotly" in bundle[:200]
-        assert not any("://" in text for text in (*own, self.text))
-        assert not re.search(r"url\(|@import", self.text)
+            assert tag not in {"img", "iframe"}
+            assert attributes == {"rel": "icon", "href": "data:,"} or not {"src", "href"} & set(attributes)
+        addresses = {
+            found for text in (*self.scripts, self.text) for found in re.findall(r"\w+://[\w.:/]*", text)
+        }
+        # The name space of SVG, and the live page that a moment is shown by.
+        assert addresses <= {"http://www.w3.org/2000/svg", "http://127.0.0.1:8710/"}
+        assert not re.search(r"url\((?!#)|@import", self.text)
+        assert not any(re.search(r"^import |fetch\(", text, re.MULTILINE) for text in self.scripts)
+
+    def figures(self, flight=None):
+        """Figures of the page, or of a flight, by name; arrays as the page holds them."""
+        (held,) = (
+            json.loads(text)
+            for text, attributes in zip(self.scripts, self.script_attributes, strict=True)
+            if "data-figures" in attributes and attributes.get("data-flight") == flight
+        )
+        return held["figures"]
+
+    @property
+    def commands(self):
+        """Commands that show a moment, by flight."""
+        (place,) = (k for k, own in enumerate(self.script_attributes) if own.get("id") == "commands")
+        return json.loads(self.scripts[place])
 
 
 @pytest.fixture

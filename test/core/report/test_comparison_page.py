@@ -21,6 +21,7 @@ from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.plugins import names_in
+from quadpi_core.report import ASSETS
 from quadpi_core.report.comparison_page import comparison_rows, comparison_table
 from quadpi_core.report.style import GROUPS, method_colours
 from quadpi_core.vehicle import Vehicle
@@ -80,8 +81,10 @@ def test_each_model_is_judged_as_if_alone(quadpi, folders, groups, read_page, tm
 
     read = read_page(page)
     read.assert_needs_nothing_from_outside()
-    figures = json.loads(read.scripts[1])
-    assert set(figures) == {"groups", "intervals flight0", "intervals flight1", "intervals flight2"}
+    assert set(read.figures()) == {"groups"}
+    for flight in ("flight0", "flight1", "flight2"):
+        assert set(read.figures(flight)) == {"intervals", *(f"model {name}" for name in folders)}
+        assert read.commands[flight].endswith(" ".join(f"--model {folder}" for folder in folders.values()))
     assert "omega_avg^2" in read.text
 
 
@@ -161,10 +164,14 @@ def test_a_folder_may_be_that_of_a_bag(quadpi, folders, bags, tmp_path):
 
 def test_every_model_has_a_colour_and_none_that_of_a_method():
     names = [f"mine {k}" for k in range(3 * len(GROUPS))]
-    own = {method: kind_named(method).colour for method in names_in(kinds)}
+    own = list(names_in(kinds))
     colours = method_colours([*own, *names])
-    assert {method: colours[method] for method in own} == own
-    assert not {colours[name] for name in names} & set(own.values())
+    # Each kind's own colour is one of the style sheet, which has a form of it for dark screens.
+    style = (ASSETS / "look.css").read_text()
+    assert all(style.count(f"--{colours[method]}:") == 2 for method in own)
+    declared = {kind_named(method).colour for method in own}
+    assert len({colours[method] for method in own}) == len(declared)
+    assert not {colours[name] for name in names} & {colours[method] for method in own}
     assert colours["mine 0"] != colours["mine 1"]
 
 

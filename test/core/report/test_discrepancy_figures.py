@@ -63,40 +63,47 @@ def test_a_cell_needs_twenty_samples_to_be_drawn():
 
 def test_colours_of_an_axis_have_one_scale_about_zero(square):
     figure = map_figure([square], ("Fx", "Mz"))
-    assert len(figure.data) == 6
-    largest = max(np.nanmax(np.abs(cell.z)) for cell in figure.data[:3])
-    scale = figure.layout.coloraxis1
-    assert (scale.cmin, scale.cmax) == (pytest.approx(-largest), pytest.approx(largest))
-    assert {cell.coloraxis for cell in figure.data[3:]} == {"coloraxis2"}
+    cells = {(panel.column, panel.row): panel.layers[0] for panel in figure.panels}
+    assert len(cells) == 6
+    for column in range(2):
+        own = [cells[column, row] for row in range(3)]
+        largest = max(np.nanmax(np.abs(cell.values)) for cell in own)
+        assert [cell.largest for cell in own] == pytest.approx([largest] * 3)
+        assert all(len(cell.values) == (len(cell.x) - 1) * (len(cell.y) - 1) for cell in own)
 
 
 def test_a_profile_is_drawn_to_the_end_of_its_last_bin():
     profile = Profile("Fx", "u", np.array([0.0, 2.0, 4.0]), *np.array([[3.0, 4.0], [1.0, 2.0], [0.5, 0.6]]))
     figure = profile_figure([profile] * 4)
-    assert len(figure.data) == 12
-    drawn = {line.name: line for line in figure.data[:3]}
+    assert [(panel.row, panel.column) for panel in figure.panels] == [(0, 0), (0, 1), (0, 2), (1, 0)]
+    drawn = {line.name: line for line in figure.panels[0].layers}
     assert drawn["as it is"].y.tolist() == [3.0, 4.0, 4.0]
     assert drawn["with what was found"].y.tolist() == [1.0, 2.0, 2.0]
-    assert {line.line.shape for line in figure.data} == {"hv"}
-    assert [line.showlegend for line in figure.data].count(True) == 3
-    assert figure.layout.xaxis.title.text == "forward airspeed [m/s]"
+    assert all(line.stepped for line in drawn.values())
+    assert len({line.dash for line in drawn.values()}) == 3
+    assert figure.panels[0].x.title == "forward airspeed [m/s]"
 
 
 def test_a_gap_is_drawn_before_after_and_as_the_floor():
     before, after, floor = np.arange(18.0).reshape(3, 6)
     figure = gap_figure(Gap(before, after, floor, 0.5))
-    drawn = {}
-    for trace in figure.data:
-        drawn.setdefault(trace.name, {}).update(zip(trace.x, trace.y, strict=True))
-    for name, values in (("before", before), ("after", after), ("floor: noise", floor)):
-        assert drawn[name] == dict(zip(AXES, values, strict=True))
+    for k, panel in enumerate(figure.panels):
+        own = slice(3 * k, 3 * k + 3)
+        assert tuple(label for _, label in panel.x.ticks) == AXES[own]
+        left, right, noise = panel.layers
+        assert (left.name, right.name, noise.name) == ("before", "after", "floor: noise")
+        np.testing.assert_array_equal(left.top, before[own])
+        np.testing.assert_array_equal(right.top, after[own])
+        np.testing.assert_array_equal(noise.y, floor[own])
+        assert np.all(left.right <= right.left)
 
 
 def test_residuals_over_time_have_a_band_of_twice_the_floor(square):
     figure = residual_figure(square, np.full(6, 0.25), bins=200)
-    assert len(figure.data) == LINES == 12
-    bands = [(shape.y0, shape.y1) for shape in figure.layout.shapes]
-    assert bands == [(-0.5, 0.5)] * 6
-    before, after = figure.data[:2]
-    assert (before.name, after.name) == ("before", "after")
-    assert after.y.max() == pytest.approx(0.5 * before.y.max(), rel=1e-6)
+    assert sum(len(panel.layers) - 1 for panel in figure.panels) == LINES == 12
+    for panel in figure.panels:
+        noise, before, after = panel.layers
+        assert (noise.bottom.tolist(), noise.top.tolist()) == ([-0.5], [0.5])
+        assert (before.name, after.name) == ("before", "after")
+    _, before, after = figure.panels[0].layers
+    assert after.high.max() == pytest.approx(0.5 * before.high.max(), rel=1e-6)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of a search: it says what was found, needs nothing from outside, and draws what is there."""
 
-import json
 from dataclasses import replace
 from io import StringIO
 
@@ -53,12 +52,16 @@ def test_code_that_ran_is_named(found, read_page, rendered, tmp_path):
 
 
 def test_figures_of_every_flight(page_file, read_page, found):
-    figures = json.loads(read_page(page_file).scripts[-2])
-    assert {"profiles", "maps", "gap"} < set(figures)
+    page = read_page(page_file)
+    assert set(page.figures()) == {"profiles", "maps", "gap"}
     for own in found.where.residuals:
-        assert len(figures[f"residual {own.flight}"]["data"]) == 12
-    gap = figures["gap"]["data"]
-    assert {trace["name"] for trace in gap} == {"before", "after", "floor: noise"}
+        assert [len(panel["layers"]) for panel in page.figures(own.flight)["residual"]["panels"]] == [3] * 6
+    gap = page.figures()["gap"]["panels"]
+    assert {layer["name"] for panel in gap for layer in panel["layers"]} == {
+        "before",
+        "after",
+        "floor: noise",
+    }
 
 
 def test_every_candidate_has_its_reason(page_file, read_page, found):

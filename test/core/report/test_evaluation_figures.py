@@ -12,6 +12,11 @@ from quadpi_core.report.evaluation_figures import (
     residual_figure,
     time_history_figure,
 )
+from quadpi_core.report.figure import Boxes, Line
+
+
+def training_range(panel):
+    return [layer for layer in panel.layers if isinstance(layer, Boxes)]
 
 
 def groups(case):
@@ -21,57 +26,62 @@ def groups(case):
 def test_each_axis_of_a_time_history_has_its_band_between_the_bounds(case):
     result = case.results[2]
     figure = time_history_figure(result, case.evaluation.flights[result.name].axes, "#0072B2", 500)
-    assert len(figure.data) == 4 * len(AXES)
-    for k, axis in enumerate(AXES):
-        lower, upper, measured, predicted = figure.data[4 * k : 4 * k + 4]
-        # A band is only right where both bounds are of this type, on one subplot, and drawn in this order.
-        assert lower.type == upper.type == "scatter"
-        assert (lower.fill, upper.fill) == (None, "tonexty")
-        assert {trace.yaxis for trace in (lower, upper, measured, predicted)} == {lower.yaxis}
-        assert np.all(lower.y < predicted.y)
-        assert np.all(predicted.y < upper.y)
-        assert measured.fill is None
-        assert measured.y.max() == np.float32(result.column("measured", axis).max())
-        assert lower.y.min() == np.float32(result.column("lower", axis).min())
-        assert upper.y.max() == np.float32(result.column("upper", axis).max())
+    assert [panel.row for panel in figure.panels] == list(range(len(AXES)))
+    for panel, axis in zip(figure.panels, AXES, strict=True):
+        band, measured, predicted = panel.layers
+        assert panel.y.title.startswith(axis)
+        assert [layer.name for layer in panel.layers] == ["prediction interval", "measured", "predicted"]
+        assert np.all(band.low < predicted.y)
+        assert np.all(predicted.high < band.high)
+        for lowest, highest, quantities in (
+            (measured.y, measured.high, ("measured", "measured")),
+            (band.low, band.high, ("lower", "upper")),
+        ):
+            lower, upper = (result.column(quantity, axis) for quantity in quantities)
+            assert (lowest.min(), highest.max()) == (lower.min(), upper.max())
 
 
 def test_coverage_figure_shows_coverage_and_interval_in_percent(case):
     figure = coverage_figure(case.evaluation)
     metrics = case.evaluation.groups["new & fast"].axes["Fz"]
-    trace = figure.data[1]
+    nominal, _, fast = figure.panels[0].layers
     k = AXES.index("Fz")
-    assert trace.x[k] == pytest.approx(100 * metrics.picp)
-    assert trace.x[k] + trace.error_x.array[k] == pytest.approx(100 * metrics.picp_ci[1])
-    assert trace.x[k] - trace.error_x.arrayminus[k] == pytest.approx(100 * metrics.picp_ci[0])
+    assert nominal.at == pytest.approx(95.0)
+    assert fast.x[k] == pytest.approx(100 * metrics.picp)
+    assert fast.error[k] == pytest.approx(100 * np.array(metrics.picp_ci))
+    assert figure.panels[0].x.low < fast.error.min()
 
 
 def test_envelope_figure_marks_the_training_range_of_every_input(case):
     figure = envelope_figure(groups(case), case.model.envelope, ["slow", "mid"])
-    assert len(figure.data) == 2 * len(ENVELOPE_INPUTS)
-    assert len(figure.layout.shapes) == len(ENVELOPE_INPUTS)
-    speed = figure.layout.shapes[ENVELOPE_INPUTS.index("speed")]
-    assert speed.x1 == pytest.approx(case.results[1].speed.max())
-    outside = np.mean(case.results[2].speed > speed.x1)
-    notes = [note.text for note in figure.layout.annotations if "outside" in note.text]
-    assert any(f"{100 * outside:.0f} % outside" in note for note in notes)
+    assert len(figure.panels) == len(ENVELOPE_INPUTS)
+    assert all(training_range(panel) for panel in figure.panels)
+    panel = figure.panels[ENVELOPE_INPUTS.index("speed")]
+    (speed,) = training_range(panel)
+    assert speed.right == pytest.approx([case.results[1].speed.max()])
+    outside = np.mean(case.results[2].speed > speed.right[0])
+    assert panel.notes == [f"new & fast: {100 * outside:.0f} % outside"]
+    # Groups differ in print.
+    assert {layer.dash for layer in panel.layers if isinstance(layer, Line)} == {"", "dashed"}
 
 
 def test_airspeed_has_no_range_without_training_flights(case):
     figure = envelope_figure({"new": case.results[2:]}, case.model.envelope, ["slow", "mid"])
-    assert len(figure.layout.shapes) == len(ENVELOPE_INPUTS) - 1
+    assert [bool(training_range(panel)) for panel in figure.panels] == [
+        name != "speed" for name in ENVELOPE_INPUTS
+    ]
 
 
 def test_residual_bands_hold_the_residuals_and_lie_between_their_bounds(case):
     figure = residual_figure(groups(case), AXES, 0.95)
-    assert len(figure.data) == 4 * 2 * len(AXES)
-    for k in range(0, len(figure.data), 4):
-        low, high, below, above = figure.data[k : k + 4]
-        assert low.type == high.type == "scatter"
-        assert (low.fill, high.fill) == (None, "tonexty")
-        assert np.all(low.y < high.y)
-        assert np.all(below.y < 0)
-        assert np.all(above.y > 0)
+    assert len(figure.panels) == len(AXES)
+    for panel in figure.panels:
+        for band, below, above in (panel.layers[:3], panel.layers[3:6]):
+            assert np.all(band.low < band.high)
+            assert np.all(below.y < 0)
+            assert np.all(above.y > 0)
     # σ = 0.75 for the fast flight and 0.25 for the others.
-    assert np.median(figure.data[5].y) == pytest.approx(1.96 * 0.75, rel=0.15)
-    assert np.median(figure.data[1].y) == pytest.approx(1.96 * 0.25, rel=0.15)
+    known, fast = figure.panels[0].layers[0], figure.panels[0].layers[3]
+    assert np.median(fast.high) == pytest.approx(1.96 * 0.75, rel=0.15)
+    assert np.median(known.high) == pytest.approx(1.96 * 0.25, rel=0.15)
+    assert known.pattern != fast.pattern

@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frame of every page: whole and self-contained, whatever text from outside it shows."""
 
-import json
 from dataclasses import replace
+from pathlib import Path
 
-import plotly.graph_objects as go
+import numpy as np
 import pytest
 from jinja2 import UndefinedError
 
 from quadpi_core.errors import OutputError
-from quadpi_core.report.page import Page
+from quadpi_core.report.figure import Figure, Line, Panel, Scale
+from quadpi_core.report.page import FlightFiles, Page
 from quadpi_core.report.table import Column, Table
 from quadpi_core.version import __version__
 
@@ -18,9 +19,14 @@ HOSTILE = '</script><script>alert(1)</script> & "<b>" {{ title }}'
 SECTIONS = {"bins": 300, "table_of_flights": Table([Column("flight")], [["hop"]]), "flights": ["hop"]}
 
 
+def figure_of(name):
+    line = Line(name, "model-1", np.arange(2.0), np.array([3.0, 4.0]))
+    return Figure("A line", [Panel([line], Scale("time [s]"), Scale("height [m]"))], [100.0])
+
+
 @pytest.fixture
 def page():
-    figure = go.Figure().add_scatter(x=[1, 2], y=[3, 4], name="flown")
+    figure = figure_of("flown")
     return Page(
         "A title", "does it hold?", "It holds.", {"vehicle": "bebop2"}, {"Term": "meaning"}, {"hop": figure}
     )
@@ -60,14 +66,26 @@ def test_text_from_outside_stays_text(page, written):
     shown = written(hostile)
     assert len(shown.scripts) == len(written(page).scripts)
     assert shown.text.count(HOSTILE) == 6
+    assert shown.text.index(HOSTILE) < shown.text.index("does it hold?")
 
 
 def test_figures_are_those_that_were_given_and_cannot_end_their_script(page, written):
-    figure = go.Figure().add_scatter(x=[1], y=[2], name=HOSTILE)
-    shown = written(replace(page, figures={"hop": figure, f"trajectory {HOSTILE}": figure}))
-    figures = json.loads(shown.scripts[1])
-    assert list(figures) == ["hop", f"trajectory {HOSTILE}"]
-    assert figures["hop"]["data"][0]["name"] == HOSTILE
+    figure = figure_of(HOSTILE)
+    shown = written(replace(page, figures={HOSTILE: figure}, flight_figures={HOSTILE: {"hop": figure}}))
+    for figures in (shown.figures(), shown.figures(HOSTILE)):
+        (drawn,) = figures.values()
+        assert drawn["panels"][0]["layers"][0]["name"] == HOSTILE
+    assert list(shown.figures()) == [HOSTILE]
+
+
+def test_commands_are_quoted_for_a_shell_and_cannot_end_their_script(page, written):
+    bag = Path("my bags") / "</script>; rm -rf $HOME.mcap"
+    shown = written(replace(page, files=FlightFiles({"hop": bag}, [Path("one"), Path("a'b")])))
+    assert shown.commands == {
+        "hop": """quadpi view 'my bags/</script>; rm -rf $HOME.mcap' --model one --model 'a'"'"'b'"""
+    }
+    assert len(shown.scripts) == len(written(page).scripts)
+    assert written(page).commands == {}
 
 
 def test_a_page_that_fails_leaves_the_old_one(page, tmp_path):

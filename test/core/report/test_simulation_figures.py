@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from quadpi_core.report.simulation_figures import (
     effort_figure,
@@ -17,32 +16,26 @@ from quadpi_core.vehicle import Vehicle
 from .circling import HEIGHT, PITCH, RADIUS, circle
 
 
-def trace(figure, name):
-    (found,) = (data for data in figure.data if data.name == name)
-    return np.column_stack((found.x, found.y, found.z))
+def line(figure, name):
+    (found,) = (line.points for line in figure.lines if line.name == name)
+    return found
+
+
+def layers(figure, name):
+    return [layer for panel in figure.panels for layer in panel.layers if layer.name == name]
 
 
 class TestTrajectory:
     def test_axes_are_east_north_height_at_equal_scale(self):
         figure = trajectory_figure(circle())
-        path = trace(figure, "flown")
+        (path,) = (line.points for line in figure.lines if line.values is not None)
         np.testing.assert_allclose(path[0], [0.0, RADIUS, HEIGHT], atol=1e-6)
-        np.testing.assert_allclose(
-            trace(figure, "reference")[0], [0.0, RADIUS + 0.3, HEIGHT + 0.4], rtol=1e-6
-        )
-        scene = figure.layout.scene
-        scales = {
-            (axis.range[1] - axis.range[0]) / scene.aspectratio[name]
-            for name, axis in (("x", scene.xaxis), ("y", scene.yaxis), ("z", scene.zaxis))
-        }
-        assert max(scales) == pytest.approx(min(scales))
-
-    def test_a_flat_space_has_fewer_ticks_upward(self):
-        scene = trajectory_figure(circle()).layout.scene
-        assert scene.zaxis.nticks < 0.5 * scene.xaxis.nticks
+        np.testing.assert_allclose(line(figure, "reference")[0], [0.0, RADIUS + 0.3, HEIGHT + 0.4], rtol=1e-6)
+        assert np.all(figure.low <= path.min(axis=0))
+        assert np.all(figure.high >= path.max(axis=0))
 
     def test_noses_point_along_the_flight_and_up(self):
-        nose = trace(trajectory_figure(circle()), "nose").reshape(-1, 3, 3)
+        nose = line(trajectory_figure(circle()), "nose").reshape(-1, 3, 3)
         assert len(nose) > 10
         assert np.isnan(nose[:, 2]).all()
         directions = nose[:, 1] - nose[:, 0]
@@ -56,8 +49,8 @@ class TestTrajectory:
         truth = circle()
         still = replace(truth, position=np.tile([1.0, 2.0, -3.0], (1000, 1)))
         figure = trajectory_figure(replace(still, reference=Reference.hover(still.position[0], 1000)))
-        assert len(trace(figure, "nose")) == 3
-        low, high = figure.layout.scene.zaxis.range
+        assert len(line(figure, "nose")) == 3
+        low, high = figure.low[2], figure.high[2]
         assert low < 3.0 - 0.4
         assert high > 3.0 + 0.4
 
@@ -65,10 +58,7 @@ class TestTrajectory:
 class TestTimeHistories:
     def test_yaw_follows_its_reference_through_the_turns(self):
         figure = tracking_figure(circle(), bins=1000)
-        flown, reference = (
-            next(data for data in figure.data if data.name == name and data.yaxis == "y4")
-            for name in ("flown", "reference")
-        )
+        flown, reference = (layers(figure, name)[3] for name in ("flown", "reference"))
         np.testing.assert_allclose(flown.y, reference.y, atol=1e-3)
         assert np.ptp(flown.y) > 720
 
@@ -77,12 +67,13 @@ class TestTimeHistories:
         rates = truth.rates.copy()
         rates[567, 1] = 9.0
         figure = effort_figure(replace(truth, rates=rates), bins=150)
-        assert next(data for data in figure.data if data.name == "q").y.max() == 9.0
+        (q,) = layers(figure, "q")
+        assert q.high.max() == 9.0
 
-    def test_each_name_is_explained_once(self):
-        for figure in (tracking_figure(circle(), 150), effort_figure(circle(), 150)):
-            explained = [data.name for data in figure.data if data.showlegend]
-            assert len(explained) == len(set(explained))
+    def test_lines_of_a_row_differ_without_colour(self):
+        for panel in effort_figure(circle(), 150).panels:
+            dashes = [layer.dash for layer in panel.layers if layer.name]
+            assert len(dashes) == len(set(dashes))
 
     def test_rotors_are_named_by_their_place(self):
         names = rotor_names(Vehicle.load("bebop2"))

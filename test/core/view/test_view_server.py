@@ -19,6 +19,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from quadpi_core.flight import AXES
+from quadpi_core.report import ASSETS, SHARED_ASSETS
 from quadpi_core.view import view_server
 from quadpi_core.view.blocks import columns
 from quadpi_core.view.trust import State
@@ -307,7 +308,9 @@ def test_an_address_that_is_not_here_is_refused():
 
 def test_the_page_is_small_and_needs_nothing_from_elsewhere():
     files = {path.name: path for path in (view_server.PAGE_FOLDER).iterdir()}
-    assert set(files) == {"index.html", "view.css", "view.js", "store.js", "charts.js"}
+    files |= {name: ASSETS / name for name in SHARED_ASSETS}
+    own = {"index.html", "view.css", "view.js", "store.js", "charts.js"}
+    assert set(files) == {*own, "look.css", "ticks.js"}
     assert sum(path.stat().st_size for path in files.values()) < 1 << 20
     for path in files.values():
         text = path.read_text()

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a page holds of a figure: every peak, every array once, and no more values than it has room for."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.report.figure import Figure, Limit, Line, Panel, Points, Scale
+from quadpi_core.report.figure_data import PAGE_VALUES, bins_within, blocks, figures_as_json, thinned_line
+
+
+def read(figures):
+    """The figures of a page with numbers in the place of arrays, as a browser reads them."""
+    held = json.loads(figures_as_json(figures))
+
+    def unpacked(array):
+        if isinstance(array, list):
+            return np.array([np.nan if value is None else value for value in array])
+        if "count" in array:
+            return np.linspace(array["from"], array["to"], array["count"])
+        codes = np.frombuffer(base64.b64decode(array["data"]), "<u2")
+        return np.where(codes == 65535, np.nan, array["low"] + array["step"] * codes.astype(float))
+
+    def filled(value):
+        if isinstance(value, list):
+            return [filled(part) for part in value]
+        if isinstance(value, dict):
+            return (
+                unpacked(held["arrays"][value["array"]])
+                if "array" in value
+                else {key: filled(part) for key, part in value.items()}
+            )
+        return value
+
+    return filled(held["figures"]), held["arrays"]
+
+
+def one_panel(*layers):
+    return {"a": Figure("label", [Panel(layers, Scale("x"), Scale("y", low=0.0))], [100.0])}
+
+
+def test_blocks_keep_every_peak():
+    time, y = np.arange(100_000) / 400.0, np.sin(np.arange(100_000) / 3000)
+    y[[137, 51_234, 99_999]] = 40.0, -40.0, 9.0
+    found = blocks(time, y, y, bins=200)
+    assert len(found.x) == 200
+    assert (found.high[0], found.low[102], found.high[-1]) == (40.0, -40.0, 9.0)
+    for k, start in enumerate(range(0, 100_000, 500)):
+        part = slice(start, start + 500)
+        assert (found.low[k], found.high[k]) == (y[part].min(), y[part].max())
+        assert time[part][0] <= found.x[k] <= time[part][-1]
+
+
+def test_a_band_keeps_the_lowest_of_its_lower_and_the_highest_of_its_upper_bound():
+    low, high = np.zeros(1000), np.ones(1000)
+    low[301], high[702] = -5.0, 5.0
+    found = blocks(np.arange(1000.0), low, high, bins=10)
+    assert (found.low.min(), found.high.max()) == (-5.0, 5.0)
+    assert (found.low.max(), found.high.min()) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("size", [1, 2, 19, 20])
+def test_a_short_signal_stays_whole(size):
+    x = np.arange(float(size))
+    found = blocks(x, x, x, bins=10)
+    assert found.x is x
+    assert found.low is x
+    assert thinned_line(x, x, 10, name="a", colour="ink").high is None
+
+
+@pytest.mark.parametrize(
+    ("lines", "bins"), [(0, 4000), (87, 4000), (100, PAGE_VALUES // 200), (500, 700), (9000, 150)]
+)
+def test_pages_of_many_lines_draw_fewer_values_of_each(lines, bins):
+    assert bins_within(lines) == bins
+
+
+def test_arrays_are_read_as_they_were_written():
+    rng = np.random.default_rng(0)
+    time, noise, few = np.arange(500) / 50.0, rng.normal(0.0, 3.0, 500), np.array([1.0, np.nan, -0.25])
+    noise[7] = np.nan
+    lines = Line("a", "ink", time, noise), Line("b", "ink", few, few)
+    figures, arrays = read(one_panel(*lines))
+    first, second = figures["a"]["panels"][0]["layers"]
+    np.testing.assert_allclose(first["x"], time, atol=1e-9)
+    # Sixteen bits: a step is a 65534th of the extent.
+    np.testing.assert_allclose(first["y"], noise, atol=0.51 * np.ptp(noise[8:]) / 60_000)
+    np.testing.assert_array_equal(second["x"], few)
+    assert arrays[0] == {"from": 0.0, "to": time[-1], "count": 500}
+
+
+@pytest.mark.parametrize("values", [np.zeros(50), np.full(50, np.nan), np.full(50, 1e-300), np.empty(0)])
+def test_signals_without_an_extent(values):
+    figures, _ = read(one_panel(Line("a", "ink", values, values)))
+    np.testing.assert_allclose(figures["a"]["panels"][0]["layers"][0]["y"], values, atol=1e-290)
+
+
+def test_an_array_is_stored_once():
+    time = np.random.default_rng(0).uniform(size=100)
+    _, arrays = read(one_panel(*(Line(name, "ink", time, time + k) for k, name in enumerate("abc"))))
+    assert len(arrays) == 1 + 3 - 1
+
+
+def test_what_is_unset_is_left_out_and_zero_is_not():
+    points = Points("p", "ink", np.zeros(2), np.ones(2), error=np.array([[0.0, 2.0], [0.5, 1.5]]))
+    figures, _ = read(one_panel(Limit("", "ink", 0.0), points))
+    panel = figures["a"]["panels"][0]
+    limit, drawn = panel["layers"]
+    assert limit == {"kind": "limit", "colour": "ink", "at": 0.0, "dash": "dashed"}
+    assert panel["y"] == {"title": "y", "low": 0.0}
+    assert [end.tolist() for end in drawn["error"]] == [[0.0, 0.5], [2.0, 1.5]]
+    assert "hollow" not in drawn

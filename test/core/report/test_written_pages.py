@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Written pages in a real browser, from a file: what they draw, how they are used, and how they print."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.chromium import PROGRAM, Tab, chromium
+from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison
+from quadpi_core.report.comparison_page import write_comparison_page
+from quadpi_core.report.evaluation_page import write_evaluation_page
+from quadpi_core.report.page import FlightFiles
+from quadpi_core.report.simulation_page import write_simulation_page
+
+from .circling import circle
+from .test_simulation_page import planned
+
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: apt-get install chromium")
+
+HISTORY = '[data-kind="history"]'
+COLOURS = "getComputedStyle(document.documentElement).getPropertyValue"
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory) -> Iterator[Tab]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as tab:
+        yield tab
+
+
+@pytest.fixture
+def opened(tab: Tab, case, tmp_path: Path) -> Tab:
+    """The page of an evaluation, with a flight of a hostile name."""
+    bags = {name: Path(f"bags/{name}.mcap") for name in ("slow", "fast<b>")}
+    path = tmp_path / "page.html"
+    files = FlightFiles(bags, [Path("my model")])
+    write_evaluation_page(path, case.evaluation, case.results, case.model, case.live, files)
+    return at(tab, path)
+
+
+def at(tab: Tab, path: Path) -> Tab:
+    tab.problems.clear()
+    tab.resize(1300, 1000)
+    tab.open(path.as_uri())
+    tab.wait("document.querySelectorAll('.drawing svg').length > 0")
+    return tab
+
+
+def choose(tab: Tab, menu: str, value: str) -> None:
+    tab.value(
+        f"(() => {{ const one = document.getElementById('{menu}'); one.value = {value!r};"
+        "one.dispatchEvent(new Event('change')); })()"
+    )
+
+
+def strokes(tab: Tab, place: str) -> int:
+    """Number of dashed lines of a figure."""
+    dashed = '[stroke-dasharray]:not([stroke-dasharray=""])'
+    return int(tab.value(f"document.querySelectorAll('{place} .drawing path{dashed}').length"))
+
+
+def click(tab: Tab, place: str, share: float) -> None:
+    """Into the first row of a figure, at a share of its width."""
+    x, y = tab.value(
+        f"(() => {{ const one = document.querySelector('{place} .drawing'); one.scrollIntoView();"
+        "const grid = one.querySelector('clipPath rect').getBBox(), box = one.getBoundingClientRect();"
+        f"return [box.left + grid.x + {share} * grid.width, box.top + grid.y + 30]; }})()"
+    )
+    for kind in ("mousePressed", "mouseReleased"):
+        tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+
+def test_it_draws_every_figure_without_an_error(opened):
+    places, drawn = opened.value(
+        "['.figure', '.figure .drawing > svg'].map((one) => document.querySelectorAll(one).length)"
+    )
+    assert places == drawn == 5
+    assert opened.value("document.querySelectorAll('.drawing path[d*=NaN], .drawing [x*=NaN]').length") == 0
+    assert opened.value("document.querySelectorAll('main b:not([class])').length") == 8
+    assert opened.problems == []
+
+
+def test_two_flights_are_drawn_on_the_same_axes_and_differ_without_colour(opened):
+    alone = opened.value(f"document.querySelectorAll('{HISTORY} g[clip-path] path').length")
+    assert strokes(opened, HISTORY) == 0
+    choose(opened, "beside", "fast<b>")
+    both = opened.value(f"document.querySelectorAll('{HISTORY} g[clip-path] path').length")
+    assert both > 1.9 * alone
+    # In each of six axes: what was measured, what was predicted, and both bounds of the band.
+    assert strokes(opened, HISTORY) >= 6 * 4
+    assert opened.value(f"document.querySelectorAll('{HISTORY} .drawing pattern').length") == 6
+    legend = opened.value(f"document.querySelector('{HISTORY} .legend').textContent")
+    assert "measured, slow" in legend
+    assert "measured, fast<b>" in legend
+    choose(opened, "beside", "")
+    assert strokes(opened, HISTORY) == 0
+
+
+def test_a_moment_gives_the_command_that_shows_it(opened):
+    choose(opened, "beside", "fast<b>")
+    click(opened, HISTORY, 0.5)
+    opened.wait("!document.getElementById('moment').hidden")
+    said = opened.value("[...document.querySelectorAll('#moments code')].map((one) => one.textContent)")
+    match = re.fullmatch(r"quadpi view bags/slow\.mcap --model 'my model' --at ([\d.]+)", said[0])
+    # Half of the 7.5 s of the flight.
+    assert match
+    assert float(match[1]) == pytest.approx(3.75, abs=0.05)
+    assert said[1] == f"quadpi view 'bags/fast<b>.mcap' --model 'my model' --at {match[1]}"
+    assert opened.value("document.querySelector('#moments a').href") == f"http://127.0.0.1:8710/#t={match[1]}"
+    opened.value("document.getElementById('close').click()")
+    assert opened.value("document.getElementById('moment').hidden")
+
+
+def test_a_moment_of_the_live_replay_is_in_the_time_of_the_flight(tab, case, tmp_path):
+    path = tmp_path / "page.html"
+    live = replace(case.live, begins_s=1.0)
+    files = FlightFiles({"fast<b>": Path("fast.mcap")})
+    write_evaluation_page(path, case.evaluation, case.results, case.model, live, files)
+    at(tab, path)
+    click(tab, '[data-figure="alarm"]', 1.0)
+    shown = tab.wait("document.querySelector('#moments code')?.textContent")
+    assert float(shown.rpartition(" ")[2]) == pytest.approx(case.results[2].time[-1], abs=0.05)
+
+
+def test_keys_move_zoom_and_choose(opened):
+    opened.value(f"document.querySelector('{HISTORY} .drawing').focus()")
+    texts = (
+        f"[...document.querySelectorAll('{HISTORY} .drawing text')].map((one) => one.textContent).join(' ')"
+    )
+    whole = opened.value(texts)
+    opened.press("ArrowRight")
+    said = opened.value(f"document.querySelector('{HISTORY} .readout').textContent")
+    assert said.startswith("3.82 s, Fx [N]")
+    assert "prediction interval" in said
+    opened.press("ArrowDown")
+    assert "Fy [N]" in opened.value(f"document.querySelector('{HISTORY} .readout').textContent")
+    opened.press("+")
+    assert opened.value(texts) != whole
+    opened.press("Enter")
+    assert not opened.value("document.getElementById('moment').hidden")
+    opened.press("Escape")
+    assert opened.value(texts) == whole
+
+
+def test_two_models_are_drawn_on_the_same_axes(tab, case, tmp_path):
+    path, whole = tmp_path / "page.html", vars(case.evaluation)
+    models = {
+        name: ComparedEvaluation(**whole | {"model": f"{name}@1"}, settings="default", cutoff_hz=30.0)
+        for name in ("one", "two<i>")
+    }
+    groups = {name: part.flights for name, part in case.evaluation.groups.items()}
+    comparison = Comparison("0", "v", 0.95, False, groups, None, models)
+    results = dict.fromkeys(models, case.results)
+    write_comparison_page(path, comparison, results, dict.fromkeys(models, case.model))
+    at(tab, path)
+    place = '[data-kind="intervals"]'
+    assert tab.value("document.getElementById('beside').disabled")
+    choose(tab, "model", "one")
+    assert tab.value(f"document.querySelector('{place} .legend').textContent").count("interval") == 1
+    choose(tab, "beside", "two<i>")
+    assert "predicted, two<i>" in tab.value(f"document.querySelector('{place} .legend').textContent")
+    assert tab.value(f"document.querySelectorAll('{place} .drawing pattern').length") == 6
+    choose(tab, "model", "")
+    assert tab.value(f"document.querySelectorAll('{place} .drawing pattern').length") == 0
+    assert tab.problems == []
+
+
+def test_a_path_in_space_is_turned(tab, tmp_path):
+    path = tmp_path / "page.html"
+    write_simulation_page(path, [(planned("round"), circle("round"))])
+    at(tab, path)
+    drawn = "document.querySelector('.space svg').outerHTML"
+    before = tab.value(drawn)
+    assert "NaN" not in before
+    tab.value("document.querySelector('.space').focus()")
+    tab.press("ArrowRight")
+    assert tab.value(drawn) != before
+    tab.press("ArrowLeft")
+    assert tab.value(drawn) == before
+    assert tab.problems == []
+
+
+@pytest.mark.parametrize("width", [1920, 1024, 768, 390])
+def test_it_fits_screens_from_a_phone_to_a_desk(opened, width):
+    opened.resize(width, 900)
+    opened.wait(
+        f"document.querySelector('{HISTORY} .drawing > svg').getBoundingClientRect().width <= {width}"
+    )
+    assert opened.value("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_colours_of_lines_and_text_have_the_contrast_of_wcag_aa(opened, theme):
+    opened.value(f"document.documentElement.dataset.theme = '{theme}'")
+
+    def colour(name: str) -> str:
+        return str(opened.value(f"{COLOURS}('--{name}').trim()"))
+
+    for ground in ("paper", "ground", "short-ground"):
+        for text in ("ink", "soft", "miss") if ground != "short-ground" else ("miss",):
+            assert contrast(colour(text), colour(ground)) >= 4.5, (text, ground)
+    for line in ("measured", "predicted", "slow", "fast", *(f"model-{k}" for k in range(1, 8))):
+        assert contrast(colour(line), colour("paper")) >= 3.0, line
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours #rrggbb (WCAG 2.1)."""
+
+    def luminance(colour: str) -> float:
+        parts = np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+        linear = np.where(parts <= 0.03928, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    dark, bright = sorted((luminance(one), luminance(other)))
+    return (bright + 0.05) / (dark + 0.05)
+
+
+def test_print_is_light_whole_and_without_controls(opened):
+    opened.value("document.documentElement.dataset.theme = 'dark'")
+    opened.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        assert opened.value(f"{COLOURS}('--paper').trim()") == "#ffffff"
+        controls = "document.querySelectorAll('button:not(td button, .legend button), select, #moment')"
+        assert opened.value(f"[...{controls}].filter((one) => one.checkVisibility()).length") == 0
+        assert (
+            opened.value(f"document.querySelector('{HISTORY}').previousElementSibling.textContent") == "slow"
+        )
+    finally:
+        opened.call("Emulation.setEmulatedMedia", media="")
+    opened.value("window.printed = []")
+    folded = "document.querySelectorAll('details:not([open])').length"
+    width = f"document.querySelector('{HISTORY} .drawing > svg').viewBox.baseVal.width"
+    opened.value(f"addEventListener('beforeprint', () => printed.push({folded}, {width}))")
+    answer = opened.call("Page.printToPDF", preferCSSPageSize=True)
+    pdf = base64.b64decode(answer["data"])
+    assert pdf.startswith(b"%PDF")
+    # Everything was open and as wide as the sheet; afterwards it is as before.
+    assert opened.value("printed") == [0, 720]
+    assert opened.value("document.querySelectorAll('details[open]').length") == 0
+    assert opened.problems == []
