@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from quadpi_core.config_schema import NotNegative, Positive, Share, parse_config
 from quadpi_core.errors import ModelError
@@ -110,6 +109,9 @@ class Disturbance:
             residuals: of samples in a row.
             before: disturbance (6, ...) at the sample before them; zero unless given.
         """
+        # Slow to import, and no model in flight needs it.
+        from scipy.signal import lfilter
+
         out = np.empty_like(residuals)
         before = np.zeros_like(residuals[0]) if before is None else before
         for axis, (gain, decay) in enumerate(zip(self.gain, self.decay, strict=True)):
@@ -147,6 +149,8 @@ def _best_predictor(series: Sequence[Array], step_s: float, lead: int) -> tuple[
     known = [own for own in series if len(own) > 2 * (spans[-1] + lead)]
     if not known:
         return TIMES_S[0], 0.0
+    from scipy.signal import lfilter
+
     sums = [np.concatenate(([0.0], np.cumsum(own))) for own in known]
     scale = [max(sum(float(np.abs(own[n:] - own[:-n]).mean()) for own in sums), _LEAST) for n in spans]
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
@@ -71,6 +70,9 @@ class RolloutFlight:
         """The flight with rotor speeds as they were so much earlier."""
         if delay_s == 0.0:
             return self
+        # Slow to import, and no model in flight needs it.
+        from scipy.interpolate import CubicSpline
+
         motion, earlier = self.motion.copy(), np.clip(self.time - delay_s, self.time[0], None)
         for name in ("rotor_speeds", "rotor_accelerations"):
             motion[name] = CubicSpline(self.time, self.motion[name], axis=0)(earlier)

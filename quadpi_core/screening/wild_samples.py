@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from quadpi_core.findings import LeftOut
 from quadpi_core.flight import (
@@ -353,6 +352,9 @@ class _Spikes:
     def _look(self, end: int | None) -> None:
         """Examine the samples not yet examined, up to `end`, after which neighbours are still missing."""
         assert self._last is not None  # set by the first samples
+        # Slow to import, and most importers read no flight.
+        from scipy.ndimage import median_filter
+
         which, near = self._last
         off = np.abs(near - median_filter(near, size=(_SPIKE_NEIGHBOURS, 1), mode="mirror"))
         new = slice(_SPIKE_NEIGHBOURS // 2 if self._begun else 0, end)
