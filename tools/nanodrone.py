@@ -235,8 +235,7 @@ def train(flights: Sequence[BenchmarkFlight], vehicle: Vehicle) -> Trained:
     apart = [first_step(k).delayed(0.0) for k in range(len(own))]
     whole = replace(start.delayed(0.0), disturbance=disturbance_left(apart, late))
     found = fit_multi_step(late, whole, apart, Problem.of(vehicle, study.reference).lower)
-    model = replace(found.model, disturbance=disturbance_left(found.left_out, late))
-    return Trained(model.delayed(float(np.median(delays))), PositionLink.of(flights))
+    return Trained(found.model.delayed(float(np.median(delays))), PositionLink.of(flights))
 
 
 def delay_costs(flight: RolloutFlight, model: RolloutModel) -> Array:

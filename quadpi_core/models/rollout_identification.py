@@ -61,18 +61,20 @@ def calibrated_rollouts(
     headed = [flights[k] for k in long]
     step = headed[0].step
     bare = [_uncalibrated(left_out[k], Disturbance.nothing(step)) for k in long]
+    processes = []
+    for k in range(len(bare)):
+        others = [j for j in range(len(bare)) if j != k] or [k]
+        processes.append(disturbance_left([bare[j] for j in others], [headed[j] for j in others]))
     final = _uncalibrated(whole, disturbance_left(bare, headed))
     log: tuple[FitStep, ...] = ()
     if multi_step:
         found = fit_multi_step(headed, final, bare, Problem.of(whole.vehicle, whole.reference_thrust).lower)
-        bare, log = list(found.left_out), found.log
-        final = replace(found.model, disturbance=disturbance_left(bare, headed))
+        final, bare, log = found.model, list(found.left_out), found.log
     variance = _measured_variance(bare, headed)
-    models = []
-    for k, model in enumerate(bare):
-        others = [j for j in range(len(bare)) if j != k] or [k]
-        process = disturbance_left([bare[j] for j in others], [headed[j] for j in others])
-        models.append(replace(model, disturbance=process, measured_variance=variance))
+    models = [
+        replace(model, disturbance=process, measured_variance=variance)
+        for model, process in zip(bare, processes, strict=True)
+    ]
 
     def rolled(model: RolloutModel, flight: RolloutFlight) -> FlightRollouts:
         horizons = horizon_steps(HORIZONS_S, flight.step)

@@ -58,7 +58,7 @@ class Physical(Kind):
         multi_step: fit the parameters that predict ahead a second time, to errors of predictions.
     """
 
-    multi_step: bool = option(False, "Fit the parameters of rollout to errors up to 0.5 s ahead as well.")
+    multi_step: bool = option(True, "Fit parameters that predict ahead to errors up to 0.5 s ahead.")
 
     name = FittedPhysical.method
     label = "physical model"
