@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-real models nanodrone pictures golden fuzz environment clean
+.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-independent discovery-real models nanodrone pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -56,6 +56,10 @@ nanodrone: environment ## the nano-drone benchmark, beside what is published (NA
 
 discovery: environment ## renew docs/discovery.md: searches for hidden effects, scored (DISCOVERY_ARGS="--short")
 	@$(BIN)/python tools/discovery.py $(DISCOVERY_ARGS)
+
+discovery-independent: ## searches for effects hidden in flights of RotorPy (DISCOVERY_ARGS="--short", "--reserved")
+	@sh tools/bootstrap.sh --train --bench
+	@$(BIN)/python tools/discovery_independent.py $(DISCOVERY_ARGS)
 
 discovery-real: environment ## renew docs/discovery-real.md: searches on real flights, those of QUADPI_DATA
 	@$(BIN)/python tools/discovery_real.py $(DISCOVERY_ARGS)

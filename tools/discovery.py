@@ -12,7 +12,7 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -28,13 +28,12 @@ from blind.cases import (  # noqa: E402
     KINDS,
     SINGLE,
     SIZES,
-    Case,
     Hidden,
     all_cases,
     development_cases,
     short_cases,
 )
-from blind.scoring import Answer, confusion, failures, figures  # noqa: E402
+from blind.scoring import Answer, Figure, confusion, failures, figures  # noqa: E402
 from blind.searching import searched  # noqa: E402
 from page_tables import renew, stamp  # noqa: E402
 
@@ -42,7 +41,7 @@ from quadpi_core.parallel import Workers  # noqa: E402
 from quadpi_core.paths import whole_output  # noqa: E402
 from quadpi_core.report.table import Column, Table, markdown_table  # noqa: E402
 
-_SOURCES = ("quadpi_core/**/*.py", "config/**/*.yaml", "test/discovery/blind/*.py")
+_SOURCES = ("quadpi_core/**/*.py", "config/**/*.yaml", "test/discovery/*/*.py")
 
 
 def fingerprint() -> str:
@@ -53,8 +52,13 @@ def fingerprint() -> str:
     return digest.hexdigest()[:12]
 
 
-def run(cases: Sequence[Case], folder: Path, workers: int | None) -> list[dict[str, Any]]:
-    """Search every case that the folder does not hold yet."""
+def run(
+    cases: Sequence[Any],
+    folder: Path,
+    workers: int | None,
+    search: Callable[[None, Any], Any] = searched,
+) -> list[Any]:
+    """What a search gives of every case; by their `key`, those that the folder holds are not repeated."""
     folder.mkdir(parents=True, exist_ok=True)
     places = [folder / f"{case.key}.json" for case in cases]
     todo = [index for index, place in enumerate(places) if not place.exists()]
@@ -68,7 +72,7 @@ def run(cases: Sequence[Case], folder: Path, workers: int | None) -> list[dict[s
             temporary.write_text(json.dumps(found), encoding="utf-8")
         print(f"{finished} of {len(todo)}", flush=True)
 
-    Workers(workers).map(searched, [cases[index] for index in todo], shared=None, done=keep)
+    Workers(workers).map(search, [cases[index] for index in todo], shared=None, done=keep)
     return [json.loads(place.read_text(encoding="utf-8")) for place in places]
 
 
@@ -77,10 +81,10 @@ def scored(results: Iterable[dict[str, Any]]) -> list[Answer]:
     return [Answer.of(found) for found in results]
 
 
-def figures_table(answers: Sequence[Answer]) -> str:
+def figures_table(some: Iterable[Figure]) -> str:
     """Figures to reach, with what was reached."""
     rows = []
-    for figure in figures(answers):
+    for figure in some:
         low, high = figure.interval
         goal = f"{'≤' if figure.at_most else '≥'} {100 * figure.goal:.0f}"
         share = f"{100 * figure.share:.1f}" if figure.of else "–"
@@ -189,7 +193,7 @@ def main() -> None:
     answers = scored(results)
     tables = {
         "summary": summary(results),
-        "figures": figures_table(answers),
+        "figures": figures_table(figures(answers)),
         "confusion": confusion_table(answers),
         "failures": failures_table(answers),
     }

@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The cases of the independent benchmark, and their flights, flown once and kept by hash."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+import os
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from blind.cases import NULL, OUT, SINGLE, Hidden
+
+from independent import flying, recording
+from independent.airframes import HERE, Airframe, airframes
+from independent.hidden_effects import EFFECTS, OUTSIDE, Flown, ordinary
+from quadpi_core.paths import whole_outputs
+
+SIZES = (1.0, 0.5)
+# Looked at while the search changes; and opened only at the end, see README.md.
+DEVELOPMENT, RESERVED = (1, 2, 3), (101, 102, 103)
+NULLS_PER_SEED = 8
+# What the flights depend on. Nothing of the library is among it.
+_SOURCES = ("airframes", "hidden_physics", "hidden_effects", "flying", "nominal", "recording")
+
+
+def available() -> bool:
+    """Whether RotorPy is installed."""
+    return importlib.util.find_spec("rotorpy") is not None
+
+
+def default_store() -> Path:
+    """Where flights are kept: outside the repository, as `make clean` would cost hours."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return cache / "quadpi" / "independent-flights"
+
+
+@dataclass(frozen=True)
+class IndependentCase:
+    """Flights of one vehicle, and the seal of what is hidden in them."""
+
+    seal: str
+
+    @property
+    def hidden(self) -> Hidden:
+        return Hidden.opened(self.seal)
+
+    @property
+    def key(self) -> str:
+        """A name that tells nothing."""
+        return hashlib.sha256(self.seal.encode()).hexdigest()[:12]
+
+    @property
+    def each_coefficient(self) -> bool:
+        """Whether nothing is hidden, but every coefficient is off by a draw of its own: every second null."""
+        return self.hidden.kind == NULL and self.hidden.seed % 4 >= 2
+
+    @property
+    def airframe(self) -> Airframe:
+        """Half of the cases of every kind are of either vehicle."""
+        hidden = self.hidden
+        names = sorted((*EFFECTS, *OUTSIDE))
+        place = names.index(hidden.effects[0]) if hidden.effects else 0
+        return airframes()[(place + hidden.seed) % 2]
+
+    def flown(self) -> tuple[Flown, np.random.Generator]:
+        """The vehicle as it is, and what draws the rest of the case."""
+        hidden = self.hidden
+        rng = np.random.default_rng(zlib.crc32(self.seal.encode()))
+        flown = ordinary(self.airframe, rng, each=self.each_coefficient)
+        for name in hidden.effects:
+            flown = {**EFFECTS, **OUTSIDE}[name](flown, hidden.size, rng)
+        return flown, rng
+
+    def logs(self, store: Path) -> list[Path]:
+        """The tables of the flights, which are flown where the store does not hold them."""
+        folder = store / f"{self.key}-{generation()}"
+        if not folder.exists():
+            flown, rng = self.flown()
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with whole_outputs(folder) as staging:
+                for path in flying.paths(self.airframe, rng):
+                    recording.write(flown, flying.fly(flown, path, rng), rng, staging)
+                (staging / "truth.json").write_text(json.dumps(dict(flown.truth)), encoding="utf-8")
+        return sorted(folder.glob("*.parquet"))
+
+
+@lru_cache
+def generation() -> str:
+    """Hash of the code that flies."""
+    digest = hashlib.sha256(importlib.metadata.version("rotorpy").encode())
+    for name in _SOURCES:
+        digest.update((HERE / f"{name}.py").read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def benchmark_cases(seeds: Sequence[int] = DEVELOPMENT) -> list[IndependentCase]:
+    """Every case of some seeds: full size first and shuffled, so that the first are a fair sample."""
+    truths: list[Hidden] = []
+    for size in SIZES:
+        for seed in seeds:
+            some = [Hidden(SINGLE, (name,), size, seed) for name in EFFECTS]
+            if size == SIZES[0]:
+                some += [Hidden(OUT, (name,), size, seed) for name in OUTSIDE]
+                some += [Hidden(NULL, (), 0.0, 1000 * seed + number) for number in range(NULLS_PER_SEED)]
+            order = np.random.default_rng(seed).permutation(len(some))
+            truths += [some[index] for index in order]
+    return [IndependentCase(truth.sealed()) for truth in truths]
+
+
+def short_cases() -> list[IndependentCase]:
+    """A few that are plain to see, of a seed of their own."""
+    truths = [Hidden(NULL, (), 0.0, 5000), Hidden(SINGLE, ("weak_rotor",), 1.0, 50)]
+    return [IndependentCase(truth.sealed()) for truth in truths]
