@@ -76,6 +76,11 @@ class AugmentedSimulation(Simulation):
         """As the base, but not with effects on sensors, whose change depends on the whole flight."""
         return self.base.memoryless and not self._of("sensor")
 
+    @property
+    def own_inputs(self) -> bool:  # type: ignore[override]
+        """As the base."""
+        return self.base.own_inputs
+
     @cached_property
     def vehicle(self) -> Vehicle:  # type: ignore[override]
         """The vehicle with the effects on it."""

@@ -85,17 +85,18 @@ class Regression:
     def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
         """Regression with every candidate linearised at zero, and the noise that all of them leave.
 
-        Columns of another mass or inertia are made of the accelerations that all columns together explain.
-        Measured accelerations would explain their own noise; simulated ones lack the effects that are looked
-        for.
+        Columns of another mass or inertia are made of the accelerations that all columns together explain,
+        beside those of the quiet simulation. Measured accelerations, and those of the residual, would explain
+        their own noise; simulated ones lack the effects that are looked for.
         """
         columns = Linearisation.of(flights, candidates)
         regression = cls(columns, NoiseWeighting.of(columns, _estimated_noise(columns, ())))
-        measured = [_rows(flight, flight.measured) for flight in flights]
+        simulated = [_rows(flight, flight.quiet_wrench[:: flight.step]) for flight in flights]
         before = [_rows(flight, flight.expected_measured) for flight in flights]
         for _ in range(_ACCELERATION_ROUNDS):
             columns, left = regression.columns, regression._left_of_everything()
-            explained = [rows - columns.combined(place, left) for place, rows in enumerate(measured)]
+            fitted = residual_weights(columns.width, ()) - left
+            explained = [rows + columns.combined(place, fitted) for place, rows in enumerate(simulated)]
             columns = columns.accelerated([new - old for new, old in zip(explained, before, strict=True)])
             before = explained
             regression = cls(columns, NoiseWeighting.of(columns, _estimated_noise(columns, ())))
@@ -188,8 +189,17 @@ class Regression:
         return self.columns.combined(place, weights)
 
     def _left_of_everything(self) -> Array:
-        """Weights (K,) of the residual after tolerances and every linear candidate together."""
-        linear = self.columns.linear_columns
+        """Weights (K,) of what tolerances and every linear candidate but mass and inertia leave together.
+
+        With those, nothing says how large accelerations and simulation are together: the noise would decide,
+        and columns of mass and inertia made of accelerations that were shrunk take the noise away in turn.
+        """
+        vehicle = [
+            block.parameters
+            for candidate, block in zip(self.candidates, self.columns.blocks, strict=True)
+            if candidate.effect.kind == "vehicle"
+        ]
+        linear = np.setdiff1d(self.columns.linear_columns, np.concatenate([*vehicle, NO_COLUMNS]))
         matrix = self.gram[np.ix_(linear, linear)] + np.eye(len(linear))
         weights = residual_weights(self.columns.width, ())
         weights[linear] = -np.linalg.solve(matrix, self.gram[linear, 0])

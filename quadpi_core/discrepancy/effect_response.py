@@ -12,16 +12,18 @@ the noise of the residual itself: a vehicle without mass in no air would fit eve
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from quadpi_core.discrepancy.bias_response import BiasResponse
+from quadpi_core.discrepancy.instruments import explained, instruments
+from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.discrepancy.whitening import BAND_HZ, Spectrum, spectrum
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
@@ -51,6 +53,13 @@ SLOW_HZ = Threshold(
 _NO_NUMBERS = np.random.default_rng(0)
 
 
+class Clean(NamedTuple):
+    """Wrench and tolerances (N, 6) of a simulation with inputs of its own, as the flight explains them."""
+
+    wrench: Array
+    uncertain: list[Column]
+
+
 class Compared:
     """A flight beside the simulation that it is compared with.
 
@@ -62,18 +71,54 @@ class Compared:
         highest_hz: highest frequency at which the two are compared.
     """
 
-    def __init__(self, flight: Flight, simulation: Simulation, highest_hz: float = BAND_HZ.value) -> None:
+    def __init__(
+        self,
+        flight: Flight,
+        simulation: Simulation,
+        highest_hz: float = BAND_HZ.value,
+        clean: Clean | None = None,
+    ) -> None:
         self.simulation = simulation
         self.highest_hz = highest_hz
+        self._clean = clean
         self._imu_rate_hz = flight.rate_hz
         step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
         self.thinned = _every(flight, step)
         self.flight, self.step = (self.thinned, 1) if simulation.memoryless else (flight, step)
+        # What columns are made of; the residual is of the flight itself.
+        self.quiet = _every(quiet(flight), step if simulation.memoryless else 1)
+
+    @classmethod
+    def together(
+        cls, flights: Sequence[Flight], simulation: Simulation, highest_hz: float = BAND_HZ.value
+    ) -> list[Compared]:
+        """Flights that are searched together; for simulations with own inputs see :mod:`.instruments`."""
+        compared = [cls(flight, simulation, highest_hz) for flight in flights]
+        if not simulation.own_inputs:
+            return compared
+        speed = simulation.hover_rotor_speed
+        functions = [instruments(own.quiet, simulation.vehicle, speed) for own in compared]
+        uncertain = [simulation.uncertain(own.flight) for own in compared]
+        noisy = [
+            np.stack((simulation.wrench(own.flight), *(column.wrench for column in columns)), axis=2)
+            for own, columns in zip(compared, uncertain, strict=True)
+        ]
+        return [
+            cls(flight, simulation, highest_hz, Clean(values[:, :, 0], [
+                Column(column.name, values[:, :, 1 + index]) for index, column in enumerate(columns)
+            ]))
+            for flight, values, columns in zip(flights, explained(noisy, functions), uncertain, strict=True)
+        ]  # fmt: skip
 
     @cached_property
     def simulated(self) -> Array:
         """Wrench (M, 6) of the simulation, thinned."""
         return self.simulation.wrench(self.flight)[:: self.step]
+
+    @cached_property
+    def quiet_wrench(self) -> Array:
+        """Wrench (N, 6) of the simulation for the quiet flight."""
+        return self.simulation.wrench(self.quiet) if self._clean is None else self._clean.wrench
 
     @cached_property
     def measured(self) -> Array:
@@ -88,7 +133,7 @@ class Compared:
     @cached_property
     def expected(self) -> Flight:
         """The flight, with the accelerations that the simulation predicts of it."""
-        return predicted_flight(self.flight, self.simulation)
+        return predicted_flight(self.quiet, self.simulation, self.quiet_wrench)
 
     @cached_property
     def states(self) -> npt.NDArray[np.void]:
@@ -96,7 +141,7 @@ class Compared:
 
         The measured force acts even where the simulation lacks it, and its noise does not affect moments.
         """
-        states = self.simulation.states(self.flight)[:: self.step].copy()
+        states = self.simulation.states(self.quiet)[:: self.step].copy()
         states["wrench"][:, :3] = self.measured[:, :3]
         return states
 
@@ -132,9 +177,8 @@ class Compared:
     def uncertain(self) -> list[Column]:
         """Columns (M, 6) of the tolerances, one each."""
         tolerances = self.simulation.tolerances
-        columns = [
-            Column(name, wrench[:: self.step]) for name, wrench in self.simulation.uncertain(self.flight)
-        ]
+        own = self.simulation.uncertain(self.quiet) if self._clean is None else self._clean.uncertain
+        columns = [Column(name, wrench[:: self.step]) for name, wrench in own]
         for effect, deviation in body_tolerances(tolerances):
             deviations = deviation * np.eye(len(effect.parameters))
             for parameter, values in zip(effect.parameters, deviations, strict=True):
@@ -176,10 +220,16 @@ def share_of_wrench(effect: Effect, vehicle: Vehicle, values: Array) -> Array:
     return share
 
 
-def predicted_flight(flight: Flight, simulation: Simulation) -> Flight:
-    """A flight with the accelerations that a simulation predicts; slow angular ones stay as measured."""
+def predicted_flight(flight: Flight, simulation: Simulation, wrench: Array | None = None) -> Flight:
+    """A flight with the accelerations that a simulation predicts; slow angular ones stay as measured.
+
+    Args:
+        flight: as measured.
+        simulation: of its vehicle.
+        wrench: (N, 6) in place of the wrench that the simulation computes of the flight.
+    """
     vehicle = simulation.vehicle
-    wrench = simulation.wrench(flight)
+    wrench = simulation.wrench(flight) if wrench is None else wrench
     momentum = flight.rates @ vehicle.inertia
     moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
     turning = moment @ np.linalg.inv(vehicle.inertia)
@@ -213,10 +263,10 @@ def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
 
 
 def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
-    flight = compared.flight
+    flight = compared.quiet
     wind = flight.wind + effect.function(flight.time, values, _NO_NUMBERS)
     windy = compared.simulation.wrench(replace(flight, wind=wind))[:: compared.step]
-    return windy - compared.simulated
+    return windy - compared.quiet_wrench[:: compared.step]
 
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:

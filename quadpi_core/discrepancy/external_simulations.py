@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -257,6 +257,7 @@ class RecordedSimulation(Simulation):
     tolerances: Tolerances = field(default_factory=Tolerances)
     vehicle_file: str = ""
     name: str = "recorded"
+    own_inputs: ClassVar[bool] = True
 
     @classmethod
     def load(cls, vehicle: str, bags: Sequence[Path], mapping: str | None = None) -> RecordedSimulation:

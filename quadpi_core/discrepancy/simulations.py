@@ -92,6 +92,7 @@ class Simulation(ABC):
         tolerances: known uncertainty of its coefficients.
         code: the user's code that it runs: the function, its file, and the file that named it; empty without.
         memoryless: whether the wrench at an instant depends on that instant alone.
+        own_inputs: whether it was computed from other inputs than the flight's, with noise of their own.
     """
 
     name: str
@@ -100,6 +101,7 @@ class Simulation(ABC):
     tolerances: Tolerances
     code: str = ""
     memoryless: ClassVar[bool] = False
+    own_inputs: ClassVar[bool] = False
 
     @abstractmethod
     def wrench(self, flight: Flight) -> Array:

@@ -162,7 +162,7 @@ def discover(
                 f"{flight.source}: flown by vehicle {flight.vehicle}, "
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
-    compared = [Compared(flight, simulation, highest_hz) for flight in flights]
+    compared = Compared.together(flights, simulation, highest_hz)
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, candidates(simulation.vehicle, names), seed)
