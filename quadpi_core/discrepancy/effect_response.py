@@ -281,7 +281,7 @@ def without_sensor_effect(
     """The flight that the same estimator would give with sensors without this effect.
 
     A sustained IMU contribution of the effect has been absorbed by the estimated biases, so it is removed
-    from those too.
+    from those too; a flight from odometry has none.
     """
     time_ns = np.round(1e9 * flight.time).astype(np.int64)
     recording = Recording(
@@ -300,7 +300,7 @@ def without_sensor_effect(
         # The derivative belongs to the rates as they were filtered: turn it as they are turned.
         turned = replace(recording, imu=ImuStream(time_ns, acceleration, flight.specific_force))
         acceleration = effect.function(turned, vehicle, effect.undo(values)).imu.angular_velocity
-    if altered.imu is not recording.imu:
+    if altered.imu is not recording.imu and flight.biases_estimated:
         gyro_bias, accelerometer_bias = biases(rates - flight.rates, force - flight.specific_force)
         rates, force = rates - gyro_bias, force - accelerometer_bias
 

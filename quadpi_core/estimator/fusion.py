@@ -38,6 +38,7 @@ class Estimate(NamedTuple):
     velocity: Array
     gyro_bias: Array
     accelerometer_bias: Array
+    biases_estimated: bool = True
 
 
 def fuse(
@@ -102,6 +103,7 @@ def fuse(
         time=1e-9 * (grid - grid[0]),
         position=on_grid(estimate.time_ns, estimate.position),
         quality=recording.quality,
+        biases_estimated=estimate.biases_estimated,
         **filtered._asdict(),
     )
 
@@ -166,7 +168,7 @@ def _estimate(recording: Recording, vehicle: Vehicle, segments: Sequence[Segment
         )
     no_bias = np.zeros((len(odometry), 3))
     return Estimate(
-        odometry.time_ns, odometry.position, odometry.attitude, odometry.velocity, no_bias, no_bias
+        odometry.time_ns, odometry.position, odometry.attitude, odometry.velocity, no_bias, no_bias, False
     )
 
 
