@@ -63,6 +63,8 @@ class Found:
         left: prediction of the residual after the set by generic functions.
         named: (6,) squares by which the effects reduce the residual, in variances of the noise of `left`.
         judgements: one of every candidate in every round, best first.
+        disputed: a sentence for each chosen effect in whose place another has much more evidence but fails a
+            test.
     """
 
     regression: Regression
@@ -75,6 +77,7 @@ class Found:
     left: Left
     named: Array
     judgements: tuple[Judgement, ...]
+    disputed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,8 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         judgements += dropped
         # A dropped effect is not tried again: two effects could replace each other forever.
         idle |= set(larger.chosen) - set(accepted.chosen)
+    accepted, swapped, disputed = _exchanged(accepted, threshold)
+    judgements += swapped
     names, spectra = generic_spectra(flights)
     left = predicted(accepted.regression.left(accepted.fit), spectra, names)
     return Found(
@@ -123,7 +128,65 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         left=left,
         named=_named_squares(accepted, left),
         judgements=tuple(judgements),
+        disputed=disputed,
     )
+
+
+def _exchanged(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Judgement], tuple[str, ...]]:
+    """The set with effects replaced by those that have more evidence in their place and pass all tests.
+
+    The search adds one effect at a time, and takes the next best where the best fails a test. Where that one
+    has odds of more than a hundred against an effect that was taken instead, neither is certain: that is
+    disputed.
+    """
+    judgements: list[Judgement] = []
+    for _ in range(MOST_EFFECTS):
+        rivals = _rivals(accepted)
+        disputed, better = [], None
+        for index, close in rivals.items():
+            rival, odds = close[0] if close else (index, 0.0)
+            if odds <= 1.0:
+                continue
+            better, judgement = _replaced(accepted, index, rival, threshold)
+            judgements.append(judgement)
+            if better is not None:
+                break
+            if odds > np.exp(NAMED_ALONE.value):
+                own = accepted.regression.candidates[index].label
+                reason = judgement.reason.sentence
+                disputed.append(f"{judgement.label} has more evidence than {own} in its place, but {reason}")
+        if better is None:
+            return accepted, judgements, tuple(disputed)
+        accepted = better
+    return accepted, judgements, ()
+
+
+def _replaced(
+    accepted: Accepted, index: int, rival: int, threshold: float
+) -> tuple[Accepted | None, Judgement]:
+    """The set with one effect replaced by another, None where that fails a test; and its judgement."""
+    regression = accepted.regression
+    others = tuple(other for other in accepted.chosen if other != index)
+    rest = regression.fit(others) or _require(regression.fit(()))
+    trial = Trial(
+        regression=regression,
+        chosen=others,
+        found=rest,
+        added=rival,
+        fit=regression.fit(tuple(sorted((*others, rival)))),
+        needed=_needed(regression, rival, others, regression.energy(others, rest), threshold),
+        dropped=False,
+        behind="",
+        squares_before=lambda: Closing.by_laws(regression, others).left_out_squares(),
+    )
+    verdicts, _ = trial.judged()
+    candidate = regression.candidates[rival]
+    beside = tuple(regression.candidates[other].name for other in others)
+    judgement = Judgement(candidate.name, candidate.label, beside, verdicts)
+    if not judgement.accepted:
+        return None, judgement
+    assert trial.accepted_fit is not None
+    return Accepted(trial.reweighted, trial.larger, trial.accepted_fit), judgement
 
 
 def _calibrated_threshold(regression: Regression, seed: int) -> float:
