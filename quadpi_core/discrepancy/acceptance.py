@@ -164,6 +164,35 @@ UNEXPLAINED = Threshold(
     "less is left after effects of the library that were found, and most of a force that none explains",
     DEVELOPMENT,
 )
+DIFFERENT = Threshold(
+    "parameters that differ from zero",
+    0.95,
+    "quantile of chi square",
+    "the level of the intervals that the page states: a name whose interval holds zero explains nothing",
+    CONVENTION,
+)
+FAR_COEFFICIENT = Threshold(
+    "coefficient far from its stated value",
+    5.0,
+    "tolerances",
+    "a chance of one in a million for each coefficient: it stands for something that has no name",
+    CONVENTION,
+)
+COLOURED = Threshold(
+    "noise of slow over fast frequencies",
+    12.0,
+    "root mean square per row",
+    "noise of accelerometer, gyro and rotor speeds is white in a force and grows with the frequency in a "
+    "moment; errors of smoothed states add up to 7 times as much where every effect has its right name",
+    "short cases of the blind benchmark (tools/discovery.py --short)",
+)
+CLOSED = Threshold(
+    "least share of the gap that is closed",
+    0.5,
+    "of the removable squares of flights left out",
+    "named effects must explain most of the discrepancy; right names close 95 % and more",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True)
@@ -295,3 +324,36 @@ def judge_unexplained(share: float) -> Verdict:
     """Whether the unexplained share is small enough to call the discrepancy explained."""
     sentence = f"{100.0 * share:.0f} % of what can be predicted has no name, {UNEXPLAINED.value:.0%} allowed"
     return _verdict(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)
+
+
+def judge_coefficients(multiples: Mapping[str, float]) -> Verdict:
+    """Whether every coefficient, by its name in multiples of its tolerance, is near its stated value."""
+    name, off = max(multiples.items(), key=lambda item: abs(item[1]), default=("", 0.0))
+    sentence = f"{name} is wrong by {abs(off):.1f} of its tolerances, {FAR_COEFFICIENT.value:g} allowed"
+    passed = bool(abs(off) <= FAR_COEFFICIENT.value)
+    return _verdict(FAR_COEFFICIENT, "coefficients", float(abs(off)), passed, sentence)
+
+
+def judge_colour(noise: Array, slow: Array, axes: Sequence[str]) -> Verdict:
+    """Whether the noise can be that of sensors: not much larger at the frequencies of manoeuvres.
+
+    Args:
+        noise: (6, BANDS) variances.
+        slow: (6,) variances that slow errors of given states may add, see `unexplained.slow_state_noise`.
+        axes: names of the axes.
+    """
+    known = np.maximum(noise[:, -1] + slow, np.finfo(float).tiny)
+    colour = np.sqrt(noise.max(axis=1) / known)
+    worst = int(np.argmax(colour))
+    sentence = (
+        f"the noise of {axes[worst]} is {colour[worst]:.1f} times as large at slow frequencies as that of "
+        f"sensors and states, {COLOURED.value:g} allowed"
+    )
+    passed = bool(colour[worst] <= COLOURED.value)
+    return _verdict(COLOURED, "colour of the noise", float(colour[worst]), passed, sentence)
+
+
+def judge_closed(reduction: float) -> Verdict:
+    """Whether the named effects close the gap of flights left out."""
+    sentence = f"{100.0 * reduction:.0f} % of the gap is closed, {CLOSED.value:.0%} needed"
+    return _verdict(CLOSED, "closed", reduction, reduction >= CLOSED.value, sentence)

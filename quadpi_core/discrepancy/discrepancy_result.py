@@ -65,6 +65,7 @@ class Discovery:
         found: result of the search.
         without_trace: effects that cannot be found: with them, these flights would hardly differ from this
             simulation.
+        doubts: sentences that say why the verdict is "unknown"; empty for any other.
     """
 
     verdict: str
@@ -74,6 +75,7 @@ class Discovery:
     gap: Gap
     found: Found
     without_trace: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -226,6 +228,7 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
             "reduction": gap.reduction,
         },
         "without_trace": list(discovery.without_trace),
+        "doubts": list(discovery.doubts),
         "unexplained": {"share": discovery.unexplained, "by": dict(discovery.unexplained_by)},
     }
 

@@ -12,6 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.acceptance import (
     LEAST_EVIDENCE,
+    judge_closed,
+    judge_coefficients,
+    judge_colour,
     judge_unexplained,
     predictable,
     unexplained_share,
@@ -24,6 +27,7 @@ from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.search import Found, search
 from quadpi_core.discrepancy.simulations import Simulation, airspeed
+from quadpi_core.discrepancy.unexplained import slow_state_noise
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
@@ -33,6 +37,7 @@ from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.rotations import rotation_matrix
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -169,16 +174,25 @@ def discover(
     rows = sum(len(band) for band in found.regression.columns.bands)
     left = predictable(found.left.gain, rows)
     share = unexplained_share(left, np.maximum(found.named, 0.0), rows)
-    unknown = not judge_unexplained(share).passed
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
+    gap = found.closing.gap()
+    multiples = _multiples(found)
+    judged = [
+        judge_unexplained(share),
+        judge_coefficients(multiples),
+        judge_colour(found.left.noise, slow_state_noise(compared), AXES),
+    ]
+    judged += [judge_closed(gap.reduction)] if effects else []
+    doubts = (*(one.sentence for one in judged if not one.passed), *found.disputed)
     return Discovery(
-        verdict="unknown" if unknown else "effects" if effects else "none",
+        verdict="unknown" if doubts else "effects" if effects else "none",
         effects=tuple(effects),
         unexplained=share,
         unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if left[i]},
-        gap=found.closing.gap(),
+        gap=gap,
         found=found,
+        doubts=doubts,
         without_trace=_without_trace(found),
     )
 
@@ -196,6 +210,18 @@ def _without_trace(found: Found) -> tuple[str, ...]:
         if 0.5 * squares[regression.block(index).parameters].sum() >= LEAST_EVIDENCE.value
     }
     return tuple(dict.fromkeys(c.name for c in regression.candidates if c.name not in shown))
+
+
+def _multiples(found: Found) -> dict[str, float]:
+    """Of every coefficient that stays what it is beside the effects, what it is off by, in its tolerances."""
+    columns = found.regression.columns
+    # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
+    named = {found.regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
+    own = {
+        f"{effect.name}.{p.name}": effect.tolerance for effect in EFFECTS.values() for p in effect.parameters
+    }
+    values = zip(columns.tolerance_names, found.fit.of(columns.tolerances), strict=True)
+    return {name: float(value) for name, value in values if own.get(name) not in named}
 
 
 def require_flights(count: int) -> None:

@@ -12,7 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+from scipy.stats import chi2
+
 from quadpi_core.discrepancy.acceptance import (
+    DIFFERENT,
     Verdict,
     judge_evidence,
     judge_left_out,
@@ -148,6 +152,19 @@ def _size_by_law(trial: Trial) -> Verdict:
     return judge_size(sizes, "size by its law")
 
 
+def _differs_from_zero(trial: Trial) -> Verdict:
+    """Whether, by its law alone, the parameters of the candidate together differ from zero."""
+    regression = trial.reweighted
+    plain = regression.fit(trial.larger, form=False)
+    value, needed = 0.0, float(chi2.ppf(DIFFERENT.value, len(trial.candidate.free)))
+    if plain is not None:
+        kept = np.isin(plain.columns, regression.block(trial.added).parameters)
+        own = plain.coefficients[kept]
+        value = float(own @ np.linalg.solve(plain.covariance[np.ix_(kept, kept)], own))
+    sentence = f"squares of its parameters over their variances {value:.1f}, more than {needed:.1f} needed"
+    return Verdict("differs from zero", value > needed, value, needed, "", sentence)
+
+
 @dataclass(frozen=True)
 class AcceptanceTest:
     """One test of a candidate.
@@ -179,5 +196,6 @@ ACCEPTANCE_TESTS = (
     AcceptanceTest("size, refined", lambda t: judge_size(t.sizes(*t.refinement), "size, refined"), True),
     # With at least the residual after the set as noise.
     AcceptanceTest("size by its law", _size_by_law, True),
+    AcceptanceTest("differs from zero", _differs_from_zero, False),
     AcceptanceTest("bounds, reweighted", lambda t: _possible("bounds, reweighted", t.accepted_fit), True),
 )

@@ -59,6 +59,34 @@ RIDGES = Threshold(
     CONVENTION,
 )
 _CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+WANDER_M_S = Threshold(
+    "wander of an onboard velocity",
+    0.03,
+    "m/s",
+    "no log states the slow error of a velocity that an onboard estimator gave, and nobody who flies with it "
+    "would call it a force",
+    CONVENTION,
+)
+WANDER_HZ = Threshold("frequency of that wander", 0.5, "Hz", "slower than any manoeuvre", CONVENTION)
+
+
+def slow_state_noise(flights: Sequence[Compared]) -> Array:
+    """Variance (6,) that slow errors of the velocity add to rows of the residual; 0 for smoothed states.
+
+    They are proportional to the slope of the simulated wrench over the velocity, for a simulation of any kind.
+    """
+    simulation = flights[0].simulation
+    if not simulation.own_inputs and all(own.flight.biases_estimated for own in flights):
+        return np.zeros(len(AXES))
+    loads = np.concatenate([np.square(own.quiet.rotor_speeds[:: own.step]).sum(axis=1) for own in flights])
+    velocity = np.concatenate([own.quiet.velocity[:: own.step] for own in flights])
+    wrench = np.concatenate([own.quiet_wrench[:: own.step] for own in flights])
+    known = np.column_stack((np.ones_like(loads), loads / loads.mean(), velocity))
+    slopes = np.linalg.norm(np.linalg.lstsq(known, wrench, rcond=None)[0][2:], axis=0)
+    variance: Array = (
+        np.square(WANDER_M_S.value * slopes) * flights[0].thinned.rate_hz / (2.0 * WANDER_HZ.value)
+    )
+    return variance
 
 
 class Left(NamedTuple):

@@ -331,14 +331,11 @@ def _verdict(study: Study) -> str:
             f"{simulation} lacks {named}. On flights left out, adding it closes {closed} of the gap that "
             "noise does not explain."
         )
-    unknown = f"{simulation} lacks something that no effect of the library explains."
+    unknown = f"{simulation} lacks something that no effect of the library explains"
+    doubts = "; ".join(discovery.doubts)
     if not discovery.effects:
-        return unknown
-    share = percent(discovery.unexplained)
-    return (
-        f"{unknown} {named.capitalize()} comes closest, but leaves {share} of the predictable discrepancy "
-        "unexplained."
-    )
+        return f"{unknown}: {doubts}."
+    return f"{unknown}. {named.capitalize()} comes closest, but {doubts}."
 
 
 def _name_with_rivals(effect: FoundEffect) -> str:
@@ -367,7 +364,7 @@ def _ambiguity_sentence(effect: FoundEffect) -> str:
 def _unexplained_sentence(discovery: Discovery) -> str:
     """What remains predictable once the effects are added."""
     if not discovery.unexplained_by:
-        return "No residual is left that other flights predict: the rest is noise."
+        return "One flight predicts no residual of another."
     axes = "; ".join(f"{axis} with {', '.join(by)}" for axis, by in discovery.unexplained_by.items())
     share = percent(discovery.unexplained)
     return f"{share} of the predictable discrepancy is left, and varies with: {axes}."
