@@ -308,7 +308,7 @@ def dragged_cable(f: Flown, size: float, rng: np.random.Generator) -> Flown:
 
 
 def blade_stall(f: Flown, size: float, rng: np.random.Generator) -> Flown:
-    return f.with_law("blade_stall", 0.6 * size)
+    return f.with_law("blade_stall", 0.3 * size)
 
 
 # Forms that no library names, as large as those that it does.
