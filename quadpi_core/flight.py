@@ -299,7 +299,7 @@ class Flight:
         rotor_speeds: (N, 4) rad/s.
         wind: (N, 3) m/s, world; zero where it was not measured.
         quality: problems found in the data of the recording.
-        biases_estimated: whether biases of the IMU were estimated and removed; false for a flight from odometry.
+        biases_estimated: whether biases of the IMU were estimated and removed; false with odometry.
     """
 
     name: str

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The part of a simulated wrench that the flight explains, where the simulation had noisy inputs of its own.
+"""The part of a simulated wrench that the flight explains, for a simulation with noisy inputs of its own.
 
 The residual is the measured wrench less the simulated one, and holds the noise of the simulation's inputs
 with a minus. A column in proportion to the simulated wrench, as every tolerance is, holds the same noise:
 least squares shrink the simulation to remove it, by half where the noise of the measured wrench is small, and
-whatever was lost is then found as an effect. The remedy are instruments (two-stage least squares; Wooldridge,
+the lost part is then found as an effect. The remedy is instruments (two-stage least squares; Wooldridge,
 Econometric Analysis of Cross Section and Panel Data, chapter 5): columns are replaced by what functions of
 the flight's own states, which do not share that noise, explain of them.
 """
@@ -28,11 +28,11 @@ _RIDGE = 1e-6
 
 
 def instruments(flight: Flight, vehicle: Vehicle, hover_rotor_speed: float) -> Array:
-    """Functions (N, J) of the motion and the rotors of a flight, about 1 where it is brisk.
+    """Functions (N, J) of the motion and the rotors of a flight, of the order of 1.
 
-    They span what aerodynamic models are made of: thrust and torque of each rotor; drag, inflow and lift with
-    the airspeed; damping with the rates; and their products with the rotor speeds. None has the specific
-    force.
+    They span the terms of aerodynamic models: thrust and torque of each rotor; drag, inflow and lift with
+    the airspeed; damping with the rates; and their products with the rotor speeds. None uses the
+    specific force.
     """
     speeds = flight.rotor_speeds / hover_rotor_speed
     velocity = relative_to_air(flight.velocity, flight.attitude, flight.wind) / vehicle.hover_induced_velocity
@@ -50,7 +50,7 @@ def instruments(flight: Flight, vehicle: Vehicle, hover_rotor_speed: float) -> A
 
 
 def explained(columns: Sequence[Array], functions: Sequence[Array]) -> list[Array]:
-    """What functions explain of columns, by one least squares over all flights.
+    """The part of columns that functions explain, by one least squares over all flights.
 
     Args:
         columns: per flight (N, 6, K).

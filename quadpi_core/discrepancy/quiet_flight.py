@@ -20,18 +20,28 @@ from scipy.ndimage import uniform_filter1d
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
+from quadpi_core.thresholds import CONVENTION, Threshold
 
-# Between these frequencies [Hz] a vehicle moves less than its sensors make noise: the upper half of what is
-# compared. What does move there counts as noise too, and costs a column no more than these frequencies.
-_NOISE_HZ = (12.0, 20.0)
-# Width over which the power of a signal is averaged.
-_AVERAGE_HZ = 0.6
+NOISE_HZ = Threshold(
+    "band of noise",
+    (12.0, 20.0),
+    "Hz",
+    "the upper half of the frequencies compared, where a vehicle moves less than its sensors make noise",
+    CONVENTION,
+)
+AVERAGE_HZ = Threshold(
+    "width of the average of power",
+    0.6,
+    "Hz",
+    "averages several frequencies of a flight of 10 s, and is narrower than the band of any manoeuvre",
+    CONVENTION,
+)
 
 
 def quiet(flight: Flight) -> Flight:
-    """The flight with velocity, rates and rotor speeds without what looks like white noise of a channel."""
+    """The flight with the white noise of its velocity, rates and rotor speeds filtered out."""
     rate = flight.rate_hz
-    if 2.0 * _NOISE_HZ[1] > rate:
+    if 2.0 * NOISE_HZ.value[1] > rate:
         return flight
     # In the world, an error of the attitude is not one of the velocity.
     velocity = _without_noise(rotate_body_to_world(flight.attitude, flight.velocity), rate)
@@ -51,13 +61,13 @@ def _without_noise(values: Array, rate_hz: float) -> Array:
     spectrum = np.fft.rfft(whole, axis=0)
     frequency = np.fft.rfftfreq(len(whole), 1.0 / rate_hz)
     power = np.abs(spectrum) ** 2
-    noise = power[(frequency >= _NOISE_HZ[0]) & (frequency < _NOISE_HZ[1])].mean(axis=0)
-    width = max(1, round(_AVERAGE_HZ / frequency[1]))
+    noise = power[(frequency >= NOISE_HZ.value[0]) & (frequency < NOISE_HZ.value[1])].mean(axis=0)
+    width = max(1, round(AVERAGE_HZ.value / frequency[1]))
     power = uniform_filter1d(power, width, axis=0)
     gain = np.where(
         power > noise, 1.0 - noise / np.maximum(power, np.maximum(noise, np.finfo(float).tiny)), 0.0
     )
-    gain[frequency >= _NOISE_HZ[1]] = 0.0
+    gain[frequency >= NOISE_HZ.value[1]] = 0.0
     gain[0] = 1.0
     without: Array = np.fft.irfft(gain * spectrum, len(whole), axis=0)[:samples]
     return without

@@ -140,7 +140,7 @@ def _exchanged(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Jud
     disputed.
     """
     judgements: list[Judgement] = []
-    for _ in range(MOST_EFFECTS):
+    for _ in range(MOST_EFFECTS.value):
         rivals = _rivals(accepted)
         disputed, better = [], None
         for index, close in rivals.items():

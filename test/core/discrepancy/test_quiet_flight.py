@@ -8,13 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.discrepancy.callable_simulation import CallableSimulation
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.external_simulations import CallableSimulation, Recorded, RecordedSimulation
 from quadpi_core.discrepancy.instruments import explained, instruments
 from quadpi_core.discrepancy.quiet_flight import quiet
-from quadpi_core.discrepancy.external_simulations import Recorded, RecordedSimulation
 from quadpi_core.discrepancy.simulations import VehicleSimulation
 from quadpi_core.signals.filters import zero_phase
 
