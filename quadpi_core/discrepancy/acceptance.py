@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.frames import Array
@@ -277,6 +278,13 @@ def judge_loudness(loudness: float) -> Verdict:
     """Whether the contribution of an effect is distinguishable from the noise."""
     sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
     return _verdict(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
+
+
+def judge_difference(value: float, parameters: int) -> Verdict:
+    """Whether parameters together differ from zero, by their squares over their covariance."""
+    needed = float(chi2.ppf(DIFFERENT.value, parameters))
+    sentence = f"squares of its parameters over their variances {value:.1f}, more than {needed:.1f} needed"
+    return Verdict("differs from zero", value > needed, value, needed, "", sentence)
 
 
 def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:

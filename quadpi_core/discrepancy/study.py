@@ -189,7 +189,12 @@ def discover(
         verdict="unknown" if doubts else "effects" if effects else "none",
         effects=tuple(effects),
         unexplained=share,
-        unexplained_by={axis: found.left.functions[i] for i, axis in enumerate(AXES) if left[i]},
+        unexplained_by={
+            axis: found.left.functions[i]
+            for i, axis in enumerate(AXES)
+            # In a doubtful case, every axis that other flights predict at all is a hint.
+            if left[i] or (doubts and found.left.gain[i] > 0.0)
+        },
         gap=gap,
         found=found,
         doubts=doubts,

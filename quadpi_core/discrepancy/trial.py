@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
 
 from quadpi_core.discrepancy.acceptance import (
-    DIFFERENT,
     Verdict,
+    judge_difference,
     judge_evidence,
     judge_left_out,
     judge_loudness,
@@ -156,13 +155,12 @@ def _differs_from_zero(trial: Trial) -> Verdict:
     """Whether, by its law alone, the parameters of the candidate together differ from zero."""
     regression = trial.reweighted
     plain = regression.fit(trial.larger, form=False)
-    value, needed = 0.0, float(chi2.ppf(DIFFERENT.value, len(trial.candidate.free)))
+    value = 0.0
     if plain is not None:
         kept = np.isin(plain.columns, regression.block(trial.added).parameters)
         own = plain.coefficients[kept]
         value = float(own @ np.linalg.solve(plain.covariance[np.ix_(kept, kept)], own))
-    sentence = f"squares of its parameters over their variances {value:.1f}, more than {needed:.1f} needed"
-    return Verdict("differs from zero", value > needed, value, needed, "", sentence)
+    return judge_difference(value, len(trial.candidate.free))
 
 
 @dataclass(frozen=True)

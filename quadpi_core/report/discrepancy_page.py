@@ -366,6 +366,8 @@ def _unexplained_sentence(discovery: Discovery) -> str:
     if not discovery.unexplained_by:
         return "One flight predicts no residual of another."
     axes = "; ".join(f"{axis} with {', '.join(by)}" for axis, by in discovery.unexplained_by.items())
+    if not discovery.unexplained:
+        return f"The residual varies with: {axes}."
     share = percent(discovery.unexplained)
     return f"{share} of the predictable discrepancy is left, and varies with: {axes}."
 

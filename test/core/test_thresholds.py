@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from quadpi_core import discrepancy, simulation
 from quadpi_core.discrepancy import acceptance, residual_bins, study, unexplained, whitening
@@ -26,6 +27,7 @@ from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.external_simulations import ModelSimulation
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.reflight import rollout_floor
+from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight
@@ -182,6 +184,20 @@ def slow_response(frequency_hz):
     simulated = SimpleNamespace(vehicle=BEBOP, wrench=lambda flight: np.zeros((len(flight), 6)))
     seen = predicted_flight(hover(40.0, angular_acceleration=in_column(0, wave)), simulated)
     return np.abs(seen.angular_acceleration[1000:3000, 0]).max()
+
+
+def wandering():
+    """Spectral density of the wander of a velocity, from the noise that a drag of 2 N s/m adds."""
+    rng = np.random.default_rng(0)
+    velocity = rng.normal(size=(500, 3))
+    own = SimpleNamespace(
+        simulation=SimpleNamespace(own_inputs=True),
+        quiet=SimpleNamespace(rotor_speeds=rng.uniform(500.0, 700.0, (500, 4)), velocity=velocity),
+        quiet_wrench=np.hstack((2.0 * velocity, np.zeros((500, 3)))),
+        step=1,
+        thinned=SimpleNamespace(rate_hz=100.0),
+    )
+    return unexplained.slow_state_noise([own])[0] / 2.0**2 / (100.0 / 2.0)
 
 
 class OneStep:
@@ -351,10 +367,19 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "LOUD_AXIS": (0.8, lambda x: share(first_axis(100.0 * x), first_axis(9.0, 1e6), 100) > 0.5),
     "PART_OF_AXIS": (0.2, lambda x: share(first_axis(1e3 * x), first_axis(1e3, 1e9), 1) > 0.1),
     "UNEXPLAINED": (0.05, lambda x: acceptance.judge_unexplained(x).passed),
+    "DIFFERENT": (0.95, lambda x: acceptance.judge_difference(float(chi2.ppf(x, 2)), 2).passed),
+    "FAR_COEFFICIENT": (5.0, lambda x: acceptance.judge_coefficients({"near": 1.0, "far": -x}).passed),
+    "COLOURED": (
+        12.0,
+        lambda x: acceptance.judge_colour(np.tile([x**2, 0.4], (6, 1)), np.full(6, 0.6), AXES).passed,
+    ),
+    "CLOSED": (0.5, lambda x: acceptance.judge_closed(x).passed),
     # The others of the room, file by file.
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),
     "DIVERGED_RATE": (60.0, lambda x: rolls_out(yaw_rate=x)),
     "UNJUDGED_MOST": (0.05, bridged),
+    "WANDER_M_S": (0.03, lambda x: x**2 < wandering() * 0.5),
+    "WANDER_HZ": (0.5, lambda x: x < 0.03**2 / wandering()),
     "BULK": (0.8, lambda x: holding_bulk(np.array([x, 1.0 - x]), np.ones(2), np.full(2, True)).all()),
     "LEAST_SHARE": (0.03, lambda x: Range("Fx", "u", 0.0, 1.0, x, 0.1, 0.0).is_large),
     "LIFT": (1.5, lambda x: Range("Fx", "u", 0.0, 1.0, 0.1 * x, 0.1, 0.0).is_informative),
@@ -418,6 +443,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
 ALONE = {
     *(
         "ADJUSTED_MAX",
+        "AVERAGE_HZ",
         "AXES_OVER_FORM",
         "CALIBRATION_DRAWS",
         "CELL_DRAWS",
@@ -426,6 +452,7 @@ ALONE = {
         "MOST_EFFECTS",
         # In test_simulated_file.
         "MOTOR_TIME_CONSTANT",
+        "NOISE_HZ",
     ),
     "RIDGES",
 }
@@ -477,6 +504,17 @@ def test_noise_counts_as_white_between_edges():
     band = whitening.spectrum(np.ones((250_000, 6, 1)), 250.0).band[: np.sum(frequencies <= edges[-1])]
     first = [frequencies[np.argmax(band == index)] for index in range(len(edges) - 1)]
     assert first == pytest.approx([0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0], abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "kept"), [(11.8, 1.0), (12.2, 1.0 - 0.6 / 8.0), (19.8, 1.0 - 0.6 / 8.0), (20.2, 0.0)]
+)
+def test_noise_of_a_flight_is_that_between_two_frequencies(frequency_hz, kept):
+    """A tone among them is averaged over 0.6 Hz, and the noise over the 8 Hz between them."""
+    time = np.arange(20_000) / 100.0
+    wave = np.sin(2.0 * np.pi * frequency_hz * time)
+    seen = quiet(hover(200.0, rates=in_column(0, wave))).rates[:, 0]
+    assert seen @ wave / (wave @ wave) == pytest.approx(kept, abs=0.02)
 
 
 def test_generic_functions_remember_a_tenth_and_four_tenths_of_a_second(simulation, flights):
