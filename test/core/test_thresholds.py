@@ -26,8 +26,8 @@ from quadpi_core.discrepancy.effect_response import Compared, predicted_flight
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.external_simulations import ModelSimulation
 from quadpi_core.discrepancy.loading import load_simulation
-from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.quiet_flight import quiet
+from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight
