@@ -10,6 +10,9 @@ from functools import cache
 import pytest
 from threadpoolctl import threadpool_limits
 
+from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.effect_regression import Regression
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.simulation.effect_registry import read_effects
@@ -58,3 +61,18 @@ def flown(plans):
 def flight(flown):
     """A flight of the Bebop 2 without effects."""
     return flown()[0]
+
+
+@pytest.fixture(scope="session")
+def moved_tolerances():
+    """moved_tolerances(flights, simulation) → by name what a fit without effects moves each tolerance by."""
+
+    def moved(flights, simulation):
+        compared = Compared.together(flights, simulation)
+        regression = Regression.of(compared, candidates(simulation.vehicle, ["payload"]))
+        found = regression.fit(())
+        assert found is not None
+        values = found.of(regression.columns.tolerances)
+        return dict(zip(regression.columns.tolerance_names, values, strict=True))
+
+    return moved
