@@ -334,31 +334,35 @@ def judge_unexplained(share: float) -> Verdict:
     return _verdict(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)
 
 
-def judge_coefficients(multiples: Mapping[str, float]) -> Verdict:
-    """Whether every coefficient, by its name in multiples of its tolerance, is near its stated value."""
-    name, off = max(multiples.items(), key=lambda item: abs(item[1]), default=("", 0.0))
-    sentence = f"{name} is wrong by {abs(off):.1f} of its tolerances, {FAR_COEFFICIENT.value:g} allowed"
-    passed = bool(abs(off) <= FAR_COEFFICIENT.value)
-    return _verdict(FAR_COEFFICIENT, "coefficients", float(abs(off)), passed, sentence)
-
-
-def judge_colour(noise: Array, slow: Array, axes: Sequence[str]) -> Verdict:
-    """Whether the noise can be that of sensors: not much larger at the frequencies of manoeuvres.
+def judge_coefficients(multiples: Mapping[str, float], shares: Mapping[str, float]) -> Verdict:
+    """Whether no coefficient explains much of the disagreement by being far from its stated value.
 
     Args:
-        noise: (6, BANDS) variances.
-        slow: (6,) variances that slow errors of given states may add, see `unexplained.slow_state_noise`.
+        multiples: by name, what a coefficient is wrong by, in its tolerances.
+        shares: by name, the share of the disagreement that the part beyond `FAR_COEFFICIENT` explains.
+    """
+    far = [name for name, off in multiples.items() if abs(off) > FAR_COEFFICIENT.value]
+    name = max(far, key=lambda own: shares[own], default="")
+    off, share = abs(multiples.get(name, 0.0)), shares.get(name, 0.0)
+    sentence = f"{name} would be wrong by {off:.1f} of its tolerances, {FAR_COEFFICIENT.value:g} allowed"
+    return _verdict(FAR_COEFFICIENT, "coefficients", off, not far or share <= UNEXPLAINED.value, sentence)
+
+
+def judge_colour(colour: Array, shares: Array, axes: Sequence[str]) -> Verdict:
+    """Whether in no axis noise that is much slower than that of sensors is much of the disagreement.
+
+    Args:
+        colour: (6,) slow over fast noise.
+        shares: (6,) squares of the noise beyond that of sensors, of the disagreement of the axis.
         axes: names of the axes.
     """
-    known = np.maximum(noise[:, -1] + slow, np.finfo(float).tiny)
-    colour = np.sqrt(noise.max(axis=1) / known)
-    worst = int(np.argmax(colour))
+    slow = np.where(shares > UNEXPLAINED.value, colour, 0.0)
+    worst = int(np.argmax(slow))
     sentence = (
-        f"the noise of {axes[worst]} is {colour[worst]:.1f} times as large at slow frequencies as that of "
+        f"the noise of {axes[worst]} is {slow[worst]:.1f} times as large at slow frequencies as that of "
         f"sensors and states, {COLOURED.value:g} allowed"
     )
-    passed = bool(colour[worst] <= COLOURED.value)
-    return _verdict(COLOURED, "colour of the noise", float(colour[worst]), passed, sentence)
+    return _verdict(COLOURED, "colour", float(slow[worst]), bool(slow[worst] <= COLOURED.value), sentence)
 
 
 def judge_closed(reduction: float) -> Verdict:

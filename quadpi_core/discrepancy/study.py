@@ -12,22 +12,18 @@ from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.acceptance import (
     LEAST_EVIDENCE,
-    judge_closed,
-    judge_coefficients,
-    judge_colour,
-    judge_unexplained,
     predictable,
     unexplained_share,
 )
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter, Study
+from quadpi_core.discrepancy.doubts import doubts
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.search import Found, search
 from quadpi_core.discrepancy.simulations import Simulation, airspeed
-from quadpi_core.discrepancy.unexplained import slow_state_noise
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
@@ -37,7 +33,6 @@ from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.rotations import rotation_matrix
-from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -177,27 +172,20 @@ def discover(
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
     gap = found.closing.gap()
-    multiples = _multiples(found)
-    judged = [
-        judge_unexplained(share),
-        judge_coefficients(multiples),
-        judge_colour(found.left.noise, slow_state_noise(compared), AXES),
-    ]
-    judged += [judge_closed(gap.reduction)] if effects else []
-    doubts = (*(one.sentence for one in judged if not one.passed), *found.disputed)
+    against = doubts(found, effects, share, gap)
     return Discovery(
-        verdict="unknown" if doubts else "effects" if effects else "none",
+        verdict="unknown" if against else "effects" if effects else "none",
         effects=tuple(effects),
         unexplained=share,
         unexplained_by={
             axis: found.left.functions[i]
             for i, axis in enumerate(AXES)
             # In a doubtful case, every axis that other flights predict at all is a hint.
-            if left[i] or (doubts and found.left.gain[i] > 0.0)
+            if left[i] or (against and found.left.gain[i] > 0.0)
         },
         gap=gap,
         found=found,
-        doubts=doubts,
+        doubts=against,
         without_trace=_without_trace(found),
     )
 
@@ -215,18 +203,6 @@ def _without_trace(found: Found) -> tuple[str, ...]:
         if 0.5 * squares[regression.block(index).parameters].sum() >= LEAST_EVIDENCE.value
     }
     return tuple(dict.fromkeys(c.name for c in regression.candidates if c.name not in shown))
-
-
-def _multiples(found: Found) -> dict[str, float]:
-    """Of every coefficient that stays what it is beside the effects, what it is off by, in its tolerances."""
-    columns = found.regression.columns
-    # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
-    named = {found.regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
-    own = {
-        f"{effect.name}.{p.name}": effect.tolerance for effect in EFFECTS.values() for p in effect.parameters
-    }
-    values = zip(columns.tolerance_names, found.fit.of(columns.tolerances), strict=True)
-    return {name: float(value) for name, value in values if own.get(name) not in named}
 
 
 def require_flights(count: int) -> None:

@@ -368,11 +368,11 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "PART_OF_AXIS": (0.2, lambda x: share(first_axis(1e3 * x), first_axis(1e3, 1e9), 1) > 0.1),
     "UNEXPLAINED": (0.05, lambda x: acceptance.judge_unexplained(x).passed),
     "DIFFERENT": (0.95, lambda x: acceptance.judge_difference(float(chi2.ppf(x, 2)), 2).passed),
-    "FAR_COEFFICIENT": (5.0, lambda x: acceptance.judge_coefficients({"near": 1.0, "far": -x}).passed),
-    "COLOURED": (
-        12.0,
-        lambda x: acceptance.judge_colour(np.tile([x**2, 0.4], (6, 1)), np.full(6, 0.6), AXES).passed,
+    "FAR_COEFFICIENT": (
+        5.0,
+        lambda x: acceptance.judge_coefficients({"near": 1.0, "far": -x}, {"near": 1.0, "far": 1.0}).passed,
     ),
+    "COLOURED": (12.0, lambda x: acceptance.judge_colour(np.full(6, x), np.ones(6), AXES).passed),
     "CLOSED": (0.5, lambda x: acceptance.judge_closed(x).passed),
     # The others of the room, file by file.
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),

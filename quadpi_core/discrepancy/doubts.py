@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Why the result of a search is not believed, so that the verdict is "unknown".
+
+A search can only choose among the effects of its library. What is missing may be something else, which then
+shows in one of four ways: a residual that other flights predict; noise that no sensor has; a coefficient that
+moves far beyond its tolerance; or effects that do not close the gap, or whose parameters may be zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from quadpi_core.discrepancy.acceptance import (
+    FAR_COEFFICIENT,
+    Verdict,
+    judge_closed,
+    judge_coefficients,
+    judge_colour,
+    judge_unexplained,
+)
+from quadpi_core.discrepancy.closure import Gap
+from quadpi_core.discrepancy.discrepancy_result import FoundEffect
+from quadpi_core.discrepancy.effect_regression import Regression
+from quadpi_core.discrepancy.evidence import residual_weights
+from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.unexplained import slow_state_noise
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.simulation.effect_registry import EFFECTS
+
+
+def doubts(found: Found, effects: Sequence[FoundEffect], unexplained: float, gap: Gap) -> tuple[str, ...]:
+    """Sentences that say what speaks against the result of a search; empty where nothing does.
+
+    Args:
+        found: result of the search.
+        effects: named effects.
+        unexplained: see :class:`Discovery`.
+        gap: gap on flights left out.
+    """
+    sensors = found.left.noise[:, -1] + slow_state_noise(found.regression.flights)
+    disagreement = _disagreement(found.regression, sensors)
+    verdicts = [
+        judge_unexplained(unexplained),
+        _coefficients(found, sensors, disagreement),
+        _noise(found, sensors, disagreement),
+    ]
+    if effects:
+        verdicts.append(judge_closed(gap.reduction))
+    unsure = [f"every parameter of {effect.name} may be zero" for effect in effects if may_be_zero(effect)]
+    return (*(verdict.sentence for verdict in verdicts if not verdict.passed), *unsure, *found.disputed)
+
+
+def may_be_zero(effect: FoundEffect) -> bool:
+    """Whether the interval of every parameter that was estimated holds zero."""
+    estimated = [parameter for parameter in effect.parameters if parameter.upper > parameter.lower]
+    return all(parameter.lower < 0.0 < parameter.upper for parameter in estimated) and bool(estimated)
+
+
+def _coefficients(found: Found, sensors: Array, disagreement: Array) -> Verdict:
+    """Whether coefficients beyond the tolerances allowed explain little of the disagreement."""
+    regression = found.regression
+    columns = regression.columns
+    own_tolerance = {
+        f"{effect.name}.{p.name}": effect.tolerance for effect in EFFECTS.values() for p in effect.parameters
+    }
+    # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
+    named = {regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
+    multiples, shares = {}, {}
+    values = found.fit.of(columns.tolerances)
+    for name, index, value in zip(columns.tolerance_names, columns.tolerances, values, strict=True):
+        if abs(value) <= FAR_COEFFICIENT.value or own_tolerance.get(name) in named:
+            continue
+        weights = np.zeros(columns.width)
+        weights[index] = np.abs(value) - FAR_COEFFICIENT.value
+        multiples[name] = float(value)
+        shares[name] = float(np.sum(_squares(regression, weights) / sensors) / np.sum(disagreement))
+    return judge_coefficients(multiples, shares)
+
+
+def _noise(found: Found, sensors: Array, disagreement: Array) -> Verdict:
+    """Whether the noise of each axis can be that of sensors, or is little of the disagreement."""
+    noise = found.left.noise
+    rows = sum(np.bincount(band, minlength=noise.shape[1]) for band in found.regression.columns.bands)
+    more = np.maximum(noise / sensors[:, None] - 1.0, 0.0) @ rows
+    return judge_colour(np.sqrt(noise.max(axis=1) / sensors), more / disagreement, AXES)
+
+
+def _disagreement(regression: Regression, sensors: Array) -> Array:
+    """Squares (6,) of the residual before the search beyond those of the sensors, in their variances."""
+    rows = sum(len(band) for band in regression.columns.bands)
+    squares = _squares(regression, residual_weights(1, ()))
+    disagreement: Array = np.maximum(squares / sensors - rows, 1.0)
+    return disagreement
+
+
+def _squares(regression: Regression, weights: Array) -> Array:
+    """Squares (6,) of a combination of columns, over all flights."""
+    columns = regression.columns
+    squares: Array = np.sum(
+        [np.square(columns.combined(place, weights)).sum(axis=1) for place in range(len(columns.flights))],
+        axis=0,
+    )
+    return squares
