@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What speaks against the result of a search: slow noise, far coefficients, effects that may be zero."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy import discover
+from quadpi_core.discrepancy.discrepancy_result import FoundParameter
+from quadpi_core.discrepancy.doubts import doubts, may_be_zero
+from quadpi_core.rotations import rotate_world_to_body
+
+GUST_N = 0.15
+
+
+def gusty(flight, vehicle, pushed, seed):
+    """The flight in gusts from east and west that change in about a second, as no function predicts."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0.0, flight.time[-1], int(flight.time[-1]) + 2)
+    east = np.zeros((len(flight), 3))
+    east[:, 1] = np.interp(flight.time, time, GUST_N * rng.standard_normal(len(time)))
+    wrench = np.zeros((len(flight), 6))
+    wrench[:, :3] = rotate_world_to_body(flight.attitude, east)
+    return pushed(flight, vehicle, wrench)
+
+
+def doubted(study, **changes):
+    """The doubts about a study whose result is changed."""
+    discovery = study.discovery
+    given = {
+        "found": discovery.found,
+        "effects": discovery.effects,
+        "unexplained": discovery.unexplained,
+        "gap": discovery.gap,
+    }
+    return doubts(**(given | changes))
+
+
+def test_nothing_speaks_against_what_is_there(found):
+    assert doubted(found) == found.discovery.doubts == ()
+
+
+def test_gusts_are_no_noise_of_sensors(simulation, flights, pushed):
+    blown = [gusty(flight, simulation.vehicle, pushed, seed) for seed, flight in enumerate(flights)]
+    discovery = discover(simulation, blown, names=["payload", "rotor_drag"])
+    assert discovery.verdict == "unknown"
+    assert any("times as large at slow frequencies" in sentence for sentence in discovery.doubts)
+
+
+def test_a_coefficient_far_beyond_its_tolerance_stands_for_something_else(simulation, flights):
+    """Thrust is 10 % off and its tolerance is 1 %, but no name for that is looked for."""
+    discovery = discover(simulation.adjusted({"thrust": 10.0}), flights, names=["moment_bias"])
+    assert discovery.verdict == "unknown"
+    (sentence,) = [one for one in discovery.doubts if "tolerances" in one]
+    assert sentence.startswith("thrust would be wrong by ")
+
+
+def test_an_effect_has_to_close_the_gap(found):
+    (sentence,) = doubted(found, gap=found.discovery.gap._replace(reduction=0.2))
+    assert sentence == "20 % of the gap is closed, 50% needed"
+
+
+def test_an_effect_whose_intervals_hold_zero_is_doubted(found):
+    (effect,) = found.discovery.effects
+    near = [replace(own, lower=-own.upper) for own in effect.parameters]
+    assert doubted(found, effects=[replace(effect, parameters=tuple(near))]) == (
+        "every parameter of body_drag may be zero",
+    )
+
+
+@pytest.mark.parametrize(
+    ("intervals", "zero"),
+    [
+        ([(-1.0, 1.0)], True),
+        ([(0.5, 1.0), (-1.0, 1.0)], False),
+        ([(2.0, 2.0), (-1.0, 1.0)], True),
+        ([(2.0, 2.0)], False),
+    ],
+)
+def test_one_parameter_that_differs_from_zero_is_enough(found, intervals, zero):
+    """A value without an interval, such as the number of a rotor, was not estimated."""
+    (effect,) = found.discovery.effects
+    parameters = tuple(FoundParameter("p", "N", 0.5 * (a + b), a, b) for a, b in intervals)
+    assert may_be_zero(replace(effect, parameters=parameters)) is zero
