@@ -194,6 +194,13 @@ CLOSED = Threshold(
     "named effects must explain most of the discrepancy; right names close 95 % and more",
     CONVENTION,
 )
+WORSE_ROLLOUTS = Threshold(
+    "growth of the error of roll-outs",
+    0.02,
+    "of the error before",
+    "errors of roll-outs beside their floor change by less than that with the noise of the parameters",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True)
@@ -335,11 +342,12 @@ def judge_unexplained(share: float) -> Verdict:
 
 
 def judge_coefficients(multiples: Mapping[str, float], shares: Mapping[str, float]) -> Verdict:
-    """Whether no coefficient explains much of the disagreement by being far from its stated value.
+    """Whether no coefficient explains much by being far from its stated value.
 
     Args:
         multiples: by name, what a coefficient is wrong by, in its tolerances.
-        shares: by name, the share of the disagreement that the part beyond `FAR_COEFFICIENT` explains.
+        shares: by name, squares that its part beyond `FAR_COEFFICIENT` explains, of those and the squares
+            that the named effects explain.
     """
     far = [name for name, off in multiples.items() if abs(off) > FAR_COEFFICIENT.value]
     name = max(far, key=lambda own: shares[own], default="")
@@ -349,11 +357,12 @@ def judge_coefficients(multiples: Mapping[str, float], shares: Mapping[str, floa
 
 
 def judge_colour(colour: Array, shares: Array, axes: Sequence[str]) -> Verdict:
-    """Whether in no axis noise that is much slower than that of sensors is much of the disagreement.
+    """Whether no axis has much noise that is slower than that of sensors.
 
     Args:
         colour: (6,) slow over fast noise.
-        shares: (6,) squares of the noise beyond that of sensors, of the disagreement of the axis.
+        shares: (6,) squares of the noise beyond that of sensors, of those of all axes and those that the
+            named effects explain.
         axes: names of the axes.
     """
     slow = np.where(shares > UNEXPLAINED.value, colour, 0.0)
@@ -369,3 +378,12 @@ def judge_closed(reduction: float) -> Verdict:
     """Whether the named effects close the gap of flights left out."""
     sentence = f"{100.0 * reduction:.0f} % of the gap is closed, {CLOSED.value:.0%} needed"
     return _verdict(CLOSED, "closed", reduction, reduction >= CLOSED.value, sentence)
+
+
+def judge_rollouts(before: Mapping[str, float], after: Mapping[str, float]) -> Verdict:
+    """Whether no error of roll-outs of flights left out, by its quantity, grows with what is added."""
+    growth = {name: after[name] / before[name] - 1.0 for name in before if before[name] > 0.0}
+    name, most = max(growth.items(), key=lambda item: item[1], default=("", 0.0))
+    change = f"{before.get(name, 0.0):.3g} to {after.get(name, 0.0):.3g}"
+    sentence = f"roll-outs of flights left out get worse with it: {name} {change}"
+    return _verdict(WORSE_ROLLOUTS, "roll-outs", most, most <= WORSE_ROLLOUTS.value, sentence)

@@ -309,8 +309,8 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
     """Write the simulation with the effects that were found, and the formulas of the effects.
 
     For a vehicle file it is a vehicle file of the same name with `simulation.effects`; for any other
-    simulation an `addition.json` that refers to it and loads in its place. Without effects nothing is
-    written.
+    simulation an `addition.json` that refers to it and loads in its place. Without effects, and with those
+    that make simulations of flights left out worse, nothing is written.
 
     Args:
         discovery: result of the search.
@@ -322,7 +322,7 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
     Raises:
         DiscrepancyError: where an effect cannot be added to one that the simulation already has.
     """
-    if not discovery.effects:
+    if not discovery.effects or discovery.rejected:
         return []
     simulation = augmented(discovery)
     if isinstance(simulation.base, VehicleSimulation):

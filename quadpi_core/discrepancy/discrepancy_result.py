@@ -15,6 +15,14 @@ from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.version import __version__
 
+# Errors of flights that are flown again, by their names in JSON: in words.
+ERROR_NAMES = {
+    "position_m": "position [m]",
+    "velocity_m_s": "velocity [m/s]",
+    "attitude_deg": "attitude [deg]",
+    "rates_rad_s": "rates [rad/s]",
+}
+
 
 @dataclass(frozen=True)
 class FoundParameter:
@@ -66,6 +74,7 @@ class Discovery:
         without_trace: effects that cannot be found: with them, these flights would hardly differ from this
             simulation.
         doubts: sentences that say why the verdict is "unknown"; empty for any other.
+        rejected: whether flights left out are simulated worse with the effects, so that nothing is added.
     """
 
     verdict: str
@@ -76,6 +85,7 @@ class Discovery:
     found: Found
     without_trace: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    rejected: bool = False
 
 
 @dataclass(frozen=True)

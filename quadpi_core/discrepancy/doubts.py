@@ -10,6 +10,7 @@ moves far beyond its tolerance; or effects that do not close the gap, or whose p
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,10 +20,11 @@ from quadpi_core.discrepancy.acceptance import (
     judge_closed,
     judge_coefficients,
     judge_colour,
+    judge_rollouts,
     judge_unexplained,
 )
 from quadpi_core.discrepancy.closure import Gap
-from quadpi_core.discrepancy.discrepancy_result import FoundEffect
+from quadpi_core.discrepancy.discrepancy_result import ERROR_NAMES, Discovery, FoundEffect, Rollouts
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.evidence import residual_weights
 from quadpi_core.discrepancy.search import Found
@@ -42,16 +44,35 @@ def doubts(found: Found, effects: Sequence[FoundEffect], unexplained: float, gap
         gap: gap on flights left out.
     """
     sensors = found.left.noise[:, -1] + slow_state_noise(found.regression.flights)
-    disagreement = _disagreement(found.regression, sensors)
+    named = _named(found, sensors)
     verdicts = [
         judge_unexplained(unexplained),
-        _coefficients(found, sensors, disagreement),
-        _noise(found, sensors, disagreement),
+        _coefficients(found, sensors, named),
+        _noise(found, sensors, named),
     ]
     if effects:
         verdicts.append(judge_closed(gap.reduction))
     unsure = [f"every parameter of {effect.name} may be zero" for effect in effects if may_be_zero(effect)]
     return (*(verdict.sentence for verdict in verdicts if not verdict.passed), *unsure, *found.disputed)
+
+
+def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
+    """The discovery, rejected where flights left out, or roll-outs of them, get worse with its effects."""
+    errors = {ERROR_NAMES[name]: error for name, error in rollouts.errors.items()}
+    verdict = judge_rollouts(
+        {name: error.before for name, error in errors.items()},
+        {name: error.after for name, error in errors.items()},
+    )
+    lost = {when: rollouts.lost.get(when, 0) for when in ("before", "after")}
+    worse = [] if verdict.passed else [verdict.sentence]
+    if lost["after"] > lost["before"]:
+        worse.append(
+            f"{lost['after']} roll-outs of flights left out diverge with it, {lost['before']} before"
+        )
+    if not worse and discovery.gap.reduction >= 0.0:
+        return discovery
+    # A gap that grows is among the doubts already.
+    return replace(discovery, verdict="unknown", doubts=(*discovery.doubts, *worse), rejected=True)
 
 
 def may_be_zero(effect: FoundEffect) -> bool:
@@ -60,41 +81,44 @@ def may_be_zero(effect: FoundEffect) -> bool:
     return all(parameter.lower < 0.0 < parameter.upper for parameter in estimated) and bool(estimated)
 
 
-def _coefficients(found: Found, sensors: Array, disagreement: Array) -> Verdict:
-    """Whether coefficients beyond the tolerances allowed explain little of the disagreement."""
+def _coefficients(found: Found, sensors: Array, named: float) -> Verdict:
+    """Whether coefficients explain little beyond what they may, beside the named effects."""
     regression = found.regression
     columns = regression.columns
     own_tolerance = {
         f"{effect.name}.{p.name}": effect.tolerance for effect in EFFECTS.values() for p in effect.parameters
     }
     # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
-    named = {regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
+    moved = {regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
     multiples, shares = {}, {}
     values = found.fit.of(columns.tolerances)
     for name, index, value in zip(columns.tolerance_names, columns.tolerances, values, strict=True):
-        if abs(value) <= FAR_COEFFICIENT.value or own_tolerance.get(name) in named:
+        if abs(value) <= FAR_COEFFICIENT.value or own_tolerance.get(name) in moved:
             continue
         weights = np.zeros(columns.width)
         weights[index] = np.abs(value) - FAR_COEFFICIENT.value
         multiples[name] = float(value)
-        shares[name] = float(np.sum(_squares(regression, weights) / sensors) / np.sum(disagreement))
+        beyond = float(np.sum(_squares(regression, weights) / sensors))
+        shares[name] = beyond / max(named + beyond, 1.0)
     return judge_coefficients(multiples, shares)
 
 
-def _noise(found: Found, sensors: Array, disagreement: Array) -> Verdict:
-    """Whether the noise of each axis can be that of sensors, or is little of the disagreement."""
+def _noise(found: Found, sensors: Array, named: float) -> Verdict:
+    """Whether the noise of each axis can be that of sensors, or is little beside the named effects."""
     noise = found.left.noise
     rows = sum(np.bincount(band, minlength=noise.shape[1]) for band in found.regression.columns.bands)
     more = np.maximum(noise / sensors[:, None] - 1.0, 0.0) @ rows
-    return judge_colour(np.sqrt(noise.max(axis=1) / sensors), more / disagreement, AXES)
+    share = more / max(named + float(np.sum(more)), 1.0)
+    return judge_colour(np.sqrt(noise.max(axis=1) / sensors), share, AXES)
 
 
-def _disagreement(regression: Regression, sensors: Array) -> Array:
-    """Squares (6,) of the residual before the search beyond those of the sensors, in their variances."""
-    rows = sum(len(band) for band in regression.columns.bands)
-    squares = _squares(regression, residual_weights(1, ()))
-    disagreement: Array = np.maximum(squares / sensors - rows, 1.0)
-    return disagreement
+def _named(found: Found, sensors: Array) -> float:
+    """Squares by which the effects reduce the residual beside the tolerances, in variances of the sensors."""
+    tolerances = found.regression.columns.tolerances
+    without = residual_weights(len(found.fit.left), ())
+    without[tolerances] = found.fit.left[tolerances]
+    reduced = _squares(found.regression, without) - _squares(found.regression, found.fit.left)
+    return max(0.0, float(np.sum(reduced / sensors)))
 
 
 def _squares(regression: Regression, weights: Array) -> Array:

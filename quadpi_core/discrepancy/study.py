@@ -18,7 +18,7 @@ from quadpi_core.discrepancy.acceptance import (
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter, Study
-from quadpi_core.discrepancy.doubts import doubts
+from quadpi_core.discrepancy.doubts import doubts, judged_by_rollouts
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import reflights
@@ -124,6 +124,9 @@ def study(
     """
     missing = require_excitation(flights, simulation.vehicle)
     discovery = discover(simulation, flights, names=names, seed=seed)
+    flown_again = reflights(discovery) if discovery.effects else None
+    if flown_again is not None:
+        discovery = judged_by_rollouts(discovery, flown_again.rollout)
     return Study(
         simulation=simulation,
         flights=tuple(flights),
@@ -131,7 +134,7 @@ def study(
         where=locate(discovery.found, seed),
         not_flown=missing,
         seed=seed,
-        flown_again=reflights(discovery) if discovery.effects else None,
+        flown_again=flown_again,
     )
 
 

@@ -20,6 +20,7 @@ from rich.text import Text
 
 from quadpi_core.discrepancy.acceptance import Judgement
 from quadpi_core.discrepancy.discrepancy_result import (
+    ERROR_NAMES,
     Discovery,
     FoundEffect,
     FoundParameter,
@@ -48,12 +49,6 @@ _MOST_RANGES, _MOST_ON_TERMINAL, _MOST_SEGMENTS = 12, 8, 12
 _MOST_REJECTED = 3
 # Share of the floor's square that an axis has to exceed it by, for the closed share to be more than noise.
 _LEAST_ABOVE_FLOOR = 0.05
-_ERRORS = {
-    "position_m": "position [m]",
-    "velocity_m_s": "velocity [m/s]",
-    "attitude_deg": "attitude [deg]",
-    "rates_rad_s": "rates [rad/s]",
-}
 
 
 def discrepancy_summary(study: Study) -> Group:
@@ -297,7 +292,7 @@ def _flown_again_table(study: Study) -> Table | None:
     rows: list[Row] = [
         [test, name, errors[key].before, errors[key].after, errors[key].floor]
         for test, errors in tests.items()
-        for key, name in _ERRORS.items()
+        for key, name in ERROR_NAMES.items()
         if key in errors
     ]
     return Table(columns, rows, title="Flown again")

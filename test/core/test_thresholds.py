@@ -373,6 +373,12 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         lambda x: acceptance.judge_coefficients({"near": 1.0, "far": -x}, {"near": 1.0, "far": 1.0}).passed,
     ),
     "COLOURED": (12.0, lambda x: acceptance.judge_colour(np.full(6, x), np.ones(6), AXES).passed),
+    "WORSE_ROLLOUTS": (
+        0.02,
+        lambda x: (
+            acceptance.judge_rollouts({"rates": 1.0, "none": 0.0}, {"rates": 1.0 + x, "none": 1.0}).passed
+        ),
+    ),
     "CLOSED": (0.5, lambda x: acceptance.judge_closed(x).passed),
     # The others of the room, file by file.
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover
-from quadpi_core.discrepancy.discrepancy_result import FoundParameter
-from quadpi_core.discrepancy.doubts import doubts, may_be_zero
+from quadpi_core.discrepancy.augmented_simulation import write_addition
+from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, FoundParameter, Rollouts
+from quadpi_core.discrepancy.doubts import doubts, judged_by_rollouts, may_be_zero
 from quadpi_core.rotations import rotate_world_to_body
 
 GUST_N = 0.15
+WORSE = "roll-outs of flights left out get worse with it"
 
 
 def gusty(flight, vehicle, pushed, seed):
@@ -86,3 +88,38 @@ def test_one_parameter_that_differs_from_zero_is_enough(found, intervals, zero):
     (effect,) = found.discovery.effects
     parameters = tuple(FoundParameter("p", "N", 0.5 * (a + b), a, b) for a, b in intervals)
     assert may_be_zero(replace(effect, parameters=parameters)) is zero
+
+
+def rolled_out(after, *, lost=0):
+    """Roll-outs whose error of attitude was 18 degrees before."""
+    errors = {"velocity_m_s": BeforeAfter(1.0, 0.4, 0.1), "attitude_deg": BeforeAfter(18.0, after, 1.0)}
+    return Rollouts(0.5, 100, errors, {"before": 2, "after": lost, "floor": 0})
+
+
+def test_an_effect_that_improves_roll_outs_is_added(found, tmp_path):
+    kept = judged_by_rollouts(found.discovery, rolled_out(after=9.0))
+    assert kept is found.discovery
+    assert write_addition(kept, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("rollouts", "reason"),
+    [
+        (
+            rolled_out(after=108.0),
+            "roll-outs of flights left out get worse with it: attitude [deg] 18 to 108",
+        ),
+        (rolled_out(after=9.0, lost=3), "3 roll-outs of flights left out diverge with it, 2 before"),
+    ],
+)
+def test_what_makes_roll_outs_worse_is_not_added(found, tmp_path, rollouts, reason):
+    rejected = judged_by_rollouts(found.discovery, rollouts)
+    assert rejected.verdict == "unknown"
+    assert rejected.doubts == (reason,)
+    assert write_addition(rejected, tmp_path) == []
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_makes_flights_left_out_worse_is_not_added(found, tmp_path):
+    grown = replace(found.discovery, gap=found.discovery.gap._replace(reduction=-3.0))
+    assert write_addition(judged_by_rollouts(grown, rolled_out(after=9.0)), tmp_path) == []
