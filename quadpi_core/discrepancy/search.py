@@ -46,6 +46,9 @@ CALIBRATION_DRAWS = Threshold(
     CONVENTION,
 )
 
+# Beyond it odds are no number.
+_MOST_LOG_ODDS = 700.0
+
 
 @dataclass(frozen=True)
 class Found:
@@ -141,7 +144,7 @@ def _exchanged(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Jud
     """
     judgements: list[Judgement] = []
     for _ in range(MOST_EFFECTS.value):
-        rivals = _rivals(accepted)
+        rivals = _rivals(accepted, of_its_name=True)
         disputed, better = [], None
         for index, close in rivals.items():
             rival, odds = close[0] if close else (index, 0.0)
@@ -280,8 +283,13 @@ def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[J
     return accepted, []
 
 
-def _rivals(accepted: Accepted) -> dict[int, list[tuple[int, float]]]:
-    """For each chosen candidate others that do about as well in its place, with their odds."""
+def _rivals(accepted: Accepted, *, of_its_name: bool = False) -> dict[int, list[tuple[int, float]]]:
+    """For each chosen candidate others that do about as well in its place, with their odds.
+
+    Args:
+        accepted: effects that were accepted.
+        of_its_name: whether those of the same effect count too, such as the same of another rotor.
+    """
     regression, found = accepted.regression, accepted.fit
     rivals: dict[int, list[tuple[int, float]]] = {}
     for index in accepted.chosen:
@@ -293,7 +301,8 @@ def _rivals(accepted: Accepted) -> dict[int, list[tuple[int, float]]]:
         scales = scales_beside_law(own, beside)
         close = []
         for rival, candidate in enumerate(regression.candidates):
-            if candidate.name == own.name or any(map(candidate.excludes, beside)):
+            same = rival == index or (candidate.name == own.name and not of_its_name)
+            if same or any(map(candidate.excludes, beside)):
                 continue
             # An effect that explains the error of a law is no rival of one that scales existing forces.
             if scales and not candidate.effect.scales_existing:
@@ -303,7 +312,8 @@ def _rivals(accepted: Accepted) -> dict[int, list[tuple[int, float]]]:
                 continue
             behind = found.log_evidence - swapped.log_evidence
             if behind < margin:
-                close.append((rival, float(np.exp(-behind * NAMED_ALONE.value / margin))))
+                odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
+                close.append((rival, float(odds)))
         rivals[index] = sorted(close, key=lambda item: -item[1])
     return rivals
 
