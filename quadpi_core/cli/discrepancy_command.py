@@ -49,6 +49,8 @@ def discrepancy(
     from quadpi_core.discrepancy.study import read_flights, study
     from quadpi_core.paths import whole_outputs, write_json
     from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
+    from quadpi_core.report.page import FlightFiles
+    from quadpi_core.simulation.simulated_file import model_folder
 
     inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
     check_outputs(inputs, json_file, html_file, folders=[output])
@@ -66,14 +68,17 @@ def discrepancy(
                 f"{name}: {flight['unjudged_samples']} samples left out, which the simulation cannot judge",
                 soft_wrap=True,
             )
+    read = dict(zip((flight.name for flight in flights), bags, strict=True))
+    # A simulation that is no model cannot judge: who looks at a moment names a model.
+    files = FlightFiles(read, [model_folder(simulation) or Path("MODEL")], vehicle)
     with whole_outputs(output) as staging, console.status("Writing"):
         added = [file.name for file in write_addition(found.discovery, staging)]
         data: dict[str, Any] = {**study_json(found), "files": added}
         write_json(staging / DATA, data)
-        write_discrepancy_page(staging / PAGE, found)
+        write_discrepancy_page(staging / PAGE, found, files)
         if json_file is not None:
             write_json(json_file, data)
         if html_file is not None:
-            write_discrepancy_page(html_file, found)
+            write_discrepancy_page(html_file, found, files)
     console.print(discrepancy_summary(found))
     console.print(f"{output}: {', '.join([PAGE, DATA, *added])}", soft_wrap=True)

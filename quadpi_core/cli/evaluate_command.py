@@ -72,7 +72,7 @@ def evaluate(
         )
         read = dict.fromkeys(path for bags in members.values() for path in bags)
         names = (flight.name for flight in next(iter(comparison.flights.values())))
-        files = FlightFiles(dict(zip(names, read, strict=True)), folders)
+        files = FlightFiles(dict(zip(names, read, strict=True)), folders, vehicle)
     else:
         from quadpi_core.paper.published import wind_tunnel
 

@@ -112,5 +112,6 @@ def identify(
         console.print(terminal_table(held_out))
     if json_file or html_file:
         groups = {"identification": [flight.name for flight in flights]}
-        files = FlightFiles(dict(zip((flight.name for flight in flights), bags, strict=True)), [output])
+        read = dict(zip((flight.name for flight in flights), bags, strict=True))
+        files = FlightFiles(read, [output], vehicle)
         write_evaluation(model, flights, groups, confidence, json_file, html_file, files)

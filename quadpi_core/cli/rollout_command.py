@@ -42,4 +42,4 @@ def rollout(
     write_result(json_file, evaluation.to_json())
     if html_file is not None:
         read = dict(zip((flight.name for flight in flights), bags, strict=True))
-        write_rollout_page(html_file, flights, evaluation, FlightFiles(read, [model]))
+        write_rollout_page(html_file, flights, evaluation, FlightFiles(read, [model], vehicle))

@@ -38,7 +38,7 @@ from quadpi_core.report.discrepancy_figures import (
 from quadpi_core.report.evaluation_page import axis_cell
 from quadpi_core.report.figure import Figure
 from quadpi_core.report.figure_data import bins_within
-from quadpi_core.report.page import Page
+from quadpi_core.report.page import FlightFiles, Page
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Column, Row, Table, terminal_table
 from quadpi_core.simulation.effect_registry import EFFECTS
@@ -80,12 +80,13 @@ def discrepancy_summary(study: Study) -> Group:
     return Group(*parts)
 
 
-def write_discrepancy_page(path: Path, study: Study) -> None:
+def write_discrepancy_page(path: Path, study: Study, files: FlightFiles | None = None) -> None:
     """Write the page; it appears whole or not at all.
 
     Args:
         path: of the HTML file.
         study: what was found.
+        files: of the flights, to look at moments in `quadpi view`.
 
     Raises:
         OutputError: if `path` cannot be written.
@@ -112,6 +113,7 @@ def write_discrepancy_page(path: Path, study: Study) -> None:
         definitions=_DEFINITIONS,
         figures=figures,
         flight_figures=of_flight,
+        files=files or FlightFiles(),
     ).write(
         path,
         "discrepancy.html",

@@ -37,15 +37,19 @@ class FlightFiles:
     Attributes:
         bags: by the name of the flight.
         models: folders.
+        vehicle: name or path of the vehicle file, where the models' own is not meant.
     """
 
     bags: Mapping[str, Path] = field(default_factory=dict)
     models: Sequence[Path] = ()
+    vehicle: str | None = None
 
     def commands(self) -> dict[str, str]:
         """The command that shows each flight live, to which `--at` is added; quoted for a shell."""
-        models = [word for folder in self.models for word in ("--model", str(folder))]
-        return {name: shlex.join(["quadpi", "view", str(bag), *models]) for name, bag in self.bags.items()}
+        judged = [word for folder in self.models for word in ("--model", str(folder))]
+        if self.vehicle is not None:
+            judged += ["--vehicle", self.vehicle]
+        return {name: shlex.join(["quadpi", "view", str(bag), *judged]) for name, bag in self.bags.items()}
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,9 @@ def test_rollout(read_json, quadpi, predicting, bags, tmp_path) -> None:
             for own in horizon.values():
                 assert {"rms", "coverage", "width"} <= set(own)
                 assert 0.0 <= own["coverage"] <= 1.0
-    assert (tmp_path / "rollouts.html").stat().st_size > 1e6
+    page = (tmp_path / "rollouts.html").read_text()
+    assert all(f'data-flight="{flight}"' in page for flight in result["flights"])
+    assert f"flight2.mcap --model {predicting}" in page
 
 
 def test_a_model_that_is_no_simulation_is_refused(refused, model, bags) -> None:

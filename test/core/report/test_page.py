@@ -80,9 +80,9 @@ def test_figures_are_those_that_were_given_and_cannot_end_their_script(page, wri
 
 def test_commands_are_quoted_for_a_shell_and_cannot_end_their_script(page, written):
     bag = Path("my bags") / "</script>; rm -rf $HOME.mcap"
-    shown = written(replace(page, files=FlightFiles({"hop": bag}, [Path("one"), Path("a'b")])))
+    shown = written(replace(page, files=FlightFiles({"hop": bag}, [Path("a'b")], "my.yaml")))
     assert shown.commands == {
-        "hop": """quadpi view 'my bags/</script>; rm -rf $HOME.mcap' --model one --model 'a'"'"'b'"""
+        "hop": """quadpi view 'my bags/</script>; rm -rf $HOME.mcap' --model 'a'"'"'b' --vehicle my.yaml"""
     }
     assert len(shown.scripts) == len(written(page).scripts)
     assert written(page).commands == {}
