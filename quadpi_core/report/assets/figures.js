@@ -5,7 +5,7 @@
 
 import {short, ticks} from "./ticks.js";
 
-export const PRINT = {width: 720, tallest: 620};
+export const PRINT = {width: 720, tallest: 640};
 const NARROW = 420, PANEL_LEAST_PX = 190;
 export const DASHES = {"": "", dashed: "6 4", dotted: "1.5 3", dashdot: "8 3 2 3"};
 const ZOOM_LEAST_PX = 6, NEAR_PX = 14, APART_PX = 3;
@@ -177,7 +177,7 @@ export class FigureView {
 
   // On paper, with its rows low enough for one sheet.
   draw({width, tallest} = {width: this.place.clientWidth, tallest: Infinity}) {
-    const {figure} = this, lower = Math.min(1, tallest / (figure.heights.reduce((sum, one) => sum + one + 30, 0))), columns = Math.max(...figure.panels.map((panel) => (panel.column ?? 0) + 1));
+    const {figure} = this, columns = Math.max(...figure.panels.map((panel) => (panel.column ?? 0) + 1));
     if (!width) return;
     // Panels of a narrow page are below each other; those of one row stay together.
     const two = width >= NARROW && columns % 2 === 0 ? 2 : 1, across = width / columns < PANEL_LEAST_PX ? Math.min(two, columns) : columns;
@@ -185,9 +185,15 @@ export class FigureView {
     const rewrapped = across !== columns;
     this.panels = order.map((panel, k) => ({panel, layers: this.visible(panel),
       row: rewrapped ? Math.floor(k / across) : panel.row ?? 0, column: rewrapped ? k % across : panel.column ?? 0,
-      height: lower * figure.heights[panel.row ?? 0]}));
-    this.arrange(width, across);
-    const bottom = this.panels.reduce((most, one) => Math.max(most, one.bottom + one.below), 0);
+      height: figure.heights[panel.row ?? 0]}));
+    let bottom = this.arrange(width, across);
+    if (bottom > tallest) {
+      const rows = Math.max(...this.panels.map((one) => one.row)) + 1;
+      const given = Array.from({length: rows}, (_, row) => Math.max(...this.panels.filter((one) => one.row === row).map((one) => one.height)));
+      const fixed = bottom - given.reduce((sum, one) => sum + one, 0), share = Math.max(0.3, (tallest - fixed) / (bottom - fixed));
+      for (const one of this.panels) one.height *= share;
+      bottom = this.arrange(width, across);
+    }
     this.svg = node("svg", {viewBox: `0 0 ${width} ${f(bottom)}`, width, height: f(bottom), "aria-hidden": "true"});
     this.panels.forEach((one, k) => this.svg.append(this.panel(one, k)));
     this.over = node("g");
@@ -196,7 +202,7 @@ export class FigureView {
     this.point(this.cursor && {...this.cursor, x: this.panels[this.cursor.place].atX(this.cursor.value)});
   }
 
-  // Places and scales of the panels.
+  // Places and scales of the panels; gives the height of them all.
   arrange(width, across) {
     const {figure} = this, gap = 14;
     const shared = figure.over_time && (this.zoom ?? extent(this.panels.flatMap((one) => one.layers), 0));
@@ -244,6 +250,7 @@ export class FigureView {
       one.atY = scaled(one.panel.y, one.y, one.bottom, one.top);
       one.fromX = (px) => one.x[0] + (one.x[1] - one.x[0]) * (px - one.left) / (one.right - one.left);
     }
+    return top;
   }
 
   panel(one, k) {
