@@ -24,6 +24,7 @@ from benchmarks.swings import VEHICLE, swings, three_models
 from benchmarks.view_cost import await_port, free_port
 from quadpi_core.frames import Array
 from quadpi_core.logs.bags import write_bag
+from quadpi_core.report import ASSETS, SHARED_ASSETS
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.view_server import PAGE_FOLDER
 
@@ -66,7 +67,8 @@ def run() -> list[Result]:
     require_ros()
     require_chromium()
     latency_ms, frames_per_s = live_page()
-    weight = sum(path.stat().st_size for path in PAGE_FOLDER.iterdir())
+    files = [*PAGE_FOLDER.iterdir(), *(ASSETS / name for name in SHARED_ASSETS)]
+    weight = sum(path.stat().st_size for path in files)
     first_s = first_picture()
     changes = f"{len(latency_ms)} alarms that change, three models at {_RATE_HZ} Hz, software rendering"
     return [
