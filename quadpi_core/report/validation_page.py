@@ -171,7 +171,7 @@ def write_validation_page(
         about="do the intervals hold under noise?",
         verdict=validation_verdict(result),
         facts={
-            "models": ", ".join(f"{name} ({model.settings})" for name, model in result.models.items()),
+            "models": ", ".join(f"{model.model} ({model.settings})" for model in result.models.values()),
             "vehicle": result.vehicle,
             "realisations": str(result.realisations),
             "flights": str(len(result.flights)),

@@ -6,7 +6,7 @@
 import {short, ticks} from "./ticks.js";
 
 export const PRINT = {width: 720, tallest: 640};
-const NARROW = 420, PANEL_LEAST_PX = 190;
+const NARROW = 420, PANEL_LEAST_PX = 190, SHARED_LEAST_PX = 110;
 export const DASHES = {"": "", dashed: "6 4", dotted: "1.5 3", dashdot: "8 3 2 3"};
 const ZOOM_LEAST_PX = 6, NEAR_PX = 14, APART_PX = 3;
 const ink = (name) => name.startsWith("#") ? name : `var(--${name})`;
@@ -180,7 +180,8 @@ export class FigureView {
     const {figure} = this, columns = Math.max(...figure.panels.map((panel) => (panel.column ?? 0) + 1));
     if (!width) return;
     // Panels of a narrow page are below each other; those of one row stay together.
-    const two = width >= NARROW && columns % 2 === 0 ? 2 : 1, across = width / columns < PANEL_LEAST_PX ? Math.min(two, columns) : columns;
+    const two = width >= NARROW && columns % 2 === 0 ? 2 : 1, noted = figure.panels.some((panel) => panel.notes?.length);
+    const across = width / columns < (figure.shared && !noted ? SHARED_LEAST_PX : PANEL_LEAST_PX) ? Math.min(two, columns) : columns;
     const order = [...figure.panels].sort((one, other) => (one.row ?? 0) - (other.row ?? 0) || (one.column ?? 0) - (other.column ?? 0));
     const rewrapped = across !== columns;
     this.panels = order.map((panel, k) => ({panel, layers: this.visible(panel),

@@ -91,16 +91,20 @@ for (const button of document.querySelectorAll("button[data-flight]")) {
   });
 }
 
-// On paper everything is open, and figures have the width of the sheet.
+// On paper everything is open, and figures and tables have the width of the sheet at most: letters of tables are
+// smaller there, and a browser would shrink the whole page for one that is wider.
+const PRINTED_LETTERS = 0.85;
 let folded = [];
 addEventListener("beforeprint", () => {
   folded = [...document.querySelectorAll("details:not([open])")];
   for (const one of folded) one.open = true;
   for (const view of views.values()) view.draw(PRINT);
+  for (const table of document.querySelectorAll(".scroll table")) table.style.zoom = Math.min(1, PRINT.width / (PRINTED_LETTERS * table.offsetWidth));
 });
 addEventListener("afterprint", () => {
   for (const one of folded) one.open = false;
   for (const view of views.values()) view.draw();
+  for (const table of document.querySelectorAll(".scroll table")) table.style.zoom = "";
 });
 
 for (const place of document.querySelectorAll("[data-figure]")) {
