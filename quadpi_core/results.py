@@ -17,6 +17,7 @@ LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 # Causes of an alarm, one bit each.
 EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
 CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
+CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 # Health of a cause. ACTIVE: judged with a stated rate of false alarms. WAITING: not judged, on the ground
 # or, for MISCOVERAGE, while the state settles. UNAVAILABLE: no usable samples. UNCALIBRATED: judged by
 # plain limits.

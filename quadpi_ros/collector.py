@@ -21,9 +21,8 @@ from rclpy.task import Future
 from quadpi_core.flight import Stamps
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE, Predictions, ReportedAlarms
+from quadpi_core.results import CAUSE_NAMES, LEVEL_OK, Predictions, ReportedAlarms
 
-_CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 _LEVEL_NAMES = ("ok", "warning", "ALARM")
 # Deep enough to lose nothing while the caller, in the same process, is busy.
 _DEEP_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
@@ -80,7 +79,7 @@ class AlarmFollower:
         return AlarmChange(
             time_s=1e-9 * (int(alarms.time_ns[0]) - self._start_ns),
             level=level,
-            causes=tuple(name for bit, name in _CAUSE_NAMES.items() if causes & bit),
+            causes=tuple(name for bit, name in CAUSE_NAMES.items() if causes & bit),
             inputs_outside=inputs,
             envelope_distance=float(alarms.envelope_distance[0]),
         )

@@ -15,7 +15,7 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "licences.md"
 # What runs; `test`, `bench` and `dev` do not, and the wheels of ROS 2 state nothing.
-EXTRAS = ("mavlink", "logs", "train")
+EXTRAS = ("mavlink", "logs", "rerun", "train")
 GPL = re.compile(r"(?<!L)GPL|(?<!Lesser )General Public|Affero", re.IGNORECASE)
 
 

@@ -106,8 +106,8 @@ def install_training(log: Path) -> None:
 
 
 def install_baselines(log: Path) -> None:
-    """Packages of others that benchmarks measure against."""
-    pip_install(log, "--no-build-isolation", "--editable", ".[bench]")
+    """Packages of others that benchmarks measure against, and Rerun, for the tests of its recordings."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[bench,rerun]")
 
 
 def install_ros_package(log: Path) -> None:

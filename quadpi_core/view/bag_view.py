@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from quadpi_core.errors import LogError, QuadpiError
-from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream
+from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.messages import result_messages, sensor_messages
@@ -25,6 +26,7 @@ from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
+from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 
@@ -36,7 +38,32 @@ _WAITING = 4
 _TICK_S = 0.03
 _RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds")
 
-Part = Callable[[VehicleView], None]
+
+class FlightTaker(Protocol):
+    """Takes what comes of a flight, part by part; see :class:`VehicleView`."""
+
+    def take_predictions(
+        self, model: str, predictions: Predictions, identity: str, confidence: float, axes: Sequence[str]
+    ) -> None:
+        """Take predictions of a model, the first one's before those of others."""
+
+    def take_inputs(self, time_ns: Stamps, inputs: Array) -> None:
+        """Take inputs (K, 19) of the models."""
+
+    def take_states(self, states: OdometryStream) -> None:
+        """Take positions, attitudes and velocities."""
+
+    def take_rotor_speeds(self, rotors: RotorSpeedStream) -> None:
+        """Take rotor speeds."""
+
+    def take_alarms(self, alarms: ReportedAlarms) -> None:
+        """Take what the monitor says."""
+
+    def take_events(self, events: Sequence[AlarmEvent]) -> None:
+        """Take alarms that were raised or cleared."""
+
+
+Part = Callable[[FlightTaker], None]
 _Content = TypeVar("_Content")
 
 
@@ -145,17 +172,36 @@ def open_bag(
         QuadpiError: for a bag that cannot be read or holds no results, and models of another vehicle.
     """
     known = {model.identity: model.described() for model in models}
-    if models:
-        assert vehicle is not None
-        names = dict.fromkeys(model.name for model in models)
-        if len(names) < len(models):
-            raise QuadpiError(
-                "--model: two models have the same name, which is how the page tells them apart"
-            )
-        parts = _started(judged(bag, models, vehicle, confidence))
-        return BagSource(f"{bag.name}, judged by {', '.join(names)}", bag.stem, parts, known)
-    parts = _started(recorded(bag))
-    return BagSource(f"{bag.name}, results as recorded", bag.stem, parts, known)
+    parts = _started(flight_parts(bag, models, vehicle, confidence, f"quadpi view {bag}"))
+    about = f"judged by {', '.join(model.name for model in models)}" if models else "results as recorded"
+    return BagSource(f"{bag.name}, {about}", bag.stem, parts, known)
+
+
+def flight_parts(
+    bag: Path,
+    models: Sequence[AerodynamicModel],
+    vehicle: Vehicle | None,
+    confidence: float | None,
+    command: str,
+) -> Iterator[Part]:
+    """Parts of a flight, judged by models or with the results that the bag holds.
+
+    Args:
+        bag: see :func:`open_bag`.
+        models: see there.
+        vehicle: see there.
+        confidence: see there.
+        command: to advise `--model` for, where the bag holds no results.
+
+    Raises:
+        QuadpiError: see there.
+    """
+    if not models:
+        return recorded(bag, command)
+    assert vehicle is not None
+    if len({model.name for model in models}) < len(models):
+        raise QuadpiError("--model: two models have the same name, which is how they are told apart")
+    return judged(bag, models, vehicle, confidence)
 
 
 def _started(parts: Iterator[Part]) -> Iterator[Part]:
@@ -212,7 +258,7 @@ def _judged_part(
         reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, reasons_by_row(alarms)))
     rotors = RotorSpeedStream(samples.time_ns, samples.rotor_speeds)
 
-    def show(view: VehicleView) -> None:
+    def show(view: FlightTaker) -> None:
         for monitor, given in ((first, predictions), *further):
             model = monitor.model
             view.take_predictions(model.name, given, model.identity, monitor.confidence, model.axes)
@@ -227,8 +273,8 @@ def _judged_part(
     return show
 
 
-def recorded(bag: Path) -> Iterator[Part]:
-    """Parts of the results that a bag holds."""
+def recorded(bag: Path, command: str) -> Iterator[Part]:
+    """Parts of the results that a bag holds; without any, `command` is advised with a model."""
     with Bag(bag) as opened:
         names = {}
         for topic in _RESULTS:
@@ -238,7 +284,7 @@ def recorded(bag: Path) -> Iterator[Part]:
         if "prediction" not in names:
             found = ", ".join(sorted({connection.topic for connection in opened.connections})) or "none"
             raise LogError(
-                f"{bag}: holds no predictions; judge it by a model: quadpi view {bag} --model MODEL "
+                f"{bag}: holds no predictions; judge it by a model: {command} --model MODEL "
                 f"(topics of the bag: {found})"
             )
         for block in opened.blocks(list(names.values())):
@@ -259,7 +305,7 @@ def _recorded_part(bag: Path, topics: Mapping[str, Topic]) -> Part:
     alarms = unpacked("extrapolation_alarm", result_messages.unpack_alarms)
     events = unpacked("alarm_log", result_messages.unpack_events)
 
-    def show(view: VehicleView) -> None:
+    def show(view: FlightTaker) -> None:
         if predictions is not None and about is not None:
             view.take_predictions(about.identity.partition("@")[0], predictions, *about)
         if states is not None:

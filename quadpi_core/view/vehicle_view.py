@@ -15,7 +15,7 @@ from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
-from quadpi_core.results import BAD_DATA, EXTRAPOLATION, MISCOVERAGE, AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.blocks import BlockStore, Rows, columns
 from quadpi_core.view.flight_clock import FlightClock
 from quadpi_core.view.timeline import Timeline, Track
@@ -29,7 +29,6 @@ EVENTS_SHOWN = 200
 MODELS_MAX = 6
 # A message's inputs are those of this many blocks before it as well: alarms come at 10 Hz, blocks at 20 Hz.
 _BLOCKS_OF_A_MESSAGE = 2
-_CAUSES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
 _NANOSECONDS = 1e-9
 
 
@@ -199,7 +198,7 @@ class VehicleView:
             start_s = _NANOSECONDS * self._clock.time_of(event.start_ns)
             kept = {
                 "number": event.number,
-                "cause": _CAUSES.get(event.cause, str(event.cause)),
+                "cause": CAUSE_NAMES.get(event.cause, str(event.cause)),
                 "start": round(start_s, 3),
                 "end": round(_NANOSECONDS * self._clock.time_of(event.end_ns), 3) if event.end_ns else None,
                 "peak": round(event.peak_evidence, 3),

@@ -32,6 +32,7 @@ RUN_ELSEWHERE = {
     "add-a-log-format.md",
     "adapters.md",
     "paper-tables.md",
+    "tools.md",
 }
 ON_REAL_FLIGHTS = {"commands.md", "import-logs.md"}
 # `quadpi view` serves until it is ended: after this time it has said what is wrong, or nothing is.

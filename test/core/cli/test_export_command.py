@@ -1,11 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi export`: a vehicle file of a model, which `simulate` flies as the folder."""
+"""`quadpi export`: a vehicle file of a model, which `simulate` flies as the folder; a flight for Rerun."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
+import pytest
+
+from quadpi_core.paths import bags_directory
+
+BAG = bags_directory() / "extrapolation.mcap"
 GOLDEN = Path(__file__).parents[2] / "golden" / "model"
 SHORT = """
 description: one swing
@@ -43,3 +49,56 @@ def test_what_cannot_be_exported(refused, tmp_path, physical_folder):
     refused("cannot be simulated", "export", GOLDEN, "-o", tmp_path / "own.yaml")
     refused("ends in .yaml", "export", physical_folder, "-o", tmp_path / "own.urdf")
     refused("cannot be simulated", "simulate", "bundled", "--vehicle", GOLDEN, "-o", tmp_path / "bags")
+    refused("--model: is for a flight", "export", GOLDEN, "--model", GOLDEN, "-o", tmp_path / "own.yaml")
+
+
+RERUN = ("export", BAG, "--format", "rerun")
+
+
+def test_a_flight_without_results_names_the_command_that_judges_it(refused, tmp_path):
+    pytest.importorskip("rerun", reason="Rerun is not installed: extra `rerun`")
+    output = tmp_path / "flight.rrd"
+    advice = f"judge it by a model: quadpi export {BAG} --format rerun -o {output} --model MODEL"
+    refused(advice, *RERUN, "-o", output)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_exported_for_rerun(refused, tmp_path):
+    output = tmp_path / "flight.rrd"
+    refused("a rerun file ends in .rrd", *RERUN, "-o", tmp_path / "flight.mcap")
+    refused("--confidence: is that of the models", *RERUN, "--confidence", "0.9", "-o", output)
+    refused(
+        "is of vehicle bebop2, not neurobem", *RERUN, "--model", GOLDEN, "--vehicle", "neurobem", "-o", output
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_rerun_the_extra_is_named(refused, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    refused(r"pip install quadpi-monitor\[rerun\]", *RERUN, "--model", GOLDEN, "-o", tmp_path / "flight.rrd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_recorded_results_and_those_of_a_model_are_the_same_recording(quadpi, tmp_path):
+    """As `quadpi replay` judges the flight and as the export does: the wrench and its bands are equal."""
+    pytest.importorskip("rerun", reason="Rerun is not installed: extra `rerun`")
+    chunk = pytest.importorskip("rerun.chunk", reason="this Rerun does not read its files")
+    replayed, files = tmp_path / "replayed.mcap", [tmp_path / "judged.rrd", tmp_path / "recorded.rrd"]
+    assert quadpi("replay", GOLDEN, BAG, "-o", replayed).status == 0
+    for bag, more, file in ((BAG, ("--model", GOLDEN), files[0]), (replayed, (), files[1])):
+        outcome = quadpi("export", bag, "--format", "rerun", *more, "-o", file)
+        assert (outcome.status, outcome.errors) == (0, "")
+        assert f"rerun {file}" in outcome.output.replace("\n", "")
+
+    def wrench(file):
+        rows = {}
+        for one in chunk.RrdReader(str(file)).stream():
+            if one.entity_path == "/wrench/Fx" and not one.is_static:
+                batch = one.to_record_batch()
+                (name,) = [name for name in batch.schema.names if name.endswith(":scalars")]
+                rows |= zip(batch["stamp"].cast("int64").to_pylist(), batch[name].to_pylist(), strict=True)
+        return rows
+
+    of_model, of_bag = map(wrench, files)
+    assert len(of_model) > 9000
+    assert of_model == of_bag

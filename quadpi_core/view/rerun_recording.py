@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A flight with its results as a recording of Rerun, at full rate, on the timeline of its stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import require_library
+from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
+from quadpi_core.frames import Array, quaternion_frd_ned_to_flu_enu, world_ned_to_enu
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.paths import whole_output
+from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.view.bag_view import Part
+from quadpi_core.view.trust import INPUT_WORDS, State, plain, states_of
+
+TIMELINE = "stamp"
+# Of the line along which the vehicle flew: a point every 50 ms is as fine as one sees.
+_TRAIL_STEP_NS = 50_000_000
+# Colours that colour-blind people tell apart (Okabe and Ito).
+_COLOURS = {
+    "measured": (230, 159, 0),
+    "predicted": (0, 114, 178),
+    "lower": (86, 180, 233),
+    "upper": (86, 180, 233),
+}
+_LOG_LEVELS = {State.TRUSTED: "INFO", State.WARNING: "WARN", State.ALARM: "ERROR"}
+_AXES_LENGTH_M = 0.3
+
+
+class RerunRecording:
+    """Takes what comes of one flight, as `vehicle_view.VehicleView` does, and writes it to a recording.
+
+    Entities: `wrench/AXIS` (measured, predicted, lower, upper; N and Nm, body forward-right-down), of further
+    models `wrench/AXIS/MODEL`; `inputs/NAME` with the training range where it is known; `rotor_speeds`;
+    `speed`; `flight/vehicle` and `flight/trail` in the world east-north-up; `alarm/level`,
+    `alarm/envelope_distance` and `alarm/log`.
+
+    Args:
+        path: of the file to write.
+        known: models whose training ranges are known, by identity.
+
+    Raises:
+        LogError: naming the extra where Rerun is not installed.
+    """
+
+    def __init__(self, path: Path, known: Mapping[str, DescribedModel]) -> None:
+        self._rr = require_library("rerun", "rerun")
+        self._known = known
+        self._stream = self._rr.RecordingStream("quadpi")
+        self._stream.save(path, default_blueprint=_blueprint(require_library("rerun.blueprint", "rerun")))
+        self._named: set[str] = set()
+        self._models: list[str] = []
+        self._ranges: DescribedModel | None = None
+        self._said: tuple[State, tuple[str, ...]] | None = None
+        self._trail: list[Array] = []
+        self._trail_ns: int | None = None
+        self._log("flight", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        self._log(
+            "flight/vehicle",
+            self._rr.Arrows3D(
+                vectors=_AXES_LENGTH_M * np.eye(3), colors=[(213, 94, 0), (0, 158, 115), (0, 114, 178)]
+            ),
+        )
+
+    def take_predictions(
+        self, model: str, predictions: Predictions, identity: str, confidence: float, axes: Sequence[str]
+    ) -> None:
+        """Take predictions of a model; the first one's are shown with the measured wrench."""
+        if model not in self._models:
+            self._models.append(model)
+        first = model == self._models[0]
+        if first:
+            self._ranges = self._known.get(identity)
+        names = ("measured", "predicted", "lower", "upper") if first else ("predicted", "lower", "upper")
+        shares = f"{confidence:.0%}"
+        for axis, name in enumerate(AXES):
+            if name in axes:
+                entity = f"wrench/{name}" if first else f"wrench/{name}/{model}"
+                labels = {one: f"{one} {shares}" if one in ("lower", "upper") else one for one in names}
+                self._name(entity, [labels[one] for one in names], [_COLOURS[one] for one in names])
+                columns = [getattr(predictions, one)[:, axis] for one in names]
+                self._series(entity, predictions.time_ns, np.column_stack(columns))
+
+    def take_inputs(self, time_ns: Stamps, inputs: Array) -> None:
+        """Take inputs (K, 19) of the models, low-passed as they see them."""
+        for column, name in enumerate(INPUT_NAMES):
+            words, values, labels = INPUT_WORDS[name], [inputs[:, column]], [name]
+            if self._ranges is not None:
+                labels += ["least in training", "largest in training"]
+                for bound in (self._ranges.lower[column], self._ranges.upper[column]):
+                    values.append(np.full(len(time_ns), bound))
+            self._name(f"inputs/{name}", [f"{words.name} ({name})", *labels[1:]])
+            self._series(f"inputs/{name}", time_ns, np.column_stack(values))
+
+    def take_states(self, states: OdometryStream) -> None:
+        """Take positions, attitudes and velocities."""
+        whole = np.isfinite(states.position).all(axis=1) & np.isfinite(states.attitude).all(axis=1)
+        if not whole.any():
+            return
+        time_ns, position = states.time_ns[whole], world_ned_to_enu(states.position[whole])
+        attitude = quaternion_frd_ned_to_flu_enu(states.attitude[whole])
+        self._columns(
+            "flight/vehicle",
+            time_ns,
+            self._rr.Transform3D.columns(translation=position, quaternion=np.roll(attitude, -1, axis=1)),
+        )
+        velocity = states.velocity[whole]
+        self._name("speed", ["speed [m/s]"])
+        self._series("speed", time_ns, np.sqrt((velocity * velocity).sum(axis=1))[:, None])
+        for stamp, point in zip(time_ns.tolist(), position, strict=True):
+            if self._trail_ns is None or abs(stamp - self._trail_ns) >= _TRAIL_STEP_NS:
+                self._trail_ns = stamp
+                self._trail.append(point)
+
+    def take_rotor_speeds(self, rotors: RotorSpeedStream) -> None:
+        """Take rotor speeds."""
+        count = rotors.speeds.shape[1]
+        self._name("rotor_speeds", [f"rotor {number + 1} [rad/s]" for number in range(count)])
+        self._series("rotor_speeds", rotors.time_ns, rotors.speeds)
+
+    def take_alarms(self, alarms: ReportedAlarms) -> None:
+        """Take what the monitor says: its level, the envelope's distance, and words where they change."""
+        if len(alarms) == 0:
+            return
+        self._name("alarm/level", ["level: 0 ok, 1 warning, 2 alarm"])
+        self._name("alarm/envelope_distance", ["farthest input outside its training range [ranges]"])
+        self._series("alarm/level", alarms.time_ns, alarms.level.astype(float)[:, None])
+        self._series("alarm/envelope_distance", alarms.time_ns, alarms.envelope_distance[:, None])
+        texts = []
+        for time_ns, state, reasons in zip(
+            alarms.time_ns.tolist(), states_of(alarms), alarms.reasons, strict=True
+        ):
+            if (state, reasons) != self._said:
+                self._said = state, reasons
+                words = "; ".join(plain(reason) for reason in reasons)
+                text = state.name.replace("_", " ") + (f": {words}" if words else "")
+                texts.append((time_ns, _LOG_LEVELS.get(state, "INFO"), text))
+        self._text(texts)
+
+    def take_events(self, events: Sequence[AlarmEvent]) -> None:
+        """Take alarms that were raised or cleared."""
+        lines = []
+        for event in events:
+            change, level = ("cleared", "INFO") if event.end_ns else ("raised", "ERROR")
+            cause = CAUSE_NAMES.get(event.cause, event.cause)
+            lines.append((event.time_ns, level, f"alarm {event.number} {change}: {cause}"))
+        self._text(lines)
+
+    def close(self) -> None:
+        """Finish the file."""
+        if len(self._trail) > 1:
+            self._log("flight/trail", self._rr.LineStrips3D([np.array(self._trail)]))
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _log(self, entity: str, what: Any) -> None:
+        self._stream.log(entity, what, static=True)
+
+    def _name(
+        self, entity: str, names: Sequence[str], colours: Sequence[tuple[int, int, int]] | None = None
+    ) -> None:
+        if entity not in self._named:
+            self._named.add(entity)
+            self._log(entity, self._rr.SeriesLines(names=list(names), colors=colours))
+
+    def _series(self, entity: str, time_ns: Stamps, values: Array) -> None:
+        """Add rows (K, series) of numbers."""
+        if len(time_ns):
+            scalars = self._rr.Scalars.columns(scalars=np.ascontiguousarray(values, dtype=float).ravel())
+            self._columns(entity, time_ns, scalars.partition(lengths=[values.shape[1]] * len(time_ns)))
+
+    def _text(self, lines: Sequence[tuple[int, str, str]]) -> None:
+        if lines:
+            times, levels, texts = zip(*lines, strict=True)
+            self._columns("alarm/log", np.array(times), self._rr.TextLog.columns(text=texts, level=levels))
+
+    def _columns(self, entity: str, time_ns: Stamps, columns: Any) -> None:
+        times = self._rr.TimeColumn(TIMELINE, timestamp=time_ns.astype("datetime64[ns]"))
+        self._stream.send_columns(entity, indexes=[times], columns=columns)
+
+
+def write_rerun_file(parts: Iterable[Part], output: Path, known: Mapping[str, DescribedModel]) -> None:
+    """Write a flight to a recording; the file appears whole or not at all.
+
+    Args:
+        parts: of the flight, see :func:`quadpi_core.view.bag_view.flight_parts`.
+        output: a file that ends in .rrd.
+        known: see :class:`RerunRecording`.
+
+    Raises:
+        QuadpiError: for a bag that cannot be read, and where Rerun is not installed.
+    """
+    with whole_output(output) as temporary:
+        recording = RerunRecording(temporary, known)
+        try:
+            for part in parts:
+                part(recording)
+        finally:
+            recording.close()
+
+
+def _blueprint(rrb: Any) -> Any:
+    """The views that the recording opens with."""
+    axes = [rrb.TimeSeriesView(origin=f"wrench/{axis}", name=axis) for axis in AXES]
+    inputs = [
+        rrb.TimeSeriesView(origin=f"inputs/{name}", name=f"{INPUT_WORDS[name].name} ({name})")
+        for name in INPUT_NAMES
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(*axes),
+            rrb.Vertical(
+                rrb.Spatial3DView(origin="flight", name="Flight"),
+                rrb.TimeSeriesView(origin="alarm/level", name="Alarm"),
+                rrb.TextLogView(origin="alarm/log", name="Why"),
+                rrb.Tabs(
+                    rrb.TimeSeriesView(origin="alarm/envelope_distance", name="Envelope"),
+                    *inputs,
+                    rrb.TimeSeriesView(origin="rotor_speeds", name="Rotor speeds"),
+                    rrb.TimeSeriesView(origin="speed", name="Speed"),
+                ),
+            ),
+        ),
+        collapse_panels=True,
+    )
