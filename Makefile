@@ -72,8 +72,9 @@ alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 
 	@sh tools/bootstrap.sh --train
 	@$(BIN)/python tools/alarm_tables.py $(ALARM_ARGS)
 
-pictures: environment ## renew the pictures of the page in docs/images, by a headless Chromium
-	@QUADPI_PICTURES=docs/images $(BIN)/python -m pytest -q -k pictures test/core/view/test_view_page.py
+pictures: environment ## renew the pictures of pages in docs/images, by a headless Chromium
+	@QUADPI_PICTURES=docs/images $(BIN)/python -m pytest -q -k pictures test/core/view/test_view_page.py \
+	    test/core/report/test_written_pages.py
 
 golden: environment ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
 	@$(BIN)/python tools/golden_trace.py $(GOLDEN_ARGS)

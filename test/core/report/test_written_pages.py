@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +15,11 @@ import numpy as np
 import pytest
 
 from benchmarks.chromium import PROGRAM, Tab, chromium
+from quadpi_core.evaluation.evaluate import judge
 from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison
+from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.paths import bags_directory
 from quadpi_core.report.comparison_page import write_comparison_page
 from quadpi_core.report.evaluation_page import write_evaluation_page
 from quadpi_core.report.page import FlightFiles
@@ -25,6 +30,9 @@ from .test_simulation_page import planned
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: apt-get install chromium")
 
+MODEL_FOLDER = Path(__file__).resolve().parents[2] / "golden" / "model"
+# Set to a folder, the tests leave a picture of a page there: `make pictures`.
+PICTURES = os.environ.get("QUADPI_PICTURES")
 HISTORY = '[data-kind="history"]'
 COLOURS = "getComputedStyle(document.documentElement).getPropertyValue"
 
@@ -245,3 +253,22 @@ def test_print_is_light_whole_and_without_controls(opened):
     assert opened.value("printed") == [0, 720]
     assert opened.value("document.querySelectorAll('details[open]').length") == 0
     assert opened.problems == []
+
+
+@pytest.mark.skipif(not PICTURES, reason="pictures are made by `make pictures`")
+def test_pictures_for_the_documents(tab, tmp_path):
+    """Two bundled flights over each other: one like those that the model knows, and one that leaves them."""
+    model = AerodynamicModel.load(MODEL_FOLDER)
+    bags = [bags_directory() / f"{name}.mcap" for name in ("interpolation", "extrapolation")]
+    flights = prepare_flights(bags, model.load_vehicle(), model.cutoff_hz)
+    groups = {flight.name: [flight.name] for flight in flights}
+    results, evaluation = judge(model, flights, groups, model.confidence)
+    path = tmp_path / "page.html"
+    write_evaluation_page(path, evaluation, results, model)
+    at(tab, path)
+    tab.resize(1100, 900)
+    choose(tab, "beside", "extrapolation")
+    # The other sections would push it out of the picture.
+    others = f"[...document.querySelectorAll('section')].filter((one) => !one.querySelector('{HISTORY}'))"
+    tab.value(f"{others}.forEach((one) => one.remove())")
+    (Path(PICTURES or "") / "report.webp").write_bytes(tab.picture())
