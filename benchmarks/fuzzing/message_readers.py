@@ -10,8 +10,9 @@ from functools import partial
 from typing import Any
 
 from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.cdr import ANY
 from quadpi_core.messages.definitions import codec
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 _WITH_POLE_PAIRS = replace(Vehicle.load("neurobem"), pole_pairs=7)
 
@@ -36,7 +37,8 @@ _OF_FORMAT = {"string": "map", "strings": ("mu_x", "u")}
 def sound_message(type_name: str) -> bytes:
     """A message with a frame, numbers and, where its type has them, texts."""
     columns: dict[str, Any] = {
-        field.name: _OF_FORMAT.get(field.format, 0) for field in codec(type_name)._fields
+        field.name: [0.0] * ROTORS if field.count == ANY else _OF_FORMAT.get(field.format, 0)
+        for field in codec(type_name)._fields
     }
     if type_name in {sensor_messages.POSE, sensor_messages.ODOMETRY}:
         columns[next(name for name in columns if name.endswith("orientation"))] = [0.0, 0.0, 0.0, 1.0]
