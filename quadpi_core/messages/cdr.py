@@ -218,14 +218,15 @@ class Codec:
         self,
         time_ns: npt.NDArray[np.int64],
         values: npt.NDArray[np.float64],
-        constants: tuple[tuple[str, str | float], ...],
+        constants: tuple[tuple[str, str | float | tuple[float, ...]], ...],
     ) -> Payloads:
         """Encode messages from their header stamps (N,) and the float64 fields (N, K) that end them.
 
         Args:
             time_ns: see :class:`Stamped`.
             values: see there.
-            constants: other fields with their values, the same in all messages.
+            constants: other fields with their values, the same in all messages; of a sequence of numbers that
+                ends them, as many as it holds.
         """
         layout, template = self.template(constants)
         rows = np.repeat(template[None], len(time_ns), axis=0)

@@ -207,19 +207,20 @@ def test_quaternions_that_are_not_unit(altered, calm, norm):
 def test_every_sensor_at_once(sensors, fly_onboard, calm):
     """Messages of noise and numbers that are none, for a second: no number that is none comes out."""
     rng = np.random.default_rng(1)
-    types = {
-        "imu": sensor_messages.IMU,
-        "rotor_speeds": sensor_messages.ROTOR_SPEEDS,
-        "mocap/pose": sensor_messages.POSE,
+    kinds = {
+        "imu": sensor_messages.IMU_SAMPLES,
+        "rotor_speeds": sensor_messages.ROTOR_SPEED_SAMPLES,
+        "mocap/pose": sensor_messages.POSE_SAMPLES,
     }
 
     def spoil(topic, payloads):
         """What is infinite is so in the message: turned into other axes it would no longer be."""
-        time_ns, values = codec(types[topic]).decode_stamped(payloads)
+        own, counts = codec(kinds[topic].type_name), kinds[topic].counts
+        time_ns, values = own.decode_stamped(payloads, counts)
         failing = (calm.seconds(time_ns) >= AT_S) & (calm.seconds(time_ns) < AT_S + 1.0)
         noise = rng.choice([np.nan, np.inf, -np.inf, 1e300, -1e-300, 0.0, 3.0], values.shape)
         values[failing] = noise[failing]
-        return codec(types[topic]).encode_stamped(time_ns, values, ())
+        return own.encode_stamped(time_ns, values, tuple((name, (0.0,) * n) for name, n in counts.items()))
 
     flown = fly_onboard(sensors(), spoil)
     assert flown.raised(BAD_DATA) == [pytest.approx(AT_S + 0.05, abs=0.02)]
