@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures as records: panels of lines, bands, points and boxes, which `assets/figures.js` draws as SVG.
+"""Figures as records: panels of lines, bands, points and boxes, which `assets/layers.js` draws as SVG.
 
 A colour is the name of one in `assets/look.css`, which is another on paper, on a dark screen and in print, or
 #rrggbb. An array that two layers share is stored once in the page.

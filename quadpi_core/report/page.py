@@ -27,7 +27,7 @@ from quadpi_core.version import __version__
 
 _STYLES = ("look.css", "report.css")
 # Each after those that it imports from.
-_SCRIPTS = ("ticks.js", "figures.js", "space.js", "report.js")
+_SCRIPTS = ("ticks.js", "layers.js", "figures.js", "space.js", "report.js")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // A written page: its menus, figures of the chosen flights and models, a chosen moment, light and dark, print.
 
-import {element, FigureView, overlaid, PRINT, readFigures} from "./figures.js";
+import {FigureView, overlaid, PRINT} from "./figures.js";
+import {element, readFigures} from "./layers.js";
 import {SpaceView} from "./space.js";
 
 const $ = (id) => document.getElementById(id);

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // A path in space, drawn as SVG from the records of figure.py: to be turned by dragging or by keys.
 
-import {DASHES, element, node} from "./figures.js";
+import {DASHES, element, node} from "./layers.js";
 import {short, ticks} from "./ticks.js";
 
 const STEPS = 9, HEIGHT = 600, POINTED_PX = 14;

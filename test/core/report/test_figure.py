@@ -20,7 +20,7 @@ def test_panels_fill_rows_from_the_left():
 
 
 def test_the_script_draws_every_kind_of_layer_and_dash():
-    script = (ASSETS / "figures.js").read_text()
+    script = (ASSETS / "layers.js").read_text()
     for layer in Layer.__subclasses__():
         assert re.search(rf"^  {layer.kind}\(one, layer\) \{{", script, re.MULTILINE), layer
         assert re.search(rf"\b{layer.kind}: ", script), layer
