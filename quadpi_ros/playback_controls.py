@@ -16,8 +16,10 @@ import termios
 import threading
 import tty
 from collections.abc import Callable
+from contextlib import suppress
 
 from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
@@ -138,8 +140,10 @@ class Controls:
 
     def _spin(self) -> None:
         never = Future()
-        while self._node.context.ok() and not self._closing.is_set():
-            self._executor.spin_until_future_complete(never, timeout_sec=_POLL_S)
+        # A signal ends ROS in the middle of a turn.
+        with suppress(ExternalShutdownException):
+            while self._node.context.ok() and not self._closing.is_set():
+                self._executor.spin_until_future_complete(never, timeout_sec=_POLL_S)
 
     def _read_keys(self) -> None:
         assert self._terminal is not None

@@ -63,7 +63,7 @@ RUN_BY = {
     r"ros2 lifecycle set /monitor .*": "test/ros/test_node_services.py - by the service that it calls",
     r"ros2 service call /monitor/load_model .*": "test/ros/test_live_process.py - by that service",
     r"ros2 (service call|param set) /player.*": "test/ros/test_playback_controls.py - by those services",
-    r"ros2 run diagnostic_aggregator .*": "test/ros/test_diagnostics.py - the groups in its file",
+    r"ros2 run diagnostic_aggregator .*": "test/ros/test_live_process.py - the groups of its file",
     r"ros2 topic echo /prediction --field predicted.force": "test/test_layouts.py - that there is that field",
     r"ros2 (launch foxglove_bridge|run (rviz2|plotjuggler)) .*": "test/test_layouts.py - the files of others",
     r"(rosdep|colcon) .*": "test/test_packaging.py - what they install; neither has a wheel",

@@ -169,6 +169,7 @@ def test_programs_of_the_documents(line: str, run: Launch) -> None:
     ):
         running.wait_until(lambda: listener.spin_until(lambda: bool(heard), 0.1))
         assert running.interrupt() == 0, running.said
+        assert "Traceback" not in running.said
 
 
 def test_lines_are_found() -> None:
