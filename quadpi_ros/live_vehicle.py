@@ -45,6 +45,8 @@ from quadpi_ros.result_publishers import INPUT_ROWS, ROTOR_ROWS
 _BLOCKS = 18_000
 # Stamps further from this computer's clock than this are of another clock.
 _SAME_CLOCK_S = 5.0
+# What has not come after this long is said to be missing.
+_COMES_S = 3.0
 # What batches carried is not heard topic by topic; after this long without one it is.
 _BATCHES_GONE_S = 2.0
 PREDICTION, ALARM = type_name(WrenchPrediction), type_name(ExtrapolationAlarm)
@@ -325,6 +327,8 @@ class LiveVehicle:
             rate_hz = (count - before) / max(1e-3, now_s - before_s)
             age = f", newest sample {self._age_ms:.0f} ms old" if self._age_ms is not None else ""
             rows.append((first, "ok" if rate_hz else "error", f"{rate_hz:.0f} Hz{age if rate_hz else ''}"))
+        if now_s - self._since_s > _COMES_S:
+            rows += self._missing()
         alarm = self._single(ALARM)
         for topic in filter(None, (first, alarm.topic if alarm is not None else None)):
             publishers = self._node.count_publishers(topic)
@@ -341,6 +345,20 @@ class LiveVehicle:
             text = ", ".join([status.message, *(f"{key} {value}" for key, value in values.items())])
             rows.append((name, _LEVELS.get(status.level, "error"), text))
         self.view.health.rows = rows
+
+    def _missing(self) -> list[tuple[str, str, str]]:
+        """Rows of the table of health for what is not shown, as nothing says it."""
+        rows = []
+        inbox = self._single(_ODOMETRY)
+        if not self._carried(_ODOMETRY) and (inbox is None or not inbox.count):
+            rows.append(("odometry", "warn", "nothing comes: flight, speed and height are not shown"))
+        inboxes = [one for one in (self._single(_ROTORS), self._single(_ERPM)) if one is not None]
+        if not self._carried(ROTOR_ROWS) and not any(one.count for one in inboxes):
+            reason = "nothing comes"
+            if self._single(_ERPM) is not None and self._flying() is None:
+                reason = "erpm needs the pole pairs of the vehicle: quadpi view --model MODEL"
+            rows.append(("rotor speeds", "warn", f"{reason}: they are not shown"))
+        return rows
 
 
 def warm_up() -> None:

@@ -12,6 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+import numpy as np
+
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
@@ -36,7 +38,13 @@ _BLOCKS = 72_000
 _WAITING = 4
 # Time that a tick may spend on what has been read, so that pages are answered meanwhile.
 _TICK_S = 0.03
-_RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds")
+_RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm")
+# What is not shown without a topic of a bag of results.
+_WITHOUT = {
+    "extrapolation_alarm": "nobody says whether the model can be trusted",
+    "odometry": "flight, speed and height are not shown",
+    "rotor_speeds": "rotor speeds are not shown",
+}
 
 
 class FlightTaker(Protocol):
@@ -61,6 +69,9 @@ class FlightTaker(Protocol):
 
     def take_events(self, events: Sequence[AlarmEvent]) -> None:
         """Take alarms that were raised or cleared."""
+
+    def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
+        """Take topics that are missing, with what is not shown for that."""
 
 
 Part = Callable[[FlightTaker], None]
@@ -287,26 +298,77 @@ def recorded(bag: Path, command: str) -> Iterator[Part]:
                 f"{bag}: holds no predictions; judge it by a model: {command} --model MODEL "
                 f"(topics of the bag: {found})"
             )
-        for block in opened.blocks(list(names.values())):
+        # Predictions of further models are below the topic of the first.
+        further = sorted(
+            {
+                connection.topic
+                for connection in opened.connections
+                if connection.topic.startswith(f"{names['prediction']}/")
+                and connection.msgtype == sensor_messages.PREDICTION
+            }
+        )
+        vehicle, lacks = _rotor_vehicle(opened, names)
+        for number, block in enumerate(opened.blocks([*names.values(), *further])):
             topics = {topic: block[name] for topic, name in names.items() if len(block[name].payloads)}
-            yield _recorded_part(bag, topics)
+            others = [block[name] for name in further if len(block[name].payloads)]
+            yield _recorded_part(bag, topics, others, vehicle)
+            if number == 0:
+                yield lambda view: view.take_missing(lacks)
 
 
-def _recorded_part(bag: Path, topics: Mapping[str, Topic]) -> Part:
-    """What to show of the topics of a block that have messages."""
+def _rotor_vehicle(opened: Bag, names: dict[str, str]) -> tuple[Vehicle | None, list[tuple[str, str]]]:
+    """The vehicle, if `erpm` alone gives rotor speeds; and topics that are missing, with what that hides."""
+    lacks = [
+        (topic, f"the bag has no topic {topic}: {without}")
+        for topic, without in _WITHOUT.items()
+        if topic not in names
+    ]
+    if "rotor_speeds" in names or "erpm" not in names:
+        names.pop("erpm", None)
+        return None, lacks
+    name = opened.metadata.get("vehicle", "")
+    try:
+        if not name:
+            raise LogError("the bag does not name its vehicle, whose file gives the pole pairs")
+        vehicle = Vehicle.load(name)
+        vehicle.rotor_speeds_from_erpm(np.empty(0))
+    except QuadpiError as error:
+        del names["erpm"]
+        return None, [*lacks, ("erpm", f"no rotor speeds: {error}")]
+    return vehicle, [row for row in lacks if row[0] != "rotor_speeds"]
+
+
+def _recorded_part(
+    bag: Path, topics: Mapping[str, Topic], others: Sequence[Topic], vehicle: Vehicle | None
+) -> Part:
+    """What to show of the topics of a block that have messages.
+
+    Args:
+        bag: for what cannot be read.
+        topics: by their standard names.
+        others: predictions of further models.
+        vehicle: of `erpm`, where that is among the topics.
+    """
 
     def unpacked(name: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
         return unpacked_topic(bag, topics[name], unpack) if name in topics else None
 
-    predictions = unpacked("prediction", result_messages.unpack_predictions)
-    about = unpacked("prediction", lambda payloads: result_messages.unpack_model(payloads[len(payloads) - 1]))
+    predicted = [
+        (
+            unpacked_topic(bag, topic, lambda payloads: result_messages.unpack_model(payloads[-1])),
+            unpacked_topic(bag, topic, result_messages.unpack_predictions),
+        )
+        for topic in ([topics["prediction"]] if "prediction" in topics else []) + list(others)
+    ]
     states = unpacked("odometry", sensor_messages.unpack_odometry)
     rotors = unpacked("rotor_speeds", sensor_messages.unpack_rotor_speeds)
+    if vehicle is not None:
+        rotors = unpacked("erpm", lambda payloads: sensor_messages.unpack_erpm(payloads, vehicle))
     alarms = unpacked("extrapolation_alarm", result_messages.unpack_alarms)
     events = unpacked("alarm_log", result_messages.unpack_events)
 
     def show(view: FlightTaker) -> None:
-        if predictions is not None and about is not None:
+        for about, predictions in predicted:
             view.take_predictions(about.identity.partition("@")[0], predictions, *about)
         if states is not None:
             view.take_states(states)

@@ -144,6 +144,9 @@ class RerunRecording:
                 texts.append((time_ns, _LOG_LEVELS.get(state, "INFO"), text))
         self._text(texts)
 
+    def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
+        """Nothing is recorded of what is missing."""
+
     def take_events(self, events: Sequence[AlarmEvent]) -> None:
         """Take alarms that were raised or cleared."""
         lines = []

@@ -208,6 +208,10 @@ class VehicleView:
         while len(self._events) > EVENTS_SHOWN:
             del self._events[next(iter(self._events))]
 
+    def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
+        """Take topics that are missing, with what is not shown for that."""
+        self.health.rows += [(topic, "warn", text) for topic, text in topics]
+
     def silent(self, reasons: tuple[str, ...]) -> None:
         """Say that nothing comes of the vehicle: the last state counts no more."""
         self.state, self.reasons = State.NO_DATA, reasons

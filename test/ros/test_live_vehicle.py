@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 import rclpy
-from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
+from quadpi.msg import Erpm, ExtrapolationAlarm, WrenchPrediction
 from rclpy.node import Node
 from std_msgs.msg import String
 
@@ -24,7 +24,7 @@ from quadpi_ros.message_batches import OutgoingBatch
 from quadpi_ros.view_node import LiveSource
 
 from .rig import wait_until
-from .test_view_node import alarms, flying, predictions
+from .test_view_node import Publishing, alarms, flying, predictions
 
 LOWER, UPPER = np.full(len(INPUT_NAMES), -2.0), np.full(len(INPUT_NAMES), 2.0)
 ROTOR_RAD_S = 850.0
@@ -37,6 +37,14 @@ def source(ros: None) -> Iterator[LiveSource]:
     source = LiveSource(rclpy.get_default_context(), {})
     yield source
     source.close()
+
+
+@pytest.fixture
+def node(ros: None) -> Iterator[Node]:
+    del ros
+    node = Node("plain")
+    yield node
+    node.destroy_node()
 
 
 @pytest.fixture
@@ -115,7 +123,8 @@ def test_batches_are_shown_and_their_topics_not_heard_one_by_one(monitor, source
 
 
 def test_training_ranges_come_from_the_monitor(monitor, source):
-    wait_until(shown(source), flying(source, Batching(monitor)))
+    turn = flying(source, Batching(monitor))
+    wait_until(lambda: shown(source)() and source.vehicles["/uav"].training is not None, turn)
     view = source.vehicles["/uav"]
     assert [one["upper"] for one in view.describe()["inputs"]] == UPPER.tolist()
     assert view.training is not None
@@ -137,6 +146,18 @@ def test_without_batches_the_topics_are_heard_again(monitor, source):
     wait_until(lambda: newest(source, "0.count") > 0 and vehicle.predictions.get_subscription_count(), turn)
     wait_until(lambda: source.vehicles["/uav"].blocks.newest > before + 60, turn)
     assert np.isfinite(newest(source, "0.upper"))
+
+
+def test_what_does_not_come_is_named(node, source):
+    vehicle = Publishing(node, "/plain", "unknown@1")
+    node.create_publisher(Erpm, "/plain/erpm", OUTPUT_QOS)
+
+    def rows() -> dict[str, str]:
+        return {about: text for view in source.vehicles.values() for about, _, text in view.health.rows}
+
+    wait_until(lambda: "rotor speeds" in rows(), flying(source, vehicle), rows)
+    assert rows()["odometry"] == "nothing comes: flight, speed and height are not shown"
+    assert rows()["rotor speeds"].startswith("erpm needs the pole pairs of the vehicle")
 
 
 def test_a_description_that_is_none_is_counted_and_shown(monitor, source):

@@ -6,12 +6,17 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError, ModelError, QuadpiError
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_outputs
+from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.result_messages import unpack_model
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.bag_view import open_bag
 from quadpi_core.view.trust import State
@@ -49,6 +54,58 @@ def test_a_bag_of_results_shows_the_same_without_a_model(judged_view, results_ba
             recorded.blocks.value(300, name), judged_view.blocks.value(300, name), rtol=1e-5, atol=1e-6
         )
     assert np.isnan(recorded.blocks.value(300, "inputs_min")).all()
+
+
+def without(source: Path, target: Path, *left_out: str) -> Path:
+    """A bag of results that lacks topics."""
+    with Bag(source) as bag:
+        topics = bag.read([connection.topic for connection in bag.connections])
+    write_mcap(target, [topic for name, topic in topics.items() if name.strip("/") not in left_out], {})
+    return target
+
+
+def test_a_recorded_bag_shows_all_its_models(results_bag, tmp_path):
+    with Bag(results_bag) as bag:
+        topics = list(bag.read([connection.topic for connection in bag.connections]).values())
+    prediction = next(topic for topic in topics if topic.name == "/prediction")
+    payloads = prediction.payloads
+    identity = unpack_model(payloads[0]).identity
+    other = identity.replace("model@", "other@")
+    second = Payloads.join([payload.replace(identity.encode(), other.encode()) for payload in payloads])
+    topics.append(replace(prediction, name="/prediction/other", payloads=second))
+    write_mcap(tmp_path / "two.mcap", topics, {})
+    view = read_whole(open_bag(tmp_path / "two.mcap", [], None))
+    assert [one["identity"] for one in view.describe()["models"]] == [identity, other]
+    np.testing.assert_array_equal(view.blocks.value(100, "1.upper"), view.blocks.value(100, "0.upper"))
+
+
+def test_topics_that_a_bag_lacks_are_named(results_bag, tmp_path):
+    bag = without(results_bag, tmp_path / "few.mcap", "odometry", "extrapolation_alarm")
+    rows = read_whole(open_bag(bag, [], None)).overview()["health"]
+    assert [(about, level) for about, level, _ in rows] == [
+        ("extrapolation_alarm", "warn"),
+        ("odometry", "warn"),
+        ("rotor_speeds", "warn"),
+    ]
+    assert rows[1][2] == "the bag has no topic odometry: flight, speed and height are not shown"
+
+
+@pytest.mark.parametrize("name", ["bebop2", "", "nobody"])
+def test_electrical_speeds_are_shown_where_the_bag_names_its_vehicle(results_bag, tmp_path, name):
+    with Bag(BAG) as flown:
+        erpm = flown.read(["/erpm"])["/erpm"]
+    with Bag(results_bag) as bag:
+        topics = list(bag.read([connection.topic for connection in bag.connections]).values())
+    write_mcap(tmp_path / "erpm.mcap", [*topics, erpm], {"vehicle": name})
+    view = read_whole(open_bag(tmp_path / "erpm.mcap", [], None))
+    rows = view.overview()["health"]
+    if name == "bebop2":
+        assert rows == []
+        assert view.blocks.value(100, "rotor_max")[0] > 100.0
+    else:
+        about, _, text = rows[-1]
+        assert about == "erpm"
+        assert (name or "does not name its vehicle") in text
 
 
 def test_several_models_side_by_side(model, vehicle, judged_view):
