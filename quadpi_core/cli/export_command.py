@@ -9,21 +9,26 @@ from typing import Annotated, Literal
 
 import typer
 
-from quadpi_core.cli.options import Confidence, OptionalVehicle, check_outputs, open_console
+from quadpi_core.cli.options import Confidence, Mapping, OptionalVehicle, check_outputs, open_console
 from quadpi_core.errors import QuadpiError
 
-_SUFFIXES = {"vehicle": (".yaml", ".yml"), "rerun": (".rrd",)}
+_SUFFIXES = {"vehicle": (".yaml", ".yml"), "rerun": (".rrd",), "flight": (".csv", ".parquet")}
+# Options beside the output that each form takes.
+_TAKES = {"vehicle": (), "rerun": ("model", "vehicle", "confidence"), "flight": ("vehicle", "mapping")}
 
 
 def export(
-    path: Annotated[Path, typer.Argument(help="Model folder, or for rerun a flight.", metavar="MODEL|BAG")],
+    path: Annotated[
+        Path, typer.Argument(help="Model folder, or for rerun and flight a flight.", metavar="MODEL|BAG")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
     form: Annotated[
-        Literal["vehicle", "rerun"],
+        Literal["vehicle", "rerun", "flight"],
         typer.Option(
             "--format",
             help="vehicle: a vehicle file that flies as the model; rerun: a recording of a flight and its "
-            "results for the Rerun viewer.",
+            "results for the Rerun viewer; flight: the smoothed flight as a table (.csv, .parquet), on which "
+            "a simulator can be run.",
         ),
     ] = "vehicle",
     model: Annotated[
@@ -35,17 +40,21 @@ def export(
     ] = None,
     vehicle: OptionalVehicle = None,
     confidence: Confidence = None,
+    mapping: Mapping = None,
 ) -> None:
-    """Write a model or a flight in another form: a vehicle file, or a recording for the Rerun viewer."""
+    """Write a model or a flight in another form: a vehicle file, a recording for Rerun, or a table."""
     if output.suffix not in _SUFFIXES[form]:
-        raise QuadpiError(f"{output}: a {form} file ends in {_SUFFIXES[form][0]}")
+        raise QuadpiError(f"{output}: a {form} file ends in {' or '.join(_SUFFIXES[form])}")
+    given = {"model": model, "vehicle": vehicle, "confidence": confidence, "mapping": mapping}
+    for name, value in given.items():
+        if value is not None and name not in _TAKES[form]:
+            raise QuadpiError(f"--{name}: is not for --format {form}")
     if form == "vehicle":
-        for name, given in (("model", model), ("vehicle", vehicle), ("confidence", confidence)):
-            if given is not None:
-                raise QuadpiError(f"--{name}: is for a flight; a vehicle file follows from the model alone")
         _export_vehicle(path, output)
+    elif form == "rerun":
+        _export_recording(path, output, model or [], vehicle, confidence)
     else:
-        _export_flight(path, output, model or [], vehicle, confidence)
+        _export_flight(path, output, vehicle, mapping)
 
 
 def _export_vehicle(model: Path, output: Path) -> None:
@@ -56,7 +65,7 @@ def _export_vehicle(model: Path, output: Path) -> None:
     open_console().print(f"{output}: flies as {model}, under the name {output.stem}", soft_wrap=True)
 
 
-def _export_flight(
+def _export_recording(
     bag: Path, output: Path, folders: list[Path], vehicle: str | None, confidence: float | None
 ) -> None:
     from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -73,3 +82,25 @@ def _export_flight(
     parts = flight_parts(bag, models, the_vehicle, confidence, command)
     write_rerun_file(parts, output, {model.identity: model.described() for model in models})
     open_console().print(f"{output}: open it with: rerun {output}", soft_wrap=True)
+
+
+def _export_flight(path: Path, output: Path, vehicle: str | None, mapping: str | None) -> None:
+    from quadpi_core.cli.options import print_quality
+    from quadpi_core.identification.prepared_flights import read_flight
+    from quadpi_core.logs import identify_format
+    from quadpi_core.logs.flight_table import write_flight_table
+    from quadpi_core.models.model_kind import CUTOFF_HZ
+    from quadpi_core.signals.wrench import measured_wrench
+    from quadpi_core.vehicle import Vehicle
+
+    check_outputs([path], output)
+    container = identify_format(path).container
+    name = vehicle or (container.vehicle_name(path) if container else "")
+    if not name:
+        raise QuadpiError(f"{path}: names no vehicle; state the one that flew (--vehicle)")
+    flown = Vehicle.load(name)
+    flight, _ = read_flight(path, flown, CUTOFF_HZ["default"], mapping)
+    write_flight_table(output, flight, measured_wrench(flight, flown))
+    console = open_console()
+    print_quality(console, [(path, flight.quality)])
+    console.print(f"{output}: {len(flight)} samples of {flight.name}, vehicle {flown.name}", soft_wrap=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi export`: a vehicle file of a model, which `simulate` flies as the folder; a flight for Rerun."""
+"""`quadpi export`: a vehicle file that `simulate` flies as the folder; a flight for Rerun, or as a table."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_what_cannot_be_exported(refused, tmp_path, physical_folder):
     refused("cannot be simulated", "export", GOLDEN, "-o", tmp_path / "own.yaml")
     refused("ends in .yaml", "export", physical_folder, "-o", tmp_path / "own.urdf")
     refused("cannot be simulated", "simulate", "bundled", "--vehicle", GOLDEN, "-o", tmp_path / "bags")
-    refused("--model: is for a flight", "export", GOLDEN, "--model", GOLDEN, "-o", tmp_path / "own.yaml")
+    refused("--model: is not for", "export", GOLDEN, "--model", GOLDEN, "-o", tmp_path / "own.yaml")
 
 
 RERUN = ("export", BAG, "--format", "rerun")
@@ -102,3 +102,25 @@ def test_recorded_results_and_those_of_a_model_are_the_same_recording(quadpi, tm
     of_model, of_bag = map(wrench, files)
     assert len(of_model) > 9000
     assert of_model == of_bag
+
+
+def test_a_flight_is_exported_and_imported_again(quadpi, read_json, tmp_path):
+    bag, table = bags_directory() / "interpolation.mcap", tmp_path / "flown.csv"
+    exported = quadpi("export", bag, "--format", "flight", "-o", table)
+    assert (exported.status, exported.errors) == (0, "")
+    assert "vehicle bebop2" in exported.output.replace("\n", "")
+    out = tmp_path / "bags"
+    imported = quadpi("import", table, "--vehicle", "bebop2", "--mapping", "flight", "-o", out)
+    assert (imported.status, imported.errors) == (0, "")
+    assert quadpi("info", out / "flown.mcap", "--json", tmp_path / "info.json").status == 0
+    topics = {topic["topic"] for topic in read_json(tmp_path / "info.json")["topics"]}
+    assert {"odometry", "imu", "rotor_speeds", "wind"} <= topics
+
+
+def test_flights_that_cannot_be_exported(refused, tmp_path):
+    bag, flown = bags_directory() / "interpolation.mcap", tmp_path / "flown.csv"
+    refused("--model: is not for", "export", bag, "--format", "flight", "--model", GOLDEN, "-o", flown)
+    refused("ends in .csv or .parquet", "export", bag, "--format", "flight", "-o", tmp_path / "flown.mat")
+    table = tmp_path / "log.csv"
+    table.write_text("t,x\n0,1\n")
+    refused("state the one that flew", "export", table, "--format", "flight", "-o", flown)

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A smoothed flight as a table, on which any simulator can be run, and which `import` reads again.
+
+The columns are those of config/mappings/flight.yaml: SI units, body axes forward-right-down, world
+north-east-down. With six columns `simulated_…` from a simulator, the mapping is flight_simulated.yaml.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import Flight
+from quadpi_core.frames import Array
+from quadpi_core.paths import whole_output
+
+SUFFIXES = (".csv", ".parquet")
+# Columns by the field of a flight that they hold.
+_STATES = {
+    "position": ("north_m", "east_m", "down_m"),
+    "attitude": ("qw", "qx", "qy", "qz"),
+    "velocity": ("u_m_s", "v_m_s", "w_m_s"),
+    "rates": ("p_rad_s", "q_rad_s", "r_rad_s"),
+    "angular_acceleration": ("p_rad_s2", "q_rad_s2", "r_rad_s2"),
+    "specific_force": ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"),
+    "rotor_speeds": ("rotor_1_rad_s", "rotor_2_rad_s", "rotor_3_rad_s", "rotor_4_rad_s"),
+    "wind": ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s"),
+}
+_WRENCH = ("fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
+
+
+def require_table(path: Path) -> None:
+    """Refuse a path that names no kind of table, with a LogError."""
+    if path.suffix not in SUFFIXES:
+        raise LogError(f"{path}: a table of a flight ends in {' or '.join(SUFFIXES)}")
+
+
+def write_flight_table(path: Path, flight: Flight, wrench: Array) -> None:
+    """Write a flight and its wrench, one row per sample; the file appears whole or not at all.
+
+    Args:
+        path: ends in .csv or .parquet.
+        flight: as fused and filtered.
+        wrench: (N, 6) measured wrench, N and Nm.
+
+    Raises:
+        LogError: for another ending.
+        OutputError: if `path` cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    require_table(path)
+    columns = {"time_ns": flight.start_ns + np.round(1e9 * flight.time).astype(np.int64)}
+    for name, headings in _STATES.items():
+        columns |= dict(zip(headings, getattr(flight, name).T, strict=True))
+    columns |= dict(zip(_WRENCH, wrench.T, strict=True))
+    table = pa.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
+    with whole_output(path) as temporary:
+        if path.suffix == ".csv":
+            csv.write_csv(table, temporary)
+        else:
+            parquet.write_table(table, temporary)
