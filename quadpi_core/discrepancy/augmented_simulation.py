@@ -116,6 +116,10 @@ class AugmentedSimulation(Simulation):
         """See :class:`Simulation`; with the effects in the wrench."""
         return self._physics(self.corrected(flight))
 
+    def recorded(self, flight: Flight, wrench: Array) -> Array:
+        """See :class:`Simulation`: as of the base."""
+        return self.base.recorded(flight, wrench)
+
     def unjudged(self, flight: Flight) -> int:
         """See :class:`Simulation`: those of the base."""
         return self.base.unjudged(flight)

@@ -112,13 +112,15 @@ class Compared:
 
     @cached_property
     def simulated(self) -> Array:
-        """Wrench (M, 6) of the simulation, thinned."""
-        return self.simulation.wrench(self.flight)[:: self.step]
+        """Wrench (M, 6) of the simulation as the recording would have it, thinned."""
+        return recorded_wrench(self.flight, self.simulation)[:: self.step]
 
     @cached_property
     def quiet_wrench(self) -> Array:
-        """Wrench (N, 6) of the simulation for the quiet flight."""
-        return self.simulation.wrench(self.quiet) if self._clean is None else self._clean.wrench
+        """Wrench (N, 6) of the simulation for the quiet flight, as the recording would have it."""
+        if self._clean is not None:
+            return self.simulation.recorded(self.quiet, self._clean.wrench)
+        return recorded_wrench(self.quiet, self.simulation)
 
     @cached_property
     def measured(self) -> Array:
@@ -178,7 +180,9 @@ class Compared:
         """Columns (M, 6) of the tolerances, one each."""
         tolerances = self.simulation.tolerances
         own = self.simulation.uncertain(self.quiet) if self._clean is None else self._clean.uncertain
-        columns = [Column(name, wrench[:: self.step]) for name, wrench in own]
+        columns = [
+            Column(name, self.simulation.recorded(self.quiet, wrench)[:: self.step]) for name, wrench in own
+        ]
         for effect, deviation in body_tolerances(tolerances):
             deviations = deviation * np.eye(len(effect.parameters))
             for parameter, values in zip(effect.parameters, deviations, strict=True):
@@ -226,10 +230,10 @@ def predicted_flight(flight: Flight, simulation: Simulation, wrench: Array | Non
     Args:
         flight: as measured.
         simulation: of its vehicle.
-        wrench: (N, 6) in place of the wrench that the simulation computes of the flight.
+        wrench: (N, 6) in place of :func:`recorded_wrench`.
     """
     vehicle = simulation.vehicle
-    wrench = simulation.wrench(flight) if wrench is None else wrench
+    wrench = recorded_wrench(flight, simulation) if wrench is None else wrench
     momentum = flight.rates @ vehicle.inertia
     moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
     turning = moment @ np.linalg.inv(vehicle.inertia)
@@ -240,9 +244,14 @@ def predicted_flight(flight: Flight, simulation: Simulation, wrench: Array | Non
     return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
 
 
+def recorded_wrench(flight: Flight, simulation: Simulation) -> Array:
+    """Simulated wrench (N, 6) as the recording of the flight would have it, as its measured one does."""
+    return simulation.recorded(flight, simulation.wrench(flight))
+
+
 def residual(flight: Flight, simulation: Simulation) -> Array:
     """Measured less simulated wrench (N, 6)."""
-    return measured_wrench(flight, simulation.vehicle) - simulation.wrench(flight)
+    return measured_wrench(flight, simulation.vehicle) - recorded_wrench(flight, simulation)
 
 
 def _every(flight: Flight, step: int) -> Flight:
@@ -254,7 +263,8 @@ def _every(flight: Flight, step: int) -> Flight:
 
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
     parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
-    return effect_wrench(effect.name, parameters, compared.states, compared.record)
+    added = effect_wrench(effect.name, parameters, compared.states, compared.record)
+    return compared.simulation.recorded(compared.thinned, added)
 
 
 def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
@@ -265,7 +275,7 @@ def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
 def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
     flight = compared.quiet
     wind = flight.wind + effect.function(flight.time, values, _NO_NUMBERS)
-    windy = compared.simulation.wrench(replace(flight, wind=wind))[:: compared.step]
+    windy = recorded_wrench(replace(flight, wind=wind), compared.simulation)[:: compared.step]
     return windy - compared.quiet_wrench[:: compared.step]
 
 

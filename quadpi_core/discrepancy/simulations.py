@@ -23,6 +23,7 @@ from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
+from quadpi_core.signals.force_bandwidth import band_limited
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
 from quadpi_core.simulation.state_records import STATE
@@ -124,6 +125,14 @@ class Simulation(ABC):
     def hover_rotor_speed(self) -> float:
         """Rotor speed [rad/s] that carries the weight in still air."""
 
+    def recorded(self, flight: Flight, wrench: Array) -> Array:  # noqa: ARG002 - for those that know more
+        """A wrench (N, 6) of a flight as the measured one of its recording would have it.
+
+        It is what the flight is compared by, as in `evaluate`; a body that rolls out or flies has the wrench
+        itself.
+        """
+        return wrench
+
     def margins(self, flight: Flight) -> tuple[Array, Array] | None:  # noqa: ARG002 - for those that have any
         """Bounds (N, 6), (N, 6) of its intervals less its wrench; None for a simulation without intervals."""
         return None
@@ -206,6 +215,12 @@ class VehicleSimulation(Simulation):
     def wrench(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""
         return self._wrench(self.model, flight)
+
+    def recorded(self, flight: Flight, wrench: Array) -> Array:
+        """See :class:`Simulation`; forces of the bandwidth that its flights had."""
+        bandwidth = self.model.force_bandwidth_hz
+        forces = band_limited(flight.time, flight.rates, wrench[:, :3, np.newaxis], bandwidth)
+        return np.column_stack((forces[:, :, 0], wrench[:, 3:]))
 
     def margins(self, flight: Flight) -> tuple[Array, Array] | None:
         """See :class:`Simulation`."""

@@ -121,6 +121,11 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
         return self.coefficients.rotor_delay_s
 
     @property
+    def force_bandwidth_hz(self) -> float | None:  # type: ignore[override]
+        """See :class:`.SimulatedAerodynamics`."""
+        return self.coefficients.force_bandwidth_hz
+
+    @property
     def function(self) -> Any:
         """See :class:`.SimulatedAerodynamics`."""
         return passable(_physical)

@@ -37,6 +37,8 @@ class SimulatedAerodynamics(ABC):
             speeds change.
         rotor_delay_s: that recorded rotor speeds act after their stamps; it belongs to the recordings, and a
             simulated flight has none.
+        force_bandwidth_hz: of the forces measured in those recordings, where it ends below that of the other
+            signals; likewise.
         coefficients_by_name: names of the groups of coefficients that :meth:`scaled` takes, the static
             thrust first.
     """
@@ -46,6 +48,7 @@ class SimulatedAerodynamics(ABC):
     coefficients_by_name: ClassVar[tuple[str, ...]]
     vehicle: Vehicle
     rotor_delay_s: float = 0.0
+    force_bandwidth_hz: float | None = None
 
     @classmethod
     @abstractmethod

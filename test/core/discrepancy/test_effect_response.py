@@ -17,7 +17,10 @@ from quadpi_core.discrepancy.effect_response import (
     share_of_wrench,
     without_sensor_effect,
 )
-from quadpi_core.discrepancy.simulations import Tolerances
+from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation
+from quadpi_core.inputs import flight_derivatives, flight_inputs
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.signals.force_bandwidth import band_limited
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS
@@ -44,6 +47,64 @@ def test_a_force_that_acted_is_what_the_residual_gained(compared, flight, simula
     gained = residual(pushed(flight, simulation.vehicle, acted), simulation) - residual(flight, simulation)
     added = compared.added(EFFECTS["body_drag"], values("body_drag", **drag))
     np.testing.assert_allclose(added, gained, atol=1e-9)
+
+
+BANDWIDTH_HZ = 8.0
+
+
+@pytest.fixture(scope="module")
+def limited(physical_folder, tmp_path_factory):
+    """A model of flights whose specific force ended at 8 Hz, and the simulation that its folder is."""
+    model = AerodynamicModel.load(physical_folder)
+    parameters = next(iter(model.fitted.values())).parameters
+    ending = replace(parameters, sensing=replace(parameters.sensing, force_bandwidth_hz=BANDWIDTH_HZ))
+    fitted = {axis: replace(own, parameters=ending) for axis, own in model.fitted.items()}
+    folder = tmp_path_factory.mktemp("limited") / "model"
+    model = replace(model, fitted=fitted, compiled=None, name="", identity="").save(folder)
+    return model, VehicleSimulation.load(folder)
+
+
+def test_forces_are_compared_smoothed_as_evaluate_does(limited, flight):
+    model, simulation = limited
+    inputs, moving = flight_inputs(flight, simulation.vehicle), flight_derivatives(flight)
+    compared = Compared(flight, simulation)
+    said = model.evaluate_recorded(flight.time, inputs, moving).predicted
+    plain = model.evaluate(inputs, derivatives=moving).predicted
+    # The simulation has the place of the accelerometer, which the model has in its forces, as an effect.
+    taken_off = said - plain
+    assert np.abs(taken_off[:, :3]).max() > 1e-3
+    np.testing.assert_allclose(
+        compared.simulated - simulation.wrench(flight), taken_off, atol=0.02 * np.abs(taken_off).max()
+    )
+    np.testing.assert_allclose(
+        residual(flight, simulation), measured_wrench(flight, simulation.vehicle) - compared.simulated
+    )
+    assert np.array_equal(compared.simulated[:, 3:], simulation.wrench(flight)[:, 3:])
+
+
+def test_what_effects_and_tolerances_add_to_a_force_is_smoothed_alike(limited, flight):
+    _, simulation = limited
+    own = Compared(flight, simulation)
+    free = Compared(flight, replace(simulation, model=without_bandwidth(simulation.model)))
+    drag = values("body_drag", x_n_s2_m2=0.006)
+    for added, whole in (
+        (own.added(EFFECTS["body_drag"], drag), free.added(EFFECTS["body_drag"], drag)),
+        (own.uncertain()[0].wrench, free.uncertain()[0].wrench),
+        (own.added(*WINDY), free.added(*WINDY)),
+    ):
+        forces = band_limited(flight.time, flight.rates, whole[:, :3, np.newaxis], BANDWIDTH_HZ)[:, :, 0]
+        taken_off = np.abs(whole[:, :3] - forces).max()
+        assert taken_off > 1e-6
+        # The quiet flight, which columns are made of, turns a little less than the flight.
+        np.testing.assert_allclose(added[:, :3], forces, atol=0.05 * taken_off)
+        np.testing.assert_allclose(added[:, 3:], whole[:, 3:], atol=1e-9)
+
+
+WINDY = EFFECTS["wind"], np.array([2.0, -1.0, 0.0])
+
+
+def without_bandwidth(model):
+    return replace(model, coefficients=replace(model.coefficients, force_bandwidth_hz=None))
 
 
 def test_a_mass_that_the_file_lacks_pulls_against_the_acceleration(compared, simulation):
@@ -128,6 +189,9 @@ def test_a_simulation_with_memory_sees_every_sample(flights, simulation):
         def wrench(self, flight):
             self.seen = len(flight)
             return simulation.wrench(flight)
+
+        def recorded(self, flight, wrench):
+            return simulation.recorded(flight, wrench)
 
     fast = flights[0].slice(slice(0, 400))
     fast = replace(fast, time=fast.time[0] + (fast.time - fast.time[0]) / 4.0)

@@ -145,6 +145,9 @@ def test_coverage_before_and_after(truth):
         def wrench(self, flight):
             return good.wrench(flight) + 0.2
 
+        def recorded(self, flight, wrench):
+            return good.recorded(flight, wrench)
+
         def margins(self, flight):
             return np.full((len(flight), 6), -0.1), np.full((len(flight), 6), 0.1)
 
