@@ -27,7 +27,16 @@ from quadpi_core.view.browser import announce
 from quadpi_core.view.vehicle_view import VehicleView
 from quadpi_core.view.view_server import ADDRESS, PORT, serve_page
 from quadpi_ros.inbox import Inbox
-from quadpi_ros.live_vehicle import ALARM, BATCH, BATCH_NAME, PREDICTION, LiveVehicle, warm_up
+from quadpi_ros.live_vehicle import (
+    ALARM,
+    BATCH,
+    BATCH_NAME,
+    DESCRIPTION,
+    DESCRIPTION_NAME,
+    PREDICTION,
+    LiveVehicle,
+    warm_up,
+)
 from quadpi_ros.runtime import run
 
 # The graph is looked at this often for vehicles and topics that have come.
@@ -92,7 +101,10 @@ class LiveSource:
             if ALARM in types or (PREDICTION in types and self._owner(topic) is None):
                 self._add(topic.rpartition("/")[0] or "/")
             elif BATCH in types and topic.endswith(f"/{BATCH_NAME}"):
-                self._add(topic.rsplit("/", 2)[0] or "/")
+                # Of a monitor: somebody else's batch has no description beside it.
+                namespace, node, _ = topic.rsplit("/", 2)
+                if DESCRIPTION in found.get(f"{namespace}/{node}/{DESCRIPTION_NAME}", ()):
+                    self._add(namespace or "/")
         # What was taken for a vehicle before the monitor said that these topics are its own.
         for name, vehicle in list(self._vehicles.items()):
             if vehicle.heard and all(claims.get(topic, vehicle) is not vehicle for topic in vehicle.heard):

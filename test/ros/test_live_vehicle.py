@@ -11,7 +11,7 @@ import pytest
 import rclpy
 from quadpi.msg import Erpm, ExtrapolationAlarm, WrenchPrediction
 from rclpy.node import Node
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 
 from quadpi_core.flight import AXES, OdometryStream
 from quadpi_core.inputs import INPUT_NAMES
@@ -158,6 +158,14 @@ def test_what_does_not_come_is_named(node, source):
     wait_until(lambda: "rotor speeds" in rows(), flying(source, vehicle), rows)
     assert rows()["odometry"] == "nothing comes: flight, speed and height are not shown"
     assert rows()["rotor speeds"].startswith("erpm needs the pole pairs of the vehicle")
+
+
+def test_a_batch_of_somebody_else_is_no_vehicle(node, source):
+    foreign = node.create_publisher(UInt8MultiArray, "/camera/net/batch", OUTPUT_QOS)
+    vehicle = Publishing(node, "/quad", "m@1")
+    wait_until(lambda: "/quad" in source.vehicles, flying(source, vehicle))
+    assert node.count_publishers(foreign.topic_name) == 1
+    assert set(source.vehicles) == {"/quad"}
 
 
 def test_a_description_that_is_none_is_counted_and_shown(monitor, source):
