@@ -300,6 +300,8 @@ class Flight:
         wind: (N, 3) m/s, world; zero where it was not measured.
         quality: problems found in the data of the recording.
         biases_estimated: whether biases of the IMU were estimated and removed; false with odometry.
+        position_measured: whether the position was measured, by motion capture or as a log has it; else it
+            is the integrated velocity.
     """
 
     name: str
@@ -317,6 +319,7 @@ class Flight:
     wind: Array
     quality: DataQuality = NOTHING_TO_SAY
     biases_estimated: bool = True
+    position_measured: bool = True
 
     def __len__(self) -> int:
         return len(self.time)

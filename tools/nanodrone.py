@@ -217,7 +217,8 @@ def train(flights: Sequence[BenchmarkFlight], vehicle: Vehicle) -> Trained:
         fit = study.fit(choose=False, left_out=left_out)
         return RolloutModel(
             fit.values,
-            fit.covariance,
+            # Of the terms, not of the first step: central differences of the logged states are mostly noise.
+            np.diag(np.square(problem.spread)),
             fit.record,
             vehicle.inertia,
             vehicle.gravity_m_s2,
@@ -228,13 +229,14 @@ def train(flights: Sequence[BenchmarkFlight], vehicle: Vehicle) -> Trained:
             lead_s=step,
         )
 
+    problem = Problem.of(vehicle, study.reference)
     start = first_step(None)
     delays = [DELAYS_S[int(np.argmin(delay_costs(flight, start)[-1]))] for flight in own]
     # Each flight with its own delay, to models without any.
     late = [flight.delayed(there) for flight, there in zip(own, delays, strict=True)]
     apart = [first_step(k).delayed(0.0) for k in range(len(own))]
     whole = replace(start.delayed(0.0), disturbance=disturbance_left(apart, late))
-    found = fit_multi_step(late, whole, apart, Problem.of(vehicle, study.reference).lower)
+    found = fit_multi_step(late, whole, apart, problem.lower)
     return Trained(found.model.delayed(float(np.median(delays))), PositionLink.of(flights))
 
 

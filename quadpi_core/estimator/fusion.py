@@ -104,6 +104,7 @@ def fuse(
         position=on_grid(estimate.time_ns, estimate.position),
         quality=recording.quality,
         biases_estimated=estimate.biases_estimated,
+        position_measured=recording.pose is not None or recording.twist is None,
         **filtered._asdict(),
     )
 

@@ -84,11 +84,14 @@ class FlightRolloutMetrics:
     Attributes:
         starts: number of roll-outs.
         left_out: number of starts after which a rotor speed was not measured, or samples are missing.
+        position_measured: whether errors of position are against a measured position; else they are against
+            the integrated velocity.
         horizons: by horizon in seconds and quantity, such as "0.5" and "position_m".
     """
 
     starts: int
     left_out: int
+    position_measured: bool
     horizons: dict[str, dict[str, TubeMetrics]]
 
 
@@ -244,7 +247,7 @@ def judge_flight(
         RolledFlight(
             flight.name, flight.quality, own.time[starts], times, norms, tubes * radii, own, rolled, tubes
         ),
-        FlightRolloutMetrics(len(starts), possible - len(starts), metrics),
+        FlightRolloutMetrics(len(starts), possible - len(starts), flight.position_measured, metrics),
     )
 
 

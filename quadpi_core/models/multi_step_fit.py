@@ -44,7 +44,7 @@ WEIGHTS_TRIED = (0.15, 0.6)
 # with other starts move it by half a percent.
 WORTH_IT = 0.99
 # Iterations at each weight; they end earlier when the cost falls by less than this share.
-_ITERATIONS, _ENOUGH = 4, 5e-3
+_ITERATIONS, _ENOUGH = 12, 5e-3
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 
 

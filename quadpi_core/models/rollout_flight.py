@@ -35,6 +35,8 @@ class RolloutFlight:
         attitude: (N, 4) body to world; of flights that training gave, heading counts from their start.
         motion: MOTION (N,), rotor speeds not delayed.
         wrench: (N, 6) measured, N and Nm.
+        position: (N, 3) m in the world, measured, relative to the air where there is wind; None where it is
+            not measured, or not kept.
     """
 
     name: str
@@ -42,6 +44,7 @@ class RolloutFlight:
     attitude: Array
     motion: Records
     wrench: Array
+    position: Array | None = None
 
     @classmethod
     def of(cls, flight: Flight, vehicle: Vehicle) -> RolloutFlight:
@@ -52,6 +55,8 @@ class RolloutFlight:
         motion["angular_acceleration"] = flight.angular_acceleration
         motion["rotor_speeds"] = flight.rotor_speeds
         motion["rotor_accelerations"] = np.gradient(flight.rotor_speeds, flight.time, axis=0)
+        steps = 0.5 * np.diff(flight.time)[:, np.newaxis] * (flight.wind[1:] + flight.wind[:-1])
+        drift = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
         every = slice(None, None, max(1, round(flight.rate_hz / _RATE_HZ)))
         return cls(
             flight.name,
@@ -59,6 +64,7 @@ class RolloutFlight:
             flight.attitude[every],
             motion[every],
             measured_wrench(flight, vehicle)[every],
+            (flight.position - drift)[every] if flight.position_measured else None,
         )
 
     @property

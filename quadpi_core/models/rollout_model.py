@@ -21,10 +21,18 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.disturbance import Disturbance
 from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, wrenches
-from quadpi_core.models.physical_rollout import RIGID_BODY, STATES, Disturbances, Rolled, Track, roll_out
+from quadpi_core.models.physical_rollout import (
+    POSITION,
+    RIGID_BODY,
+    STATES,
+    Disturbances,
+    Rolled,
+    Track,
+    roll_out,
+)
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
 from quadpi_core.models.rollout_calibration import TubeCalibration
-from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance
+from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance, rounded
 from quadpi_core.models.rollout_flight import RolloutFlight
 from quadpi_core.models.stored_body import require_body
 from quadpi_core.records import Records
@@ -131,6 +139,8 @@ class RolloutModel:
     ) -> FlightRollouts:
         """Predict ahead from samples of a flight, with tubes.
 
+        Errors of position are against the measured one, of a flight without it against integrated velocity.
+
         Args:
             flight: on an even time grid.
             starts: (W,) samples; the last horizon after each lies within the flight.
@@ -149,7 +159,12 @@ class RolloutModel:
         )
         moving = np.where(MOVES, self.parameters, 0.0)
         covariance = error_covariance(track, starts, horizons, rolled.path, moving, uncertainty)
-        return FlightRollouts(starts, rolled.errors, covariance, rolled.path)
+        errors = rolled.errors.copy()
+        if flight.position is not None:
+            for k, steps in enumerate(horizons):
+                moved = flight.position[starts + steps] - flight.position[starts]
+                errors[:, k, POSITION] = rolled.path["displacement"][:, steps] - moved
+        return FlightRollouts(starts, errors, rounded(covariance), rolled.path)
 
     def _process(self, track: Track) -> Disturbance:
         return replace(self.disturbance, step_s=track.step)

@@ -62,7 +62,9 @@ def rollout_summary(evaluation: RolloutEvaluation) -> Table:
         for horizon, quantities in judged.horizons.items()
         for quantity, own in quantities.items()
     ]
-    return Table(columns, rows)
+    inferred = [name for name, judged in evaluation.flights.items() if not judged.position_measured]
+    note = f"Position of {', '.join(inferred)} against integrated velocity: it was not measured."
+    return Table(columns, rows, note=note if inferred else "")
 
 
 def rollout_verdict(evaluation: RolloutEvaluation) -> str:

@@ -27,6 +27,18 @@ def test_of_a_fused_flight(flights) -> None:
     )
 
 
+def test_a_measured_position_is_relative_to_the_air(flights) -> None:
+    fused, vehicle = flights[0], Vehicle.load("bebop2")
+    windy = replace(fused, wind=np.tile([1.0, -2.0, 0.5], (len(fused), 1)))
+    still, moving = (RolloutFlight.of(own, vehicle) for own in (replace(fused, wind=0.0 * fused.wind), windy))
+    assert still.position is not None
+    assert moving.position is not None
+    np.testing.assert_array_equal(still.position[:2], fused.position[:: len(fused) // len(still.time)][:2])
+    drift = np.outer(still.time - still.time[0], [1.0, -2.0, 0.5])
+    np.testing.assert_allclose(still.position - moving.position, drift, atol=1e-9)
+    assert RolloutFlight.of(replace(fused, position_measured=False), vehicle).position is None
+
+
 def test_delayed_rotor_speeds_are_those_of_before() -> None:
     flight = ahead(3.0, 1)
     late = flight.delayed(0.02)

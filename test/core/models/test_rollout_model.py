@@ -12,6 +12,7 @@ from quadpi_core.models.disturbance import AxisDisturbance, Disturbance
 from quadpi_core.models.physical_rollout import RATES, STATES
 from quadpi_core.models.rollout_calibration import HORIZONS_S, QUANTITIES, TubeCalibration
 from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.rotations import rotate_body_to_world
 from test.core.models.flights_ahead import ahead, true_model
 from test.core.models.physical_flights import STEP_S
 
@@ -59,6 +60,19 @@ def test_the_tube_holds_what_a_disturbance_does(model: RolloutModel) -> None:
     quiet = replace(model, disturbance=Disturbance.nothing(STEP_S))
     still = quiet.roll(ahead(5.0, 1), np.array([100, 200]), HORIZONS).covariance
     assert np.all(rolled.covariance[:, -1, 10, 10] > 10.0 * still[:, -1, 10, 10])
+
+
+def test_errors_of_position_are_against_a_measured_one(model: RolloutModel) -> None:
+    flight, horizons = ahead(3.0, 5), np.array([1, 20])
+    starts = flight.starts(20, 10)
+    bare = model.roll(flight, starts, horizons)
+    world = rotate_body_to_world(flight.attitude, flight.motion["velocity"])
+    way = np.vstack((np.zeros(3), np.cumsum(0.5 * flight.step * (world[1:] + world[:-1]), axis=0)))
+    # Positions that move a tenth further than the velocity says, from another origin.
+    known = model.roll(replace(flight, position=1.1 * way + 5.0), starts, horizons)
+    moved = way[starts[:, np.newaxis] + horizons] - way[starts][:, np.newaxis]
+    np.testing.assert_allclose(known.errors[..., :3], bare.errors[..., :3] - 0.1 * moved, atol=1e-9)
+    np.testing.assert_array_equal(known.errors[..., 3:], bare.errors[..., 3:])
 
 
 def test_a_stored_model_predicts_the_same_and_damage_is_refused(model: RolloutModel) -> None:
