@@ -55,6 +55,7 @@ def test_flights_are_judged_by_models_of_others_and_results_kept(tool, job, fold
     first = tool.tables(job)
     assert re.search(r"Flights by their greatest speed in m/s: train_\d \(\d\.\d\), ", first["sets"])
     assert "- broken: " in first["sets"]
+    assert "- bootstrap, polynomial, quality-driven: not computed" in first["sets"]
     assert len(list((folder / "work" / "results").iterdir())) == len(BAGS) + 1
     (row,) = re.findall(r"^\| in turn \| physical \| RMSE \|(.*)\|$", first["sets"], flags=re.MULTILINE)
     errors = [float(cell) for cell in row.split("|")]

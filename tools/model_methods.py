@@ -361,11 +361,15 @@ def compared(job: Job, data_set: DataSet) -> Compared:
                 print(f"{data_set.title}: {method}: {names}: {result['seconds']:.0f} s", flush=True)
             if case.name == FASTEST_OUT:
                 fastest = len(case.judged)
+        if trains_networks(method):
+            remarks.append(f"{method}, {IN_TURN}: not computed")
         for name, own in found.items():
             if name in errors:
                 remarks.append(f"{method}, {name}: {errors[name]}")
             elif own:
                 judged[name, method] = Judged.mean(own)
+    if others := [name for name in KINDS.names() if name not in job.methods]:
+        remarks.append(f"{', '.join(others)}: not computed")
     spoken = tuple((flight.name, speed(flight)) for flight in flights)
     return Compared(data_set, judged, spoken, fastest, tuple(remarks), earlier)
 
