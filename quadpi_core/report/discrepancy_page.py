@@ -314,25 +314,33 @@ def _segment_table(study: Study) -> Table:
 
 
 def _verdict(study: Study) -> str:
-    """The result in one or two sentences."""
+    """What to do, and the result in one or two sentences."""
     discovery, simulation = study.discovery, study.simulation.name
     if discovery.verdict == "none":
         return (
-            f"No missing effect was found: {simulation} and {len(study.flights)} flights differ by no more "
-            "than the tolerances of the simulation and the noise allow."
+            f"Keep the simulation. No missing effect was found: {simulation} and {len(study.flights)} "
+            "flights differ by no more than the tolerances of the simulation and the noise allow."
         )
     named = listing([_name_with_rivals(effect) for effect in discovery.effects])
     if discovery.verdict == "effects":
         closed = percent(discovery.gap.reduction)
         return (
-            f"{simulation} lacks {named}. On flights left out, adding it closes {closed} of the gap that "
-            "noise does not explain."
+            f"{_action(discovery)}: {simulation} lacks {named}. On flights left out, adding it closes "
+            f"{closed} of the gap that noise does not explain."
         )
-    unknown = f"{simulation} lacks something that no effect of the library explains"
+    unknown = f"Add nothing yet: {simulation} lacks something that no effect of the library explains"
     doubts = "; ".join(discovery.doubts)
     if not discovery.effects:
         return f"{unknown}: {doubts}."
     return f"{unknown}. {named.capitalize()} comes closest, but {doubts}."
+
+
+def _action(discovery: Discovery) -> str:
+    """What to do with named effects: add them, or fly what distinguishes them from their rivals."""
+    shown_by = [item for effect in discovery.effects if effect.rivals for item in effect.shown_by]
+    if not shown_by:
+        return "Add what is missing"
+    return f"Fly {listing(list(dict.fromkeys(shown_by)))} to decide"
 
 
 def _name_with_rivals(effect: FoundEffect) -> str:

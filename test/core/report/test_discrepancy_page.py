@@ -25,7 +25,7 @@ def test_everything_stands_on_it(page_file, read_page, found):
     page = read_page(page_file)
     page.assert_needs_nothing_from_outside()
     for words in (
-        "bebop2 lacks body drag",
+        "Add what is missing: bebop2 lacks body drag",
         "Where",
         "What",
         "Before and after",
@@ -38,6 +38,22 @@ def test_everything_stands_on_it(page_file, read_page, found):
         assert parameter.name in page.text
     for part in found.where.telling:
         assert part.conditions in page.text
+
+
+@pytest.mark.parametrize(
+    ("changes", "first"),
+    [
+        ({"verdict": "none", "effects": ()}, "Keep the simulation. No missing effect was found"),
+        ({"verdict": "unknown", "doubts": ("it closes nothing",)}, "Add nothing yet: bebop2 lacks something"),
+        ({"rivals": ("wind",)}, "Fly forward flight to decide: bebop2 lacks body drag (or wind)"),
+    ],
+)
+def test_the_first_words_say_what_to_do(found, rendered, changes, first):
+    (drag,) = found.discovery.effects
+    if "rivals" in changes:
+        changes = {"effects": (replace(drag, **changes, shown_by=("forward flight",)),)}
+    summary = rendered(discrepancy_summary(replace(found, discovery=replace(found.discovery, **changes))))
+    assert " ".join(summary.split()).startswith(first)
 
 
 def test_code_that_ran_is_named(found, read_page, rendered, tmp_path):
