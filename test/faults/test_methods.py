@@ -144,3 +144,24 @@ def test_training_without_pytorch_names_the_extra(unread, tmp_path, method):
     message = "quadpi: training needs PyTorch, installed by quadpi-monitor[train]: No module named 'torch'\n"
     assert (ran.returncode, ran.stdout, ran.stderr) == (2, "", message)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("method", [(), ("--method", "polynomial")])
+def test_flights_without_rotor_speeds_serve_no_method(refused, bags, tmp_path, method):
+    flights = [tmp_path / bag.name for bag in bags[:2]]
+    for bag, path in zip(bags, flights, strict=False):
+        write_bag(path, replace(read_recording(bag, None), rotor_speeds=None))
+    options = ("--vehicle", "neurobem", *method, "-o", tmp_path / "model")
+    message = "flight0.mcap: topic rotor_speeds is missing, which every kind of model needs"
+    refused(message, "identify", *flights, *options)
+
+
+def test_rotor_speeds_that_pause_are_named(refused, bags, tmp_path):
+    good, path = read_recording(bags[0], None), tmp_path / "pause.mcap"
+    rotors = good.rotor_speeds
+    measured = np.abs(rotors.time_ns - rotors.time_ns[len(rotors.time_ns) // 2]) > 250_000_000
+    paused = replace(rotors, time_ns=rotors.time_ns[measured], speeds=rotors.speeds[measured])
+    write_bag(path, replace(good, rotor_speeds=paused))
+    options = ("--vehicle", "neurobem", "-o", tmp_path / "model")
+    message = r"pause.mcap: topic rotor_speeds: sample \d+: comes 0\.5\d* s after the one before; .*bridged"
+    refused(message, "identify", path, bags[1], *options)
