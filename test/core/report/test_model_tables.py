@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-from quadpi_core.report.model_tables import final_terms, selection_table, structure_table
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.report.model_tables import best_known_table, final_terms, selection_table, structure_table
 from quadpi_core.report.table import terminal_table
 
 
@@ -26,3 +27,14 @@ def test_selection_table_shows_what_the_model_holds(case, rendered):
     assert kept == ["mu_x", "*", "omega_avg", "1.5000e+00", "0.9000", "0.100"]
     (out,) = [line.split() for line in text.splitlines() if line.strip().startswith("p ")]
     assert out[1] == "–"
+
+
+def test_the_best_known_parameters_come_first(case, predicting):
+    table = best_known_table(AerodynamicModel.load(predicting), 5)
+    assert table is not None
+    known = [abs(row[1]) / row[2] for row in table.rows]
+    assert len(known) == 5
+    assert known == sorted(known, reverse=True)
+    assert "thrust" in {row[0] for row in table.rows}
+    # A polynomial has terms, and no standard errors to show.
+    assert best_known_table(case.model, 5) is None
