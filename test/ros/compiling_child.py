@@ -78,7 +78,7 @@ def flown(create: Callable[[], Sequence[ManagedNode[Any]]], parameter: str) -> d
     rclpy.init(args=["--ros-args", "-p", "vehicle:=bebop2", "-p", parameter])
     published: Counter[str] = Counter()
 
-    def announce(_: SensorNode[Any], __: type, topic: str, *___: Any) -> Callable[[bytes], None]:
+    def announce(_: SensorNode[Any], __: type, topic: str, *___: Any, **____: Any) -> Callable[[bytes], None]:
         return lambda _: published.update([topic])
 
     SensorNode.announce = announce  # type: ignore[method-assign]

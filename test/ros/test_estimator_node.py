@@ -80,7 +80,7 @@ def test_an_odometry_bears_the_stamp_of_its_estimate(
     published: list[bytes] = []
     with started(ros_domain, "-p", "vehicle:=neurobem"):
         node = EstimatorNode()
-        monkeypatch.setattr(node, "announce", lambda *_: published.append)
+        monkeypatch.setattr(node, "announce", lambda *_, **__: published.append)
         start([node])
         take = {one.topic_name: one.callback for one in node.subscriptions}
         for seconds in imu_s:
