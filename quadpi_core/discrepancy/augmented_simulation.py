@@ -20,13 +20,15 @@ from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.discrepancy_result import Discovery
 from quadpi_core.discrepancy.effect_formulas import write_formulas
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
+from quadpi_core.discrepancy.own_state import OwnStates, started
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
+from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, effect_wrench
+from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, effect_wrench, with_memory
 from quadpi_core.simulation.effect_definition import Effect, Effects
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.simulated_file import vehicle_content
@@ -45,11 +47,14 @@ class AugmentedSimulation(Simulation):
         base: simulation that the effects are added to.
         effects: every parameter of each effect.
         adjusted: multiples of the columns of the base's tolerances, by their names.
+        track: state that an effect has of its own, where bodies depart from a recorded flight; unless given,
+            it is followed along each flight.
     """
 
     base: Simulation
     effects: Effects
     adjusted: Mapping[str, float] = field(default_factory=dict)
+    track: OwnStates | None = None
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -162,8 +167,35 @@ class AugmentedSimulation(Simulation):
                 states["wrench"] += self.adjusted.get(name, 0.0) * wrench
         record = self.record()
         for effect in self._of("wrench"):
-            states["wrench"] += effect_wrench(effect.name, self.effects[effect.name], states, record)
+            own = self._remembering(effect, flight, states) if effect.at_rest else states
+            states["wrench"] += effect_wrench(effect.name, self.effects[effect.name], own, record)
         return states
+
+    def departing_from(self, flight: Flight) -> AugmentedSimulation:
+        """The simulation for bodies that start in states of a flight and go their own ways.
+
+        A load swings as it did in the flight: what a body's own way changes of that is small over a second.
+        """
+        effect = next((e for e in self._of("wrench") if e.at_rest), None)
+        if effect is None:
+            return self
+        others = {name: values for name, values in self.effects.items() if name != effect.name}
+        states = self._remembering(effect, flight, replace(self, effects=others)._physics(flight))
+        return replace(self, track=OwnStates(flight.time, states["memory"]))
+
+    def _remembering(
+        self, effect: Effect, flight: Flight, states: npt.NDArray[np.void]
+    ) -> npt.NDArray[np.void]:
+        """States (N,) with the state that an effect has of its own along the flight."""
+        own = states.copy()
+        if self.track is not None:
+            own["memory"] = interpolate_columns(self.track.time, self.track.memory, flight.time)
+            return own
+        measured = measured_wrench(flight, self.vehicle)
+        own["wrench"][:, :3], own["force_is_measured"] = measured[:, :3], 1.0
+        step_s, record, left = 1.0 / flight.rate_hz, self.record(), measured - states["wrench"]
+        start = started(effect, self._values(effect), own, record, left, step_s).memory
+        return with_memory(effect.name, self.effects[effect.name], own, record, start, step_s)
 
     def _left(self, flight: Flight) -> Array:
         """Measured less simulated wrench (N, 6), without the effects on sensors."""

@@ -33,6 +33,13 @@ PRIOR = Threshold(
     "an effect may well be three times as large as is typical",
     CONVENTION,
 )
+TRIED_LENGTHS = Threshold(
+    "lengths of a cable that are tried first",
+    (0.15, 0.22, 0.33, 0.5, 0.75, 1.1, 1.7, 2.5, 3.8),
+    "m",
+    "the period of one is 1.2 times that of the one before, and the search converges from a swing away",
+    CONVENTION,
+)
 # Half the step of a difference quotient, in prior standard deviations. Wind reverses the airspeed of a hover:
 # a small step would see only the cusp at rest.
 _STEP, _WIDE_STEP = 1e-3, 0.2
@@ -47,6 +54,7 @@ class Candidate:
         start: (P,) parameters, in the order of the effect: fixed whole numbers, others 0.
         free: (k,) indices of the parameters to fit.
         scale: (k,) prior standard deviation of each.
+        centre: (k,) prior mean of each: 0, but for what is no strength of an effect with a state of its own.
         linear: whether one linearisation is enough.
     """
 
@@ -54,6 +62,7 @@ class Candidate:
     start: Array
     free: tuple[int, ...]
     scale: Array
+    centre: Array
     linear: bool
 
     @property
@@ -148,10 +157,46 @@ def _variants(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
             start=np.array(start, dtype=float),
             free=free,
             scale=PRIOR.value * sizes[list(free)],
+            centre=_centre(effect)[list(free)],
             linear=effect.kind in ("wrench", "vehicle") and effect.composable,
         )
         for start in itertools.product(*choices)
     ]
+
+
+def _centre(effect: Effect) -> Array:
+    """Prior mean (P,) of the parameters."""
+    centre = np.zeros(len(effect.parameters))
+    if effect.at_rest:
+        centre[1:] = [parameter.default for parameter in effect.parameters[1:]]
+    return centre
+
+
+def first_point(candidate: Candidate, flights: Sequence[Compared]) -> Array:
+    """Free parameters (k,) about which a candidate is linearised first.
+
+    No effect; for one with a state of its own the second parameter, on which that depends most, that explains
+    the most of the flights, with the strength that does so.
+    """
+    if not candidate.effect.at_rest:
+        return np.zeros(len(candidate.free))
+    best, at = -1.0, candidate.centre
+    for value in TRIED_LENGTHS.value:
+        values = candidate.values(candidate.centre)
+        values[1] = value
+        starts = [flight.started(candidate.effect, values) for flight in flights]
+        explained = float(np.mean([start.explained for start in starts]))
+        if explained > best:
+            values[0] = float(np.median([start.strength for start in starts]))
+            best, at = explained, values[list(candidate.free)]
+    return at
+
+
+def start_cost(candidate: Candidate, flights: Sequence[Compared], at: Array) -> float:
+    """Evidence [nat] that the free states at the start of flights take from a candidate at a point (k,)."""
+    if not candidate.effect.at_rest:
+        return 0.0
+    return sum(flight.started(candidate.effect, candidate.values(at)).cost for flight in flights)
 
 
 def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> list[tuple[Array, Array]]:
@@ -165,7 +210,7 @@ def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> l
     for flight in flights:
         here = flight.added(candidate.effect, candidate.values(at))
         columns = np.empty((*here.shape, len(at)))
-        step = _STEP if candidate.linear else _WIDE_STEP
+        step = _STEP if candidate.linear or candidate.effect.at_rest else _WIDE_STEP
         for index, scale in enumerate(candidate.scale):
             ahead, behind = at.copy(), at.copy()
             ahead[index] += step * scale

@@ -154,7 +154,8 @@ class Regression:
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit, brought within their bounds."""
         candidate = self.candidates[index]
-        return candidate.within_bounds(found.of(self.block(index).parameters) * candidate.scale)
+        values = candidate.centre + found.of(self.block(index).parameters) * candidate.scale
+        return candidate.within_bounds(values)
 
     def size(self, index: int, found: Fit) -> float:
         """Largest parameter of a candidate in a fit, in prior standard deviations."""

@@ -23,6 +23,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.instruments import explained, instruments
+from quadpi_core.discrepancy.own_state import Started, started
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
 from quadpi_core.discrepancy.whitening import BAND_HZ, Spectrum, spectrum
@@ -30,7 +31,7 @@ from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSp
 from quadpi_core.frames import Array
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import effect_wrench
+from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -145,6 +146,7 @@ class Compared:
         """
         states = self.simulation.states(self.quiet)[:: self.step].copy()
         states["wrench"][:, :3] = self.measured[:, :3]
+        states["force_is_measured"] = 1.0
         return states
 
     @cached_property
@@ -171,6 +173,11 @@ class Compared:
     def bias_response(self) -> BiasResponse:
         """Biases that the estimator attributes to errors of the IMU in this flight."""
         return BiasResponse(self.flight, self.simulation.vehicle, self._imu_rate_hz)
+
+    def started(self, effect: Effect, values: Array) -> Started:
+        """State at the start of the flight of an effect that has one of its own."""
+        step_s = 1.0 / self.thinned.rate_hz
+        return started(effect, values, self.states, self.record, self.residual, step_s)
 
     def spectrum(self, columns: Array) -> Spectrum:
         """Spectrum of columns (M, ·, K) of this flight, as far as it is compared."""
@@ -263,7 +270,11 @@ def _every(flight: Flight, step: int) -> Flight:
 
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
     parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
-    added = effect_wrench(effect.name, parameters, compared.states, compared.record)
+    states = compared.states
+    if effect.at_rest:
+        start, step_s = compared.started(effect, values).memory, 1.0 / compared.thinned.rate_hz
+        states = with_memory(effect.name, parameters, states, compared.record, start, step_s)
+    added = effect_wrench(effect.name, parameters, states, compared.record)
     return compared.simulation.recorded(compared.thinned, added)
 
 

@@ -35,6 +35,7 @@ class Block:
         formed_at: length of the coefficients that the form columns are in proportion to.
         offset: index of the column that its linearisation adds to the residual; none for a linear effect.
         lowest, highest: (k,) bounds of the parameters, in prior standard deviations.
+        cost: evidence [nat] that the candidate loses for what is fitted to each flight beside its columns.
     """
 
     parameters: Indices
@@ -43,6 +44,7 @@ class Block:
     offset: int | None
     lowest: Array
     highest: Array
+    cost: float = 0.0
 
 
 class Fit(NamedTuple):
@@ -104,6 +106,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
                 precisions.append(form[place])
         columns = np.concatenate(parts).astype(np.intp)
         found = _evidence(gram, columns, residual, np.concatenate(precisions))
+        found = found._replace(log_evidence=found.log_evidence - sum(block.cost for block in blocks))
         beyond = _beyond_bounds(found, blocks) - out
         out |= beyond
         if beyond:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from quadpi_core.discrepancy.candidates import Candidate, linearise
+from quadpi_core.discrepancy.candidates import Candidate, first_point, linearise, start_cost
 from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Indices
 from quadpi_core.flight import AXES
@@ -95,7 +95,7 @@ class Linearisation:
         value = cls(
             flights=tuple(flights),
             candidates=tuple(candidates),
-            points=tuple(np.zeros(len(candidate.free)) for candidate in candidates),
+            points=tuple(first_point(candidate, flights) for candidate in candidates),
             blocks=(),
             tolerance_names=names,
             tolerances=np.arange(1, 1 + len(names)),
@@ -187,7 +187,7 @@ class Linearisation:
             in_time = {**in_time, index: [columns for _, columns in found]}
         added = []
         for here, columns in found:
-            offset = columns @ (at / candidate.scale) - here
+            offset = columns @ ((at - candidate.centre) / candidate.scale) - here
             added.append(
                 columns if candidate.linear else np.concatenate((columns, offset[:, :, None]), axis=2)
             )
@@ -197,8 +197,9 @@ class Linearisation:
             form=NO_COLUMNS,
             formed_at=1.0,
             offset=None if candidate.linear else first + len(at),
-            lowest=np.array([p.lowest for p in bounds]) / candidate.scale,
-            highest=np.array([p.highest for p in bounds]) / candidate.scale,
+            lowest=(np.array([p.lowest for p in bounds]) - candidate.centre) / candidate.scale,
+            highest=(np.array([p.highest for p in bounds]) - candidate.centre) / candidate.scale,
+            cost=start_cost(candidate, self.flights, at),
         )
         appended = self._appended(added)
         return replace(appended, blocks=_with(self.blocks, index, block), _in_time=in_time)

@@ -116,7 +116,8 @@ def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S
         DiscrepancyError: for a flight shorter than the horizon.
     """
     if isinstance(simulation, AugmentedSimulation):
-        flight, simulation = simulation.corrected(flight), simulation.physical
+        flight = simulation.corrected(flight)
+        simulation = simulation.physical.departing_from(flight)
     return _rolled_out(flight, simulation.vehicle, _simulated(flight, simulation), horizon_s)
 
 

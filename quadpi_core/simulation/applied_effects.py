@@ -26,7 +26,7 @@ from quadpi_core.simulation.effect_definition import (
     shaped,
 )
 from quadpi_core.simulation.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
-from quadpi_core.simulation.state_records import State, VehicleNumbers
+from quadpi_core.simulation.state_records import MEMORY, State, VehicleNumbers
 from quadpi_core.simulation.wrench_functions import SIGNATURE, passable
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
@@ -153,6 +153,58 @@ def _added_to_all(index: int, states: Records, vehicles: Records, p: Array, shap
         for axis in range(6):
             added[i, axis] = wrench[axis]
     return added
+
+
+def memory_at_rest(effects: Effects) -> Array:
+    """State (6,) in hover of the effect that has one of its own; zeros where none has.
+
+    Raises:
+        SimulationError: for two such effects, as a flight integrates one.
+    """
+    remembering = [effect for effect, _ in _of_kind(effects, "wrench") if effect.at_rest]
+    if len(remembering) > 1:
+        names = " and ".join(f"`{effect.name}`" for effect in remembering)
+        raise SimulationError(f"effects {names} each have a state of their own; a flight has one of them")
+    return np.array(remembering[0].at_rest) if remembering else np.zeros(MEMORY)
+
+
+def with_memory(
+    name: str,
+    parameters: Mapping[str, float],
+    states: npt.NDArray[np.void],
+    vehicle: npt.NDArray[np.void],
+    start: Array,
+    step_s: float,
+) -> npt.NDArray[np.void]:
+    """Recorded states with the state that an effect of its own has along the flight, by Heun's method.
+
+    Args:
+        name: name of an effect with a state of its own.
+        parameters: all parameters, within their bounds or not.
+        states: (N,) of `state_records.STATE`, one flight with the measured force in it.
+        vehicle: (1,) of `state_records.VEHICLE`.
+        start: (6,) the effect's own state at the first of them.
+        step_s: seconds between them.
+    """
+    filled = states.copy()
+    if len(filled):
+        filled["memory"][0] = start
+        _remember(WRENCH_INDEX[name], filled, vehicle, _values(EFFECTS[name], parameters), step_s)
+    return filled
+
+
+@njit(cache=True)
+def _remember(index: int, states: Records, vehicles: Records, p: Array, step_s: float) -> None:
+    vehicle = vehicles[0]
+    for i in range(len(states) - 1):
+        now, ahead = states[i], states[i + 1]
+        added_wrench(index, now, vehicle, p)
+        for number in range(MEMORY):
+            ahead.memory[number] = now.memory[number] + step_s * now.memory_slope[number]
+        added_wrench(index, ahead, vehicle, p)
+        for number in range(MEMORY):
+            slope = 0.5 * (now.memory_slope[number] + ahead.memory_slope[number])
+            ahead.memory[number] = now.memory[number] + step_s * slope
 
 
 def altered_vehicle(effects: Effects, vehicle: Vehicle) -> Vehicle:

@@ -20,7 +20,14 @@ from quadpi_core.frames import Array
 from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
 from quadpi_core.simulation.controller import Controls, Demand, control, observe
 from quadpi_core.simulation.linear_algebra import cross, product3
-from quadpi_core.simulation.state_records import STATE, STATE_TYPE, VEHICLE_TYPE, State, VehicleNumbers
+from quadpi_core.simulation.state_records import (
+    MEMORY,
+    STATE,
+    STATE_TYPE,
+    VEHICLE_TYPE,
+    State,
+    VehicleNumbers,
+)
 from quadpi_core.simulation.truth import STEP_HZ
 from quadpi_core.simulation.wrench_functions import FUNCTION_TYPE
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -28,13 +35,17 @@ from quadpi_core.vehicle import ROTORS
 
 
 class Motion:
-    """The integrated state, or its derivative; position and velocity in the world."""
+    """The integrated state, or its derivative; position and velocity in the world.
+
+    `memory` is the state of an effect that has one of its own, see `effect_definition.Effect.at_rest`.
+    """
 
     position: Vector3
     velocity: Vector3
     attitude: Quaternion4
     rates: Vector3
     rotor_speeds: Annotated[Array, 4]
+    memory: Annotated[Array, MEMORY]
 
 
 class Logged:
@@ -59,7 +70,7 @@ class Memory(NamedTuple):
 
     Attributes:
         motions: records MOTION (6,): the state, a state ahead of it and the slopes of four stages.
-        flat: the same memory as numbers (6, 17).
+        flat: the same memory as numbers (6, 23).
         state: record STATE (1,), which effects read and add to.
     """
 
@@ -68,11 +79,14 @@ class Memory(NamedTuple):
     state: Records
 
     @classmethod
-    def at(cls, position: Array, velocity: Array, attitude: Array, rotor_speeds: Array) -> Memory:
-        """The memory with an initial state, without rotation."""
+    def at(
+        cls, position: Array, velocity: Array, attitude: Array, rotor_speeds: Array, at_rest: Array
+    ) -> Memory:
+        """The memory with an initial state, without rotation; `at_rest` (6,) is that of an effect."""
         motions = np.zeros(6, dtype=MOTION)
         motions[0]["position"], motions[0]["velocity"] = position, velocity
         motions[0]["attitude"], motions[0]["rotor_speeds"] = attitude, rotor_speeds
+        motions[0]["memory"] = at_rest
         return cls(motions, motions.view(np.float64).reshape(len(motions), -1), np.zeros(1, dtype=STATE))
 
 
@@ -208,8 +222,13 @@ def _differentiate(
         slope.rotor_speeds[rotor] = lag / vehicle.motor_time_constant
         state.rotor_speeds[rotor] = motion.rotor_speeds[rotor]
         state.rotor_accelerations[rotor] = slope.rotor_speeds[rotor]
+    for number in range(MEMORY):
+        state.memory[number] = motion.memory[number]
+        state.memory_slope[number] = 0.0
     aerodynamics(state, vehicle, numbers.aerodynamics)
     effects(state, vehicle, numbers.effects)
+    for number in range(MEMORY):
+        slope.memory[number] = state.memory_slope[number]
 
     wrench = state.wrench
     for world in range(3):

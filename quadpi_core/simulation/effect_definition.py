@@ -119,6 +119,10 @@ class Effect:
         tolerance: field of `discrepancy.simulations.Tolerances` with the standard deviation of the parameters
             in a simulation that does not have the effect; empty for none.
         feasible: (vehicle, p) -> p, brings parameters to what that vehicle can have; None where bounds do.
+        at_rest: (6,) state of its own in hover, for an effect on the wrench that has one: it reads
+            `state.memory`, fills `state.memory_slope`, and flights integrate it. Empty for none. The
+            wrench is in proportion to the first parameter, which the state does not depend on.
+        start_spread: (6,) standard deviation of that state at the start of a recorded flight.
     """
 
     name: str
@@ -139,6 +143,8 @@ class Effect:
     size_grows_with_arm: bool = False
     tolerance: str = ""
     feasible: Callable[[Vehicle, Array], Array] | None = None
+    at_rest: tuple[float, ...] = ()
+    start_spread: tuple[float, ...] = ()
 
     @property
     def shape(self) -> tuple[Parameter, ...]:
@@ -276,4 +282,12 @@ def world_to_body(attitude: Array, x: float, y: float, z: float) -> tuple[float,
     """A vector of the world in body axes."""
     quaternion = (attitude[0], attitude[1], attitude[2], attitude[3])
     turned = product(inverse(quaternion), product((0.0, x, y, z), quaternion))
+    return turned[1], turned[2], turned[3]
+
+
+@njit(cache=True)
+def body_to_world(attitude: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector of body axes in the world."""
+    quaternion = (attitude[0], attitude[1], attitude[2], attitude[3])
+    turned = product(product(quaternion, (0.0, x, y, z)), inverse(quaternion))
     return turned[1], turned[2], turned[3]

@@ -17,7 +17,7 @@ from quadpi_core import rotations
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose
+from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose, memory_at_rest
 from quadpi_core.simulation.controller import Controls, Demand
 from quadpi_core.simulation.dynamics import LOGGED, Memory, PhysicsNumbers, flight_kernel
 from quadpi_core.simulation.effect_definition import Effects
@@ -154,7 +154,7 @@ def simulate_flight(
     function, parameters = compose(effects, extra)
 
     start = trim(vehicle.aerodynamics, still, float(reference.yaw[0]))
-    memory = Memory.at(reference.position[0], reference.velocity[0], *start)
+    memory = Memory.at(reference.position[0], reference.velocity[0], *start, memory_at_rest(effects))
     nominal, altered = vehicle.record(), flown.record()
     # The quantities that coefficients of effects refer to do not change with a payload.
     for hover in ("hover_rotor_speed", "hover_induced_velocity"):

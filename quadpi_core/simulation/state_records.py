@@ -15,6 +15,9 @@ import numba
 from quadpi_core.frames import Array
 from quadpi_core.records import Quaternion4, Vector3, record_dtype
 
+# Numbers that an effect may keep as a state of its own.
+MEMORY = 6
+
 
 class State:
     """State at an instant, with what the aerodynamics add to it.
@@ -30,6 +33,10 @@ class State:
         thrusts: N of each rotor along -z, of the aerodynamics alone.
         torques: Nm of each rotor on the body about z, of the aerodynamics alone.
         wrench: N and Nm of the aerodynamics and of the effects applied so far.
+        force_is_measured: 1 where the force of `wrench` is the measured one, which every effect is already
+            part of; else 0.
+        memory, memory_slope: state of an effect that has one of its own, such as the swing of a load, and its
+            derivative in time, which the effect fills.
     """
 
     position: Vector3
@@ -42,6 +49,9 @@ class State:
     thrusts: Annotated[Array, 4]
     torques: Annotated[Array, 4]
     wrench: Annotated[Array, 6]
+    force_is_measured: float
+    memory: Annotated[Array, MEMORY]
+    memory_slope: Annotated[Array, MEMORY]
 
 
 class VehicleNumbers:

@@ -459,6 +459,8 @@ ALONE = {
         # In test_simulated_file.
         "MOTOR_TIME_CONSTANT",
         "NOISE_HZ",
+        # In test_own_state.
+        *("INDEPENDENT_HZ", "SEEN_S", "TRIED_LENGTHS"),
     ),
     "RIDGES",
 }

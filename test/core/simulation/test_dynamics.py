@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from quadpi_core.rotations import rotate_body_to_world, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
-from quadpi_core.simulation.applied_effects import compose, effect_wrench
+from quadpi_core.simulation.applied_effects import compose, effect_wrench, memory_at_rest, with_memory
 from quadpi_core.simulation.controller import Controls, Demand
 from quadpi_core.simulation.dynamics import LOGGED, Memory, PhysicsNumbers, flight_kernel
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
@@ -39,7 +39,7 @@ def thrown():
     level = np.zeros(HALF_A_SECOND)
     demand = Demand(none + position, none, none, none, level, level, np.zeros((len(none), 2)), level, none)
     start = np.array([3.0, -1.0, -2.0])
-    memory = Memory.at(position, start, np.array([1.0, 0.0, 0.0, 0.0]), np.full(4, 500.0))
+    memory = Memory.at(position, start, np.array([1.0, 0.0, 0.0, 0.0]), np.full(4, 500.0), np.zeros(6))
     memory.motions[0]["rates"] = [0.6, -0.4, 9.0]
     log, done = np.zeros(HALF_A_SECOND, dtype=LOGGED), np.zeros(1, dtype=np.int64)
     effects, parameters = compose({})
@@ -135,7 +135,10 @@ def test_motors_are_first_order_within_their_limits():
     assert command.max() < vehicle.vehicle.rotor_speed_max_rad_s + 1e-9
 
 
-@pytest.mark.parametrize("name", [effect.name for effect in EFFECTS.values() if effect.kind == "wrench"])
+WRENCH = [e for e in EFFECTS.values() if e.kind == "wrench"]
+
+
+@pytest.mark.parametrize("name", [effect.name for effect in WRENCH if not effect.at_rest])
 def test_an_effect_adds_in_flight_what_it_adds_on_the_recorded_states(name):
     """Whatever else is switched on: its parameters mean the same under a payload."""
     vehicle = SimulatedVehicle.load("bebop2")
@@ -151,3 +154,24 @@ def test_an_effect_adds_in_flight_what_it_adds_on_the_recorded_states(name):
     )
     added = effect_wrench(name, effects[name], states, vehicle.record())
     np.testing.assert_allclose(truth.wrench, states["wrench"] + added, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [effect.name for effect in WRENCH if effect.at_rest])
+def test_a_state_of_its_own_is_the_same_in_flight_and_along_the_record(name):
+    vehicle = SimulatedVehicle.load("bebop2")
+    effects = read_effects({name: None}, "test")
+    truth = simulate_flight("swing", vehicle, COUPLED, effects=effects)
+    states = vehicle.aerodynamics.states(
+        truth.velocity,
+        truth.rates,
+        truth.rotor_speeds,
+        rotor_accelerations=truth.rotor_accelerations,
+        position=truth.position,
+        attitude=truth.attitude,
+    )
+    without, record = states["wrench"].copy(), vehicle.record()
+    states["wrench"], states["force_is_measured"] = truth.wrench, 1.0
+    own = with_memory(name, effects[name], states, record, memory_at_rest(effects), 0.002)
+    added = effect_wrench(name, effects[name], own, record)
+    assert np.ptp(added, axis=0).max() > 0.05
+    np.testing.assert_allclose(truth.wrench, without + added, atol=2e-4)

@@ -44,7 +44,8 @@ def test_states_hold_what_they_are_made_of(states, model):
     assert states.dtype == STATE
     turning = np.cross(states["rates"][:, None], model.vehicle.rotor_positions)
     np.testing.assert_allclose(states["hub_velocity"], states["velocity_air"][:, None] + turning, atol=1e-12)
-    for name in STATE.names:
+    # What belongs to an effect is not filled by the aerodynamics.
+    for name in set(STATE.names) - {"force_is_measured", "memory", "memory_slope"}:
         assert states[name].any(), name
 
 

@@ -154,6 +154,8 @@ SIZES = {
     # 1.4° of 0.92 N.
     "rotor_tilt": ({}, "Fx", 0.0224),
     "tether": ({"height": 3.0}, "Fz", 0.6),
+    # Of 30 g below 374 g that thrust carries.
+    "slung_load": ({}, "Fz", 0.03 * 9.8 / (1.0 + 0.03 / 0.374)),
     "force_bias": ({}, "Fx", 0.1),
     "moment_bias": ({}, "Mx", 0.005),
     # Centre of gravity ahead of the thrust: nose down.

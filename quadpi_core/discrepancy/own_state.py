@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The state that an effect has of its own along a recorded flight, such as the swing of a slung load.
+
+A recording begins in mid-air, and nothing measures that state. Its value at the start is the most probable
+one given the residual of the first seconds: least squares with a normal prior, by Gauss-Newton. The strength
+of the effect, its first parameter, is free meanwhile, as the state does not depend on it: so the contribution
+of the effect stays in proportion to it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.frames import Array
+from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
+from quadpi_core.simulation.effect_definition import Effect
+from quadpi_core.simulation.state_records import MEMORY
+from quadpi_core.thresholds import CONVENTION, Threshold
+
+SEEN_S = Threshold(
+    "seconds of a flight from which the state at its start is estimated",
+    20.0,
+    "s",
+    "several swings of any cable up to 5 m; a longer stretch would need the exact length of the cable",
+    CONVENTION,
+)
+INDEPENDENT_HZ = Threshold(
+    "independent samples of the residual while a start is estimated",
+    5.0,
+    "Hz",
+    "what aerodynamics leave is correlated over some tenths of a second",
+    CONVENTION,
+)
+# Rate [Hz] at which the state is followed while its start is sought, several tens of samples in a swing.
+_RATE_HZ = 62.5
+_ITERATIONS, _HALVINGS = 10, 5
+# Instead of a division by zero.
+_TINY = 1e-30
+# Iterations end when the state moves by less than this share of its prior deviation.
+_SMALL = 1e-3
+# Of the state, in prior deviations: a step for derivatives, and the longest of an iteration.
+_STEP, _LONGEST = 1e-4, 1.0
+# Least and first size of the contribution while the state is sought, in sizes of the residual: without a
+# contribution nothing tells of the state.
+_WEAKEST, _FIRST = 0.05, 0.5
+
+
+class OwnStates(NamedTuple):
+    """States (N, 6) of an effect at times (N,) [s] of a flight."""
+
+    time: Array
+    memory: Array
+
+
+class Started(NamedTuple):
+    """The state of an effect at the start of a flight.
+
+    Attributes:
+        memory: (6,) the state.
+        strength: value of the effect's first parameter that fits this flight, not negative.
+        explained: share of the squares of the residual, mean removed, that the effect explains.
+        cost: evidence [nat] that the freedom of the start takes from the effect.
+    """
+
+    memory: Array
+    strength: float
+    explained: float
+    cost: float
+
+
+def started(
+    effect: Effect,
+    values: Array,
+    states: npt.NDArray[np.void],
+    vehicle: npt.NDArray[np.void],
+    residual: Array,
+    step_s: float,
+) -> Started:
+    """Estimate the state of an effect at the start of a flight.
+
+    Args:
+        effect: one with a state of its own.
+        values: (P,) its parameters; the first is not used.
+        states: (N,) of `state_records.STATE`, with the measured force.
+        vehicle: (1,) of `state_records.VEHICLE`.
+        residual: (N, 6) measured less simulated wrench, without the effect.
+        step_s: seconds between the states.
+    """
+    stride = max(1, round(1.0 / (_RATE_HZ * step_s)))
+    shown = slice(0, max(round(SEEN_S.value / step_s), 2 * stride), stride)
+    seen = _Seen(effect, values, states[shown].copy(), vehicle, stride * step_s)
+    target = _forces(residual[shown])
+    at = seen.found_from(target)
+    strength = max(float(at.shape @ target) / max(float(at.shape @ at.shape), _TINY), 0.0)
+    left = target - strength * at.shape
+    total = max(float(target @ target), _TINY)
+    variance = max(float(left @ left) / len(left), _TINY)
+    information = INDEPENDENT_HZ.value * seen.step_s * strength**2 / variance * at.slopes.T @ at.slopes
+    cost = 0.5 * float(np.linalg.slogdet(np.eye(MEMORY) + information)[1])
+    return Started(at.memory, strength, 1.0 - float(left @ left) / total, cost)
+
+
+class _Start(NamedTuple):
+    """A state at the start, with what follows from it.
+
+    Attributes:
+        memory: (6,) the state.
+        shape: contribution of unit strength, as :func:`_forces`.
+        slopes: (·, 6) its derivatives, per prior deviation of the state.
+    """
+
+    memory: Array
+    shape: Array
+    slopes: Array
+
+
+class _Seen(NamedTuple):
+    """The beginning of a flight, and the parameters that a start is sought for."""
+
+    effect: Effect
+    values: Array
+    states: npt.NDArray[np.void]
+    vehicle: npt.NDArray[np.void]
+    step_s: float
+
+    def found_from(self, target: Array) -> _Start:
+        """The most probable state at the start, given forces to explain as :func:`_forces`."""
+        rest, spread = np.asarray(self.effect.at_rest, dtype=float), np.asarray(self.effect.start_spread)
+        independent = INDEPENDENT_HZ.value * self.step_s
+        variance = max(float(target @ target) / len(target), _TINY)
+        at = self._from(rest, spread)
+        strength = _FIRST * _ratio(target, at.shape)
+
+        def cost(strength: float, memory: Array, shape: Array) -> float:
+            left, moved = target - strength * shape, (memory - rest) / spread
+            return independent * float(left @ left) / variance + float(moved @ moved)
+
+        for _ in range(_ITERATIONS):
+            # Strength and moved state are linear together: a c + J (a δ).
+            columns = np.column_stack((at.shape, at.slopes))
+            precision = np.full(MEMORY, variance / max(strength, _TINY) ** 2)
+            prior = strength * precision * (rest - at.memory) / spread
+            solved = np.linalg.solve(
+                independent * columns.T @ columns + np.diag([0.0, *precision]),
+                independent * columns.T @ target + np.array([0.0, *prior]),
+            )
+            before = cost(strength, at.memory, at.shape)
+            strength = max(float(solved[0]), _WEAKEST * _ratio(target, at.shape))
+            step = np.clip(solved[1:] / max(strength, _TINY), -_LONGEST, _LONGEST)
+            for _ in range(_HALVINGS):
+                memory = at.memory + step * spread
+                if cost(strength, memory, self._shape(memory)) <= before:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            at = self._from(memory, spread)
+            if np.abs(step).max() < _SMALL:
+                break
+        return at
+
+    def _from(self, memory: Array, spread: Array) -> _Start:
+        shape = self._shape(memory)
+        slopes = [(self._shape(memory + step) - shape) / _STEP for step in np.diag(_STEP * spread)]
+        return _Start(memory, shape, np.stack(slopes, axis=1))
+
+    def _shape(self, memory: Array) -> Array:
+        """Contribution of unit strength from a state on, as :func:`_forces`."""
+        parameters = {p.name: float(v) for p, v in zip(self.effect.parameters, self.values, strict=True)}
+        parameters[self.effect.parameters[0].name] = 1.0
+        states = with_memory(self.effect.name, parameters, self.states, self.vehicle, memory, self.step_s)
+        return _forces(effect_wrench(self.effect.name, parameters, states, self.vehicle))
+
+
+def _forces(wrench: Array) -> Array:
+    """Forces of wrenches (N, 6) without their means, which a coefficient explains as well, in a row."""
+    varying: Array = (wrench[:, :3] - wrench[:, :3].mean(axis=0)).ravel()
+    return varying
+
+
+def _ratio(numerator: Array, denominator: Array) -> float:
+    return float(np.linalg.norm(numerator)) / max(float(np.linalg.norm(denominator)), _TINY)

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The swing of a load at the start of a record, of two bodies joined by a spring."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy.candidates import TRIED_LENGTHS
+from quadpi_core.discrepancy.own_state import INDEPENDENT_HZ, SEEN_S, started
+from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
+from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.simulated_aerodynamics import vehicle_record
+from quadpi_core.vehicle import Vehicle
+
+from ..simulation.two_bodies import flown
+
+LOAD = EFFECTS["slung_load"]
+STEP_S = 0.008
+MASS = Vehicle.load("bebop2").mass_kg
+
+
+@pytest.fixture(scope="module")
+def record():
+    return vehicle_record(Vehicle.load("bebop2"), 700.0)
+
+
+@pytest.fixture(scope="module")
+def swung():
+    return flown(MASS, 0.03, 0.5, aside=0.4, seconds=24.0, step_s=STEP_S)
+
+
+def found(flight, record, residual=None, length=0.5):
+    states = flight.states(measured=True)
+    left = flight.pull_in_body() if residual is None else residual
+    return started(LOAD, np.array([9.9, length, 0.0]), states, record, left, STEP_S)
+
+
+def test_direction_rate_and_mass_are_found(swung, record):
+    start = found(swung, record)
+    direction = start.memory[:3] / np.linalg.norm(start.memory[:3])
+    np.testing.assert_allclose(direction, swung.direction[0], atol=0.02)
+    assert np.linalg.norm(start.memory[3:]) < 0.1
+    assert start.strength == pytest.approx(0.03, rel=0.02)
+    assert start.explained > 0.98
+
+
+def test_what_follows_is_the_flight(swung, record):
+    """Twenty seconds of a swing from the state that was found."""
+    parameters = {"mass_kg": 0.03, "length_m": 0.5, "damping_1_s": 0.0}
+    start = found(swung, record)
+    own = with_memory("slung_load", parameters, swung.states(measured=True), record, start.memory, STEP_S)
+    added = effect_wrench("slung_load", parameters, own, record)
+    late = swung.time > 4.0
+    assert np.std((added - swung.pull_in_body())[late, :2]) < 0.15 * np.std(swung.pull_in_body()[late, :2])
+
+
+def test_steady_errors_of_thrust_do_not_disturb_it(swung, record):
+    beside = swung.pull_in_body() + np.array([0.05, -0.1, 0.4, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(found(swung, record, beside).memory, found(swung, record).memory, atol=1e-3)
+
+
+def test_a_wrong_length_explains_less(swung, record):
+    explained = [found(swung, record, length=length).explained for length in (0.25, 0.5, 1.0)]
+    assert explained[1] > max(explained[0], explained[2]) + 0.2
+
+
+def test_nothing_to_explain_gives_no_strength(swung, record):
+    start = found(swung, record, np.zeros((len(swung.time), 6)))
+    assert (start.strength, start.cost) == (0.0, 0.0)
+    assert np.all(np.isfinite(start.memory))
+
+
+def test_the_first_seconds_decide(swung, record):
+    """Exactly those of the threshold."""
+    assert SEEN_S.value == 20.0
+    before = found(swung, record).memory
+    for second, moved in ((0.99 * 20.0, True), (1.01 * 20.0, False)):
+        residual = swung.pull_in_body()
+        residual[np.abs(swung.time - second) < 0.09] += 1.0
+        assert np.array_equal(found(swung, record, residual).memory, before) != moved
+
+
+def test_freedom_costs_more_the_more_samples_are_independent(swung, record):
+    """Half the logarithm of the information, for each of the five directions in which a start can differ."""
+    assert INDEPENDENT_HZ.value == 5.0
+    noise = np.random.default_rng(1).normal(0.0, 0.01, (len(swung.time), 6))
+    loud = found(swung, record, swung.pull_in_body() + 4.0 * noise).cost
+    quiet = found(swung, record, swung.pull_in_body() + noise).cost
+    assert 15.0 < loud < quiet < 60.0
+
+
+def test_tried_lengths_are_a_swing_apart_at_most():
+    periods = np.sqrt(TRIED_LENGTHS.value)
+    assert np.all(periods[1:] / periods[:-1] < 1.26)
+    assert (TRIED_LENGTHS.value[0], TRIED_LENGTHS.value[-1]) == (0.15, 3.8)
+
+
+@pytest.mark.slow
+def test_the_load_of_real_flights_is_found(shared_data, tmp_path, quadpi):
+    """4.7 g on 0.52 m, below a Crazyflie whose model is of flights without it."""
+    bare = [
+        shared_data / "imrc_brushless" / f"eckart{number}" for number in ("00", "04", "08", "13", "17", "20")
+    ]
+    quadpi("identify", *bare, "--vehicle", "crazyflie_rpm", "-o", tmp_path / "bare")
+    loaded = [shared_data / "imrc_payload" / f"eckart{number}" for number in (14, 20, 46, 61, 68)]
+    names = "slung_load,thrust_coefficient,tether,wind,rotor_drag"
+    result = tmp_path / "found.json"
+    quadpi(
+        "discrepancy",
+        tmp_path / "bare",
+        *loaded,
+        "-o",
+        tmp_path / "found",
+        "--effects",
+        names,
+        "--json",
+        result,
+    )
+    (load,) = json.loads(result.read_text())["effects"]
+    values = {name: parameter["value"] for name, parameter in load["parameters"].items()}
+    assert load["name"] == "slung_load"
+    assert values["mass_kg"] == pytest.approx(4.7e-3, rel=0.1)
+    assert values["length_m"] == pytest.approx(0.52, rel=0.1)
