@@ -19,6 +19,7 @@ TARGETS = re.findall(r"^([a-z-]+):.*## ", MAKEFILE, flags=re.MULTILINE)
 SHORT = {
     "alarm": ("ALARM_ARGS=--help", "--no-ensembles"),
     "discovery": ("DISCOVERY_ARGS=--help", "--short"),
+    "discovery-independent": ("DISCOVERY_ARGS=--help", "--reserved"),
     "discovery-real": ("DISCOVERY_ARGS=--help", "--only"),
     "fuzz": ("FUZZ_ARGS=--help", "--minutes"),
     "golden": ("GOLDEN_ARGS=--help", "--model"),
@@ -32,6 +33,7 @@ SHORT_FORMS = {
     "bench": "test/test_benchmarks.py",
     "demo": "test/ros/test_demo.py",
     "discovery": "test/discovery/test_blind.py",
+    "discovery-independent": "test/discovery/test_independent.py",
     "fuzz": "test/faults/test_fuzzing.py",
     "golden": "test/golden/test_golden_trace.py",
     "models": "test/test_model_methods.py",

@@ -181,7 +181,11 @@ def slow_response(frequency_hz):
     """Amplitude of a measured angular acceleration of some frequency that predicted flight keeps."""
     time = np.arange(4000) / 100.0
     wave = np.sin(2.0 * np.pi * frequency_hz * time)
-    simulated = SimpleNamespace(vehicle=BEBOP, wrench=lambda flight: np.zeros((len(flight), 6)))
+    simulated = SimpleNamespace(
+        vehicle=BEBOP,
+        wrench=lambda flight: np.zeros((len(flight), 6)),
+        recorded=lambda _, wrench: wrench,
+    )
     seen = predicted_flight(hover(40.0, angular_acceleration=in_column(0, wave)), simulated)
     return np.abs(seen.angular_acceleration[1000:3000, 0]).max()
 

@@ -107,7 +107,7 @@ def test_columns_of_a_curved_effect_are_its_slope_where_it_is_linearised(short, 
     ((here, columns),) = linearise(wind, [short], at)
 
     def simulated(blowing):
-        flight = short.flight
+        flight = short.quiet
         moved = flight.velocity - rotate_world_to_body(flight.attitude, np.tile(blowing, (len(flight), 1)))
         return simulation.wrench(replace(flight, velocity=moved))
 

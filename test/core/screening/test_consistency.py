@@ -34,7 +34,6 @@ REAL = {
     "imrc_brushed": ("jana0?", "crazyflie_rpm", None),
     "nanodrone": ("*run[23].parquet", "nanodrone", "nanodrone"),
     "nanodrone_benchmark": ("*run2.parquet", "nanodrone", "nanodrone"),
-    "indiflight": ("LOG00264*", None, None),
     "arpl": ("log10", "crazyflie_rpm", None),
     "logs": ("*.[Bu]*", None, None),
 }
@@ -71,6 +70,11 @@ def test_real_rotor_sensors_that_fail_are_named(shared_data, log, rotor):
     found = list(findings(read_recording(shared_data / log, vehicle), vehicle))
     assert [finding.mistake for finding in found] == ["one rotor"]
     assert f"rotor {rotor} looks as if" in found[0].text
+
+
+def test_motion_capture_of_a_real_flight_turned_from_its_imu_is_said(shared_data):
+    found = list(findings(read_recording(shared_data / "indiflight" / "LOG00264.BFL", None), None))
+    assert [(finding.mistake, finding.certain) for finding in found] == [("body tilted", False)]
 
 
 def test_a_certain_mistake_is_refused_and_another_one_said(flown, vehicle):
