@@ -82,7 +82,7 @@ def test_every_loop_gives_what_a_replay_gives(folder: Path, tmp_path: Path) -> N
     expected, expected_alarms = read_outputs(tmp_path / "replayed.mcap")
     given = {"vehicle": vehicle, "model": model, "use_sim_time": "true"}
     nodes = ("--ros-args", *(part for name, value in given.items() for part in ("-p", f"{name}:={value}")))
-    played = (str(bag), "--loop", "--clock", "--rate", "2", "--topics", "imu", "rotor_speeds", "mocap/pose")
+    played = (str(bag), "--loop", "--clock", "--topics", "imu", "rotor_speeds", "mocap/pose")
     waits = ("--nodes", "estimator", "monitor", "--wait", str(START_TIMEOUT_S))
 
     def loops(time_ns: np.ndarray) -> list[np.ndarray]:
