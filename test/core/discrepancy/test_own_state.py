@@ -74,6 +74,18 @@ def test_nothing_to_explain_gives_no_strength(swung, record):
     assert np.all(np.isfinite(start.memory))
 
 
+@pytest.mark.parametrize("length", [0.05, 0.15])
+def test_a_swing_faster_than_the_samples_stays_finite(swung, record, length):
+    states = swung.states(measured=True)
+    states["wrench"][:, :3] *= 1.0 + 5.0 * np.sin(30.0 * swung.time)[:, np.newaxis]
+    parameters = {"mass_kg": 0.03, "length_m": length, "damping_1_s": 0.0}
+    aside = np.array([1.0, 0.0, 0.1, 0.0, 5.0, 0.0])
+    own = with_memory("slung_load", parameters, states, record, aside, STEP_S)
+    assert np.all(np.isfinite(own["memory"]))
+    start = started(LOAD, np.array([1.0, length, 0.0]), states, record, swung.pull_in_body(), STEP_S)
+    assert np.all(np.isfinite([*start.memory, start.strength, start.explained, start.cost]))
+
+
 def test_the_first_seconds_decide(swung, record):
     """Exactly those of the threshold."""
     assert SEEN_S.value == 20.0

@@ -73,7 +73,8 @@ def test_effects_of_the_vehicle_file_are_in_its_wrench(vehicle_file, flight):
 
 # Not flown or not as strong as switched on: no flight leads away from the anchor of a typical tether, the
 # estimator finds a late motion capture itself, and while markers are hidden less of a turned IMU is a bias.
-WEAKENED = {"tether", "sensor_delay", "imu_misalignment"}
+# The wide swings of a load in such flights do not follow for a minute from an estimate of their start.
+WEAKENED = {"tether", "sensor_delay", "imu_misalignment", "slung_load"}
 
 
 @pytest.mark.slow
