@@ -176,7 +176,7 @@ FAR_COEFFICIENT = Threshold(
     "coefficient far from its stated value",
     5.0,
     "tolerances",
-    "a chance of one in a million for each coefficient: it stands for something that has no name",
+    "a chance of one in a million for each coefficient: something else, which has no name, is there",
     CONVENTION,
 )
 COLOURED = Threshold(

@@ -122,7 +122,7 @@ class AugmentedSimulation(Simulation):
         return self._physics(self.corrected(flight))
 
     def recorded(self, flight: Flight, wrench: Array) -> Array:
-        """See :class:`Simulation`: as of the base."""
+        """See :class:`Simulation`; the base's."""
         return self.base.recorded(flight, wrench)
 
     def unjudged(self, flight: Flight) -> int:

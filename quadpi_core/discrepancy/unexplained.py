@@ -73,7 +73,7 @@ WANDER_HZ = Threshold("frequency of that wander", 0.5, "Hz", "slower than any ma
 def slow_state_noise(flights: Sequence[Compared]) -> Array:
     """Variance (6,) that slow errors of the velocity add to rows of the residual; 0 for smoothed states.
 
-    They are proportional to the slope of the simulated wrench over the velocity, whatever the simulation.
+    They are proportional to the slope of the simulated wrench over the velocity, in every simulation.
     """
     simulation = flights[0].simulation
     if not simulation.own_inputs and all(own.flight.biases_estimated for own in flights):

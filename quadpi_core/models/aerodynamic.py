@@ -132,7 +132,7 @@ class AerodynamicModel:
         return vehicle
 
     def described(self) -> DescribedModel:
-        """What others are told of it: who it is and what it was trained on."""
+        """Identity, vehicle and ranges of training, as they are published and written into bags."""
         return DescribedModel(self.identity, self.vehicle, self.envelope.lower, self.envelope.upper)
 
     def require(self, vehicle: Vehicle) -> None:

@@ -167,7 +167,7 @@ class _Prior(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """What is minimised: the prior and so many times the cost of the roll-outs."""
+    """What is minimised: the prior plus the weighted cost of the roll-outs."""
 
     space: _Space
     prior: _Prior

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from quadpi_core.frames import Array
 
-# Bands and points of one colour in print are told apart by these.
+# They distinguish bands and points in a print without colours.
 DASHES = ("", "dashed", "dotted", "dashdot")
 
 
@@ -79,7 +79,7 @@ class Band(Layer):
     Attributes:
         x, low, high: (N,).
         opacity: of the fill.
-        pattern: 0 for an even fill, 1 to 3 for hatches, which print tells apart.
+        pattern: 0 for an even fill, 1 to 3 for hatches, which differ without colours too.
         stepped: whether a value holds until the next one.
     """
 
@@ -240,7 +240,7 @@ class SpaceLine:
     """A line in space.
 
     Attributes:
-        name, colour, width, dash: as of a `Line`.
+        name, colour, width, dash: see `Line`.
         points: (N, 3) m, east, north and up; gaps are NaN.
         values: (N,) that colour and widen it; None for one colour.
         times: (N,) s, shown with the values where the line is pointed at.
@@ -260,7 +260,7 @@ class Space:
     """Lines in space, to be turned; all three axes have one scale.
 
     Attributes:
-        label: as of a `Figure`.
+        label: see `Figure`.
         lines: from the lowest to the highest.
         low, high: corners (3,) of the space shown.
         of_values: what colours and widens a line.

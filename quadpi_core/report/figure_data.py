@@ -8,7 +8,7 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class _Arrays:
     """Arrays of a page, each stored once."""
 
     def __init__(self) -> None:
-        self.stored: list[Any] = []
+        self.stored: list[object] = []
         self._places: dict[bytes, int] = {}
 
     def place(self, values: Array) -> int:
@@ -94,7 +94,7 @@ class _Arrays:
         return self._places[key]
 
 
-def _packed(values: Array) -> Any:
+def _packed(values: Array) -> object:
     """An array (N,) as its ends if it is uniform, as numbers if it is short, else in sixteen bits a value."""
     if len(values) <= _AS_TEXT:
         return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
@@ -121,7 +121,7 @@ def figures_as_json(figures: Mapping[str, Figure | Space]) -> str:
     return text.replace("<", "\\u003c")
 
 
-def _plain(value: Any, arrays: _Arrays) -> Any:
+def _plain(value: object, arrays: _Arrays) -> object:
     """Records as dictionaries without what is unset, arrays by their places."""
     if isinstance(value, np.ndarray):
         return {"array": arrays.place(value)} if value.ndim == 1 else _columns(value, arrays)
@@ -136,7 +136,7 @@ def _plain(value: Any, arrays: _Arrays) -> Any:
     return value
 
 
-def _is_unset(part: Any) -> bool:
+def _is_unset(part: object) -> bool:
     return part is None or part is False or part in ("", [])
 
 

@@ -123,6 +123,6 @@ def _one_module(names: Sequence[str]) -> str:
     return "\n".join(line.removeprefix("export ") for line in lines if not line.startswith("import "))
 
 
-def _for_script(content: Any) -> str:
+def _for_script(content: object) -> str:
     """JSON that cannot end the script element that holds it."""
     return json.dumps(content).replace("<", "\\u003c")

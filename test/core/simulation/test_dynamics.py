@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +16,7 @@ from quadpi_core.simulation.controller import Controls, Demand
 from quadpi_core.simulation.dynamics import LOGGED, Memory, PhysicsNumbers, flight_kernel
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
-from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ
+from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Truth
 
 from .references import COUPLED
 
@@ -135,6 +136,17 @@ def test_motors_are_first_order_within_their_limits():
     assert command.max() < vehicle.vehicle.rotor_speed_max_rad_s + 1e-9
 
 
+def _recorded_states(vehicle: SimulatedVehicle, truth: Truth) -> npt.NDArray[np.void]:
+    return vehicle.aerodynamics.states(
+        truth.velocity,
+        truth.rates,
+        truth.rotor_speeds,
+        rotor_accelerations=truth.rotor_accelerations,
+        position=truth.position,
+        attitude=truth.attitude,
+    )
+
+
 WRENCH = [e for e in EFFECTS.values() if e.kind == "wrench"]
 
 
@@ -144,14 +156,7 @@ def test_an_effect_adds_in_flight_what_it_adds_on_the_recorded_states(name):
     vehicle = SimulatedVehicle.load("bebop2")
     effects = read_effects({name: None, "payload": None}, "test")
     truth = simulate_flight("swing", vehicle, COUPLED, effects=effects)
-    states = vehicle.aerodynamics.states(
-        truth.velocity,
-        truth.rates,
-        truth.rotor_speeds,
-        rotor_accelerations=truth.rotor_accelerations,
-        position=truth.position,
-        attitude=truth.attitude,
-    )
+    states = _recorded_states(vehicle, truth)
     added = effect_wrench(name, effects[name], states, vehicle.record())
     np.testing.assert_allclose(truth.wrench, states["wrench"] + added, rtol=1e-10, atol=1e-12)
 
@@ -161,14 +166,7 @@ def test_a_state_of_its_own_is_the_same_in_flight_and_along_the_record(name):
     vehicle = SimulatedVehicle.load("bebop2")
     effects = read_effects({name: None}, "test")
     truth = simulate_flight("swing", vehicle, COUPLED, effects=effects)
-    states = vehicle.aerodynamics.states(
-        truth.velocity,
-        truth.rates,
-        truth.rotor_speeds,
-        rotor_accelerations=truth.rotor_accelerations,
-        position=truth.position,
-        attitude=truth.attitude,
-    )
+    states = _recorded_states(vehicle, truth)
     without, record = states["wrench"].copy(), vehicle.record()
     states["wrench"], states["force_is_measured"] = truth.wrench, 1.0
     own = with_memory(name, effects[name], states, record, memory_at_rest(effects), 0.002)
