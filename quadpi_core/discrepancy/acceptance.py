@@ -236,6 +236,10 @@ def _verdict(threshold: Threshold[float], test: str, value: float, passed: bool,
     return Verdict(test, passed, value, threshold.value, threshold.unit, sentence)
 
 
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
 def evidence_threshold(gains: Array) -> float:
     """Evidence that a first effect has to gain, from the largest gains (D,) of draws without any effect."""
     return max(float(np.quantile(gains, 1.0 - FALSE_ALARMS.value)), LEAST_EVIDENCE.value)
@@ -328,16 +332,28 @@ def unexplained_share(left: Array, named: Array, rows: int) -> float:
         named: (6,) squares that the effects explain.
         rows: number of rows of the noise.
     """
-    if not left.any():
-        return 0.0
+    return max(_unexplained(left, named, rows))
+
+
+def unexplained_axis(left: Array, named: Array, rows: int) -> int | None:
+    """Index of the axis that :func:`unexplained_share` is of; None where it is of all axes together."""
+    together, *alone = _unexplained(left, named, rows)
+    return int(np.argmax(alone)) if max(alone) > together else None
+
+
+def _unexplained(left: Array, named: Array, rows: int) -> list[float]:
+    """Unexplained share of all axes together, then of each, 0 for one that is not loud."""
     loud = (left > LOUD_AXIS.value * rows) & (left > PART_OF_AXIS.value * named)
-    alone = left[loud] / (left[loud] + named[loud])
-    return float(max(left.sum() / (left.sum() + named.sum()), np.max(alone, initial=0.0)))
+    alone = np.divide(left, left + named, out=np.zeros(len(left)), where=loud)
+    together = left.sum() / (left.sum() + named.sum()) if left.any() else 0.0
+    return [float(together), *alone.tolist()]
 
 
-def judge_unexplained(share: float) -> Verdict:
-    """Whether the unexplained share is small enough to call the discrepancy explained."""
-    sentence = f"{100.0 * share:.0f} % of what can be predicted has no name, {UNEXPLAINED.value:.0%} allowed"
+def judge_unexplained(share: float, axis: str = "") -> Verdict:
+    """Whether the unexplained share, of an axis or of all, is small enough to call them explained."""
+    of_axis = f" of {axis}" if axis else ""
+    sentence = f"{_percent(share)} of what can be predicted{of_axis} has no name"
+    sentence += f", {_percent(UNEXPLAINED.value)} allowed"
     return _verdict(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)
 
 
@@ -353,7 +369,12 @@ def judge_coefficients(multiples: Mapping[str, float], shares: Mapping[str, floa
     name = max(far, key=lambda own: shares[own], default="")
     off, share = abs(multiples.get(name, 0.0)), shares.get(name, 0.0)
     sentence = f"{name} would be wrong by {off:.1f} of its tolerances, {FAR_COEFFICIENT.value:g} allowed"
-    return _verdict(FAR_COEFFICIENT, "coefficients", off, not far or share <= UNEXPLAINED.value, sentence)
+    if not name:
+        sentence = f"no coefficient is wrong by more than {FAR_COEFFICIENT.value:g} of its tolerances"
+    passed = not far or share <= UNEXPLAINED.value
+    if far and passed:
+        sentence += f", but explains no more than {_percent(share)} by that"
+    return _verdict(FAR_COEFFICIENT, "coefficients", off, passed, sentence)
 
 
 def judge_colour(colour: Array, shares: Array, axes: Sequence[str]) -> Verdict:
@@ -371,13 +392,30 @@ def judge_colour(colour: Array, shares: Array, axes: Sequence[str]) -> Verdict:
         f"the noise of {axes[worst]} is {slow[worst]:.1f} times as large at slow frequencies as that of "
         f"sensors and states, {COLOURED.value:g} allowed"
     )
+    if not slow[worst]:
+        sentence = "no axis has more slow noise than sensors and states explain"
     return _verdict(COLOURED, "colour", float(slow[worst]), bool(slow[worst] <= COLOURED.value), sentence)
 
 
 def judge_closed(reduction: float) -> Verdict:
     """Whether the named effects close the gap of flights left out."""
-    sentence = f"{100.0 * reduction:.0f} % of the gap is closed, {CLOSED.value:.0%} needed"
+    sentence = f"{_percent(reduction)} of the gap is closed, {_percent(CLOSED.value)} needed"
+    if reduction < 0.0:
+        sentence = f"the gap of flights left out grows by {_percent(-reduction)}"
     return _verdict(CLOSED, "closed", reduction, reduction >= CLOSED.value, sentence)
+
+
+def judge_not_zero(effect: str, may_be_zero: bool) -> Verdict:
+    """Whether an interval of a named effect's parameters excludes zero."""
+    told = "every parameter" if may_be_zero else "not every parameter"
+    return Verdict(
+        "not zero", not may_be_zero, float(not may_be_zero), 1.0, "", f"{told} of {effect} may be zero"
+    )
+
+
+def judge_disputed(sentence: str) -> Verdict:
+    """The failed verdict on an effect in whose place another has much more evidence but fails a test."""
+    return Verdict("disputed", False, 0.0, 1.0, "", sentence)
 
 
 def judge_rollouts(before: Mapping[str, float], after: Mapping[str, float]) -> Verdict:
@@ -385,5 +423,13 @@ def judge_rollouts(before: Mapping[str, float], after: Mapping[str, float]) -> V
     growth = {name: after[name] / before[name] - 1.0 for name in before if before[name] > 0.0}
     name, most = max(growth.items(), key=lambda item: item[1], default=("", 0.0))
     change = f"{before.get(name, 0.0):.3g} to {after.get(name, 0.0):.3g}"
-    sentence = f"roll-outs of flights left out get worse with it: {name} {change}"
+    worse = most > WORSE_ROLLOUTS.value
+    told = "get worse with it" if worse else "do not get worse with it"
+    sentence = f"roll-outs of flights left out {told}" + (f": {name} {change}" if name else "")
     return _verdict(WORSE_ROLLOUTS, "roll-outs", most, most <= WORSE_ROLLOUTS.value, sentence)
+
+
+def judge_diverged(before: int, after: int) -> Verdict:
+    """Whether no more roll-outs of flights left out diverge with what is added."""
+    sentence = f"{after} roll-outs of flights left out diverge with it, {before} before"
+    return Verdict("diverged roll-outs", after <= before, float(after), float(before), "roll-outs", sentence)

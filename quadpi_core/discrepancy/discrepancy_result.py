@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
 from quadpi_core.discrepancy.closure import Gap
+from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.flight import AXES, Flight
@@ -73,7 +75,8 @@ class Discovery:
         found: result of the search.
         without_trace: effects that cannot be found: with them, these flights would hardly differ from this
             simulation.
-        doubts: sentences that say why the verdict is "unknown"; empty for any other.
+        checks: tests of the whole result, passed or not.
+        candidates: every candidate with its evidence, best first.
         rejected: whether flights left out are simulated worse with the effects, so that nothing is added.
     """
 
@@ -84,8 +87,14 @@ class Discovery:
     gap: Gap
     found: Found
     without_trace: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    checks: tuple[Verdict, ...] = ()
+    candidates: tuple[RankedCandidate, ...] = ()
     rejected: bool = False
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences that say why the verdict is "unknown"; empty for any other."""
+        return tuple(check.sentence for check in self.checks if not check.passed)
 
 
 @dataclass(frozen=True)
@@ -239,6 +248,11 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
         },
         "without_trace": list(discovery.without_trace),
         "doubts": list(discovery.doubts),
+        "checks": [
+            {"test": c.test, "passed": c.passed, "value": c.value, "limit": c.threshold, "text": c.sentence}
+            for c in discovery.checks
+        ],
+        "candidates": [candidate.to_json() for candidate in discovery.candidates],
         "unexplained": {"share": discovery.unexplained, "by": dict(discovery.unexplained_by)},
     }
 

@@ -20,12 +20,14 @@ from quadpi_core.discrepancy.acceptance import (
     judge_closed,
     judge_coefficients,
     judge_colour,
+    judge_disputed,
+    judge_diverged,
+    judge_not_zero,
     judge_rollouts,
     judge_unexplained,
 )
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.discrepancy_result import ERROR_NAMES, Discovery, FoundEffect, Rollouts
-from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.evidence import residual_weights
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.unexplained import slow_state_noise
@@ -34,26 +36,29 @@ from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_registry import EFFECTS
 
 
-def doubts(found: Found, effects: Sequence[FoundEffect], unexplained: float, gap: Gap) -> tuple[str, ...]:
-    """Sentences that say what speaks against the result of a search; empty where nothing does.
+def checks(
+    found: Found, effects: Sequence[FoundEffect], unexplained: float, gap: Gap, axis: str = ""
+) -> tuple[Verdict, ...]:
+    """Tests of the whole result of a search, passed or not.
 
     Args:
         found: result of the search.
         effects: named effects.
         unexplained: see :class:`Discovery`.
         gap: gap on flights left out.
+        axis: the axis that `unexplained` is of; empty for all together.
     """
     sensors = found.left.noise[:, -1] + slow_state_noise(found.regression.flights)
     named = _named(found, sensors)
     verdicts = [
-        judge_unexplained(unexplained),
+        judge_unexplained(unexplained, axis),
         _coefficients(found, sensors, named),
         _noise(found, sensors, named),
     ]
     if effects:
         verdicts.append(judge_closed(gap.reduction))
-    unsure = [f"every parameter of {effect.name} may be zero" for effect in effects if may_be_zero(effect)]
-    return (*(verdict.sentence for verdict in verdicts if not verdict.passed), *unsure, *found.disputed)
+    verdicts += [judge_not_zero(effect.name, may_be_zero(effect)) for effect in effects]
+    return (*verdicts, *map(judge_disputed, found.disputed))
 
 
 def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
@@ -64,15 +69,12 @@ def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
         {name: error.after for name, error in errors.items()},
     )
     lost = {when: rollouts.lost.get(when, 0) for when in ("before", "after")}
-    worse = [] if verdict.passed else [verdict.sentence]
-    if lost["after"] > lost["before"]:
-        worse.append(
-            f"{lost['after']} roll-outs of flights left out diverge with it, {lost['before']} before"
-        )
-    if not worse and discovery.gap.reduction >= 0.0:
+    judged = (*discovery.checks, verdict, judge_diverged(lost["before"], lost["after"]))
+    discovery = replace(discovery, checks=judged)
+    if all(own.passed for own in judged[-2:]) and discovery.gap.reduction >= 0.0:
         return discovery
-    # A gap that grows is among the doubts already.
-    return replace(discovery, verdict="unknown", doubts=(*discovery.doubts, *worse), rejected=True)
+    # A gap that grows fails the test of the closed share already.
+    return replace(discovery, verdict="unknown", rejected=True)
 
 
 def may_be_zero(effect: FoundEffect) -> bool:
@@ -98,7 +100,7 @@ def _coefficients(found: Found, sensors: Array, named: float) -> Verdict:
         weights = np.zeros(columns.width)
         weights[index] = np.abs(value) - FAR_COEFFICIENT.value
         multiples[name] = float(value)
-        beyond = float(np.sum(_squares(regression, weights) / sensors))
+        beyond = float(np.sum(columns.squares(weights) / sensors))
         shares[name] = beyond / max(named + beyond, 1.0)
     return judge_coefficients(multiples, shares)
 
@@ -114,18 +116,9 @@ def _noise(found: Found, sensors: Array, named: float) -> Verdict:
 
 def _named(found: Found, sensors: Array) -> float:
     """Squares by which the effects reduce the residual beside the tolerances, in variances of the sensors."""
-    tolerances = found.regression.columns.tolerances
+    columns = found.regression.columns
+    tolerances = columns.tolerances
     without = residual_weights(len(found.fit.left), ())
     without[tolerances] = found.fit.left[tolerances]
-    reduced = _squares(found.regression, without) - _squares(found.regression, found.fit.left)
+    reduced = columns.squares(without) - columns.squares(found.fit.left)
     return max(0.0, float(np.sum(reduced / sensors)))
-
-
-def _squares(regression: Regression, weights: Array) -> Array:
-    """Squares (6,) of a combination of columns, over all flights."""
-    columns = regression.columns
-    squares: Array = np.sum(
-        [np.square(columns.combined(place, weights)).sum(axis=1) for place in range(len(columns.flights))],
-        axis=0,
-    )
-    return squares

@@ -133,6 +133,12 @@ class Linearisation:
                 total += table[:, :, : len(own)] @ own
         return total
 
+    def squares(self, weights: Array) -> Array:
+        """Squares (6,) of the sum of the columns, each times its weight (K,), over all flights."""
+        each = [np.square(self.combined(place, weights)).sum(axis=1) for place in range(len(self.flights))]
+        squares: Array = np.sum(each, axis=0)
+        return squares
+
     def moved(self, points: Mapping[int, Array]) -> Linearisation:
         """The linearisation about other points of candidates, by index, with form columns for their sizes."""
         value = self

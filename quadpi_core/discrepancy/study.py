@@ -13,14 +13,16 @@ from threadpoolctl import threadpool_limits
 from quadpi_core.discrepancy.acceptance import (
     LEAST_EVIDENCE,
     predictable,
+    unexplained_axis,
     unexplained_share,
 )
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter, Study
-from quadpi_core.discrepancy.doubts import doubts, judged_by_rollouts
+from quadpi_core.discrepancy.doubts import checks, judged_by_rollouts
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.ranked_evidence import ranked_candidates
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.search import Found, search
 from quadpi_core.discrepancy.simulations import Simulation, airspeed
@@ -171,11 +173,13 @@ def discover(
         found = search(compared, candidates(simulation.vehicle, names), seed)
     rows = sum(len(band) for band in found.regression.columns.bands)
     left = predictable(found.left.gain, rows)
-    share = unexplained_share(left, np.maximum(found.named, 0.0), rows)
+    named = np.maximum(found.named, 0.0)
+    share, worst = unexplained_share(left, named, rows), unexplained_axis(left, named, rows)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
     gap = found.closing.gap()
-    against = doubts(found, effects, share, gap)
+    judged = checks(found, effects, share, gap, "" if worst is None else AXES[worst])
+    against = not all(check.passed for check in judged)
     return Discovery(
         verdict="unknown" if against else "effects" if effects else "none",
         effects=tuple(effects),
@@ -188,7 +192,8 @@ def discover(
         },
         gap=gap,
         found=found,
-        doubts=against,
+        checks=judged,
+        candidates=ranked_candidates(found),
         without_trace=_without_trace(found),
     )
 

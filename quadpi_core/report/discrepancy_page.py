@@ -26,8 +26,17 @@ from quadpi_core.discrepancy.discrepancy_result import (
     FoundParameter,
     Study,
 )
+from quadpi_core.discrepancy.ranked_evidence import LEAST_ABOVE_FLOOR
 from quadpi_core.flight import AXES
 from quadpi_core.report.coverage_verdict import listing
+from quadpi_core.report.discrepancy_evidence import (
+    MOST_CANDIDATES,
+    changes_table,
+    evidence_table,
+    passed_checks,
+    verdict_changes,
+    words,
+)
 from quadpi_core.report.discrepancy_figures import (
     LINES,
     gap_figure,
@@ -47,8 +56,6 @@ from quadpi_core.simulation.effect_registry import EFFECTS
 _MOST_RANGES, _MOST_ON_TERMINAL, _MOST_SEGMENTS = 12, 8, 12
 # Rejected candidates of the last round of the search on the terminal; the page shows all of every round.
 _MOST_REJECTED = 3
-# Share of the floor's square that an axis has to exceed it by, for the closed share to be more than noise.
-_LEAST_ABOVE_FLOOR = 0.05
 
 
 def discrepancy_summary(study: Study) -> Group:
@@ -70,13 +77,10 @@ def discrepancy_summary(study: Study) -> Group:
         parts.append(terminal_table(flown_again))
         if note := _flown_again_note(study):
             parts.append(Text(note, style="dim"))
-    parts += [Text(_ambiguity_sentence(effect)) for effect in discovery.effects if effect.rivals]
     if discovery.verdict != "none":
         parts.append(Text(_unexplained_sentence(discovery)))
-    if discovery.without_trace:
-        parts.append(Text(_without_trace_sentence(discovery), style="dim"))
-    if study.not_flown:
-        parts.append(Text(f"Not flown: {', '.join(study.not_flown)}.", style="dim"))
+    parts.append(Text("What would change the verdict", style="bold"))
+    parts += [Text(f"- {change.now} {change.then}") for change in verdict_changes(study)]
     return Group(*parts)
 
 
@@ -104,7 +108,6 @@ def write_discrepancy_page(path: Path, study: Study, files: FlightFiles | None =
         flight.flight: {"residual": residual_figure(flight, discovery.gap.floor, bins)}
         for flight in where.residuals
     }
-    to_tell_apart = [item for effect in discovery.effects if effect.rivals for item in effect.shown_by]
     Page(
         title=f"quadpi: {study.simulation.name} against flights",
         about="simulation against flights",
@@ -118,6 +121,10 @@ def write_discrepancy_page(path: Path, study: Study, files: FlightFiles | None =
         path,
         "discrepancy.html",
         bins=bins,
+        evidence=evidence_table(discovery.candidates[:MOST_CANDIDATES], discovery.verdict),
+        further=evidence_table(discovery.candidates[MOST_CANDIDATES:], discovery.verdict),
+        changes=changes_table(verdict_changes(study)),
+        passed=passed_checks(discovery),
         ranges=_range_table(study, _MOST_RANGES) if where.telling else None,
         no_range=_no_range_sentence(study),
         maps=bool(loud),
@@ -128,8 +135,6 @@ def write_discrepancy_page(path: Path, study: Study, files: FlightFiles | None =
         flown_again=_flown_again_table(study),
         flown_note=_flown_again_note(study),
         unexplained=_unexplained_sentence(discovery),
-        without_trace=_without_trace_sentence(discovery) if discovery.without_trace else "",
-        fly_next=list(dict.fromkeys([*to_tell_apart, *study.not_flown])),
         flights=_loudest_first(study),
         segments=_segment_table(study) if where.segments else None,
     )
@@ -208,7 +213,6 @@ class EffectSection:
     latex: str
     shape: str
     parameters: Table
-    ambiguity: str
 
     @classmethod
     def of(cls, found: FoundEffect) -> EffectSection:
@@ -227,13 +231,12 @@ class EffectSection:
         ]
         shape = (f"{name.removeprefix('shape_')} {value:.2f}" for name, value in found.shape.items())
         return cls(
-            title=f"{_words(found.name)} · {percent(found.probability)}",
+            title=f"{words(found.name)} · {percent(found.probability)}",
             description=f"{summary} Shows in {', '.join(found.axes)}. {rest}",
             formula=mathml(effect.formula, display="block") if effect.formula else "",
             latex=effect.formula,
             shape=", ".join(shape),
             parameters=Table(columns, rows),
-            ambiguity=_ambiguity_sentence(found) if found.rivals else "",
         )
 
 
@@ -274,7 +277,7 @@ def _gap_table(discovery: Discovery) -> Table:
     for axis, *errors in zip(AXES, gap.before, gap.after, gap.floor, strict=True):
         before, after, floor = map(float, errors)
         above = before**2 - floor**2
-        is_known = above > _LEAST_ABOVE_FLOOR * floor**2
+        is_known = above > LEAST_ABOVE_FLOOR * floor**2
         closed = 1.0 - max(after**2 - floor**2, 0.0) / above if is_known else None
         rows.append([axis_cell(axis), before, after, floor, closed])
     return Table(columns, rows, title=f"Gap, flights left out in turn: {percent(gap.reduction)} closed")
@@ -344,26 +347,13 @@ def _action(discovery: Discovery) -> str:
 
 
 def _name_with_rivals(effect: FoundEffect) -> str:
-    rivals = f" (or {', or '.join(map(_words, effect.rivals))})" if effect.rivals else ""
-    return f"{_words(effect.name)}{rivals}"
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+    rivals = f" (or {', or '.join(map(words, effect.rivals))})" if effect.rivals else ""
+    return f"{words(effect.name)}{rivals}"
 
 
 def _interval(parameter: FoundParameter) -> str:
     """The 95 % interval of a parameter."""
     return f"{number(parameter.lower)} … {number(parameter.upper)}"
-
-
-def _ambiguity_sentence(effect: FoundEffect) -> str:
-    """Which effects explain the flights as well, and what to fly to tell them apart."""
-    return (
-        f"{_words(effect.name).capitalize()} explains these flights as well as "
-        f"{listing(list(map(_words, effect.rivals)), 'or')} would. To tell them apart, fly "
-        f"{listing(effect.shown_by)}."
-    )
 
 
 def _unexplained_sentence(discovery: Discovery) -> str:
@@ -375,12 +365,6 @@ def _unexplained_sentence(discovery: Discovery) -> str:
         return f"The residual varies with: {axes}."
     share = percent(discovery.unexplained)
     return f"{share} of the predictable discrepancy is left, and varies with: {axes}."
-
-
-def _without_trace_sentence(discovery: Discovery) -> str:
-    """Effects that this comparison cannot find."""
-    names = ", ".join(map(_words, discovery.without_trace))
-    return f"Cannot be found by comparing these flights with this simulation: {names}."
 
 
 def _no_range_sentence(study: Study) -> str:

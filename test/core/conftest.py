@@ -95,7 +95,8 @@ def found(simulation, dragged) -> Study:
     Pushed flights keep their paths, so their roll-outs are better without the drag: they do not count here.
     """
     result = study(simulation, dragged, names=SOUGHT)
-    discovery = replace(result.discovery, verdict="effects", doubts=(), rejected=False)
+    passed = tuple(check for check in result.discovery.checks if check.passed)
+    discovery = replace(result.discovery, verdict="effects", checks=passed, rejected=False)
     return replace(result, discovery=discovery)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from quadpi_core.discrepancy.acceptance import judge_closed
 from quadpi_core.discrepancy.discrepancy_result import study_json
 from quadpi_core.discrepancy.external_simulations import CallableSimulation
 from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
@@ -26,6 +27,8 @@ def test_everything_stands_on_it(page_file, read_page, found):
     page.assert_needs_nothing_from_outside()
     for words in (
         "Add what is missing: bebop2 lacks body drag",
+        "Evidence",
+        "What would change the verdict",
         "Where",
         "What",
         "Before and after",
@@ -44,7 +47,7 @@ def test_everything_stands_on_it(page_file, read_page, found):
     ("changes", "first"),
     [
         ({"verdict": "none", "effects": ()}, "Keep the simulation. No missing effect was found"),
-        ({"verdict": "unknown", "doubts": ("it closes nothing",)}, "Add nothing yet: bebop2 lacks something"),
+        ({"verdict": "unknown", "checks": (judge_closed(0.2),)}, "Add nothing yet: bebop2 lacks something"),
         ({"rivals": ("wind",)}, "Fly forward flight to decide: bebop2 lacks body drag (or wind)"),
     ],
 )

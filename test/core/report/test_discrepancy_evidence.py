@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Evidence in plain words, and what would change each verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from quadpi_core.discrepancy.acceptance import (
+    judge_closed,
+    judge_coefficients,
+    judge_disputed,
+    judge_rollouts,
+    judge_unexplained,
+)
+from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
+from quadpi_core.discrepancy.trial import ACCEPTANCE_TESTS
+from quadpi_core.report.discrepancy_evidence import (
+    amount,
+    closes,
+    evidence_table,
+    passed_checks,
+    refusal,
+    verdict_changes,
+)
+from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
+from quadpi_core.simulation.effect_registry import EFFECTS
+
+REFUSED = RankedCandidate(
+    name="rotor_drag",
+    label="rotor_drag",
+    named=False,
+    beside=(),
+    gain=15500.0,
+    needed=500.0,
+    test="flights left out",
+    reason="worst axis of flights left out grows by 0.80, 0.5 allowed",
+    closes={"Fx": 0.93, "Fy": 0.004, "Mz": -0.8},
+    rivals={},
+)
+WEAK = replace(
+    REFUSED,
+    name="wind",
+    label="wind",
+    gain=64.0,
+    needed=100.0,
+    test="evidence",
+    reason="gains 64.0 nat, 100.0 needed",
+)
+
+
+def changed(study, **changes):
+    return replace(study, discovery=replace(study.discovery, **changes))
+
+
+@pytest.mark.parametrize(
+    ("gain", "needed", "words"),
+    [
+        (15500.0, 500.0, "31 times what is needed"),
+        (150.0, 100.0, "1.5 times what is needed"),
+        (64.0, 100.0, "64 % of what is needed"),
+        (-3.0, 100.0, "none"),
+        (None, None, "not weighed"),
+    ],
+)
+def test_evidence_is_told_beside_what_is_needed(gain, needed, words):
+    assert amount(replace(REFUSED, gain=gain, needed=needed)) == words
+
+
+def test_axes_that_get_better_and_worse_are_told_apart():
+    assert closes(REFUSED) == "Fx 93 %; makes Mz by 80 % worse"
+    assert closes(replace(REFUSED, closes={"Fy": 0.004})) == "nothing"
+    assert closes(replace(REFUSED, closes={})) == ""
+
+
+def test_every_test_of_a_candidate_has_plain_words():
+    for test in ACCEPTANCE_TESTS:
+        own = replace(REFUSED, test=test.name, gain=1.0, reason="REASON of_the test")
+        assert refusal(own)
+        assert not refusal(own).startswith("REASON")
+    assert refusal(REFUSED) == f"makes flights left out worse: {REFUSED.reason}"
+    assert refusal(replace(WEAK, gain=120.0)) == "replaced by a better one"
+
+
+def test_a_refused_effect_with_much_evidence_is_told_with_its_veto(found):
+    (change,) = (
+        own
+        for own in verdict_changes(changed(found, candidates=(*found.discovery.candidates[:1], REFUSED)))
+        if own.now.startswith("Rotor drag")
+    )
+    assert "has 31 times what is needed" in change.now
+    assert REFUSED.reason in change.now
+    assert "more flights of the same kind" in change.then
+
+
+def test_nearly_enough_evidence_tells_how_many_flights_would_do(found):
+    changes = verdict_changes(changed(found, candidates=(WEAK,)))
+    (change,) = (own for own in changes if own.now.startswith("Wind"))
+    assert "64 % of what is needed" in change.now
+    assert "About 60 % more such flights" in change.then
+    assert EFFECTS["wind"].shown_by in change.then
+    far = replace(WEAK, gain=10.0)
+    assert verdict_changes(changed(found, candidates=(far,))) == verdict_changes(
+        changed(found, candidates=())
+    )
+
+
+@pytest.mark.parametrize(
+    ("check", "now", "then"),
+    [
+        (
+            judge_unexplained(0.36),
+            "36 % of what can be predicted has no name, 5 % allowed.",
+            "Leave out flights",
+        ),
+        (judge_coefficients({"thrust": 9.0}, {"thrust": 1.0}), "Thrust would be wrong by 9.0", "Measure"),
+        (judge_closed(0.2), "20 % of the gap is closed, 50 % needed.", "what else is missing"),
+        (judge_rollouts({"rates": 1.0}, {"rates": 2.0}), "Roll-outs of flights left out get worse", "delays"),
+        (judge_disputed("a has more evidence than b"), "A has more evidence than b.", "the one effect"),
+    ],
+)
+def test_each_doubt_has_what_would_remove_it(found, check, now, then):
+    change = verdict_changes(changed(found, verdict="unknown", checks=(check,)))[0]
+    assert change.now.startswith(now)
+    assert then in change.then
+
+
+def test_rivals_come_with_what_to_fly(found):
+    (drag,) = found.discovery.effects
+    rivalled = replace(drag, rivals=("wind",), shown_by=("forward flight", "turns"))
+    change = verdict_changes(changed(found, effects=(rivalled,)))[0]
+    assert change == (
+        "Body drag explains these flights as well as wind would.",
+        "To tell them apart, fly forward flight and turns.",
+    )
+
+
+def test_distance_from_the_limits_is_told(found):
+    assert "of the gap is closed, 50 % needed" in passed_checks(found.discovery)
+    assert passed_checks(replace(found.discovery, checks=(judge_closed(0.2),))) == ""
+
+
+def test_pages_hold_evidence_and_changes_of_many_candidates_with_long_names(
+    found, read_page, rendered, tmp_path
+):
+    long_name = "a_load_on_a_cable_below_the_vehicle_that_swings"
+    many = tuple(
+        replace(
+            WEAK, label=f"{long_name} (rotor {k})", gain=64.0 - k, rivals={long_name: 0.01}, beside=("x",)
+        )
+        for k in range(40)
+    )
+    study = changed(found, candidates=(*found.discovery.candidates[:1], *many))
+    write_discrepancy_page(tmp_path / "page.html", study)
+    page = read_page(tmp_path / "page.html")
+    for own in many:
+        assert own.label.replace("_", " ") in page.text
+    assert "Further candidates" in page.text
+    assert (
+        page.text.index("Evidence")
+        < page.text.index("What would change the verdict")
+        < page.text.index("Where")
+    )
+    shown = " ".join(rendered(discrepancy_summary(study)).split())
+    for change in verdict_changes(study):
+        assert " ".join(change.now.split()) in shown
+
+
+def test_named_and_refused_are_told_apart(found):
+    candidates = (*found.discovery.candidates[:1], REFUSED)
+    for verdict, best in {"effects": "named", "unknown": "comes closest"}.items():
+        table = evidence_table(candidates, verdict)
+        assert [row[1].value for row in table.cells] == [best, "refused"]
