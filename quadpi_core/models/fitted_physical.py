@@ -43,6 +43,7 @@ class PhysicalParameters:
         vehicle: PHYSICAL_VEHICLE (1,).
         inertia: (3, 3) kg m².
         sensing: delay of the rotor speeds and bandwidth of the measured force.
+        delay_range_s: delays of the rotor speeds that the flights do not rule out; None if not searched.
         notes: by parameter, where these flights do not identify it or a bound holds.
         worst_pairs: most correlated parameters, with their correlation.
         log: of the fit.
@@ -53,6 +54,7 @@ class PhysicalParameters:
     vehicle: Records
     inertia: Array
     sensing: Sensing
+    delay_range_s: tuple[float, float] | None
     notes: dict[str, str]
     worst_pairs: tuple[tuple[str, str, float], ...]
     log: tuple[FitStep, ...]
@@ -77,6 +79,7 @@ class PhysicalParameters:
             "parameters": list(TERM_NAMES),
             "rotor_delay_s": self.sensing.rotor_delay_s,
             "force_bandwidth_hz": self.sensing.force_bandwidth_hz,
+            "rotor_delay_range_s": self.delay_range_s,
             "notes": self.notes,
             "worst_pairs": self.worst_pairs,
             "log": [asdict(step) for step in self.log],
@@ -171,6 +174,7 @@ class FittedPhysical:
             vehicle,
             arrays["inertia"],
             Sensing(fit.rotor_delay_s, fit.force_bandwidth_hz),
+            fit.rotor_delay_range_s,
             fit.notes,
             fit.worst_pairs,
             fit.log,
@@ -195,6 +199,8 @@ class _SharedEntry:
     notes: dict[str, str]
     worst_pairs: tuple[tuple[Text, Text, Real], ...]
     log: tuple[FitStep, ...]
+    # Not in folders of earlier versions.
+    rotor_delay_range_s: tuple[NotNegative, NotNegative] | None = None
 
 
 @dataclass(frozen=True)

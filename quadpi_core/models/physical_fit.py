@@ -22,6 +22,7 @@ from scipy.optimize import lsq_linear
 from quadpi_core.config_schema import Real, Text
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.physical_advice import unidentified
 from quadpi_core.models.physical_flight import FORCE, PhysicalFlight, Sensing
 from quadpi_core.models.physical_regressors import acting_terms, physical_vehicle
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
@@ -33,8 +34,6 @@ _LONGEST_LAG_S = 5.0
 # An axis with fewer independent errors than this [1/s] weighs as if it had them: a mean over a flight of half
 # a minute that is wrong all along would else leave the axis without weight. Standard errors know better.
 _FEWEST_INDEPENDENT_HZ = 1.0
-# A parameter whose standard error is this share of its prior spread was not identified by the flights.
-_UNKNOWN = 0.9
 # A bound holds within this share of the prior spread; what is said of it.
 _WITHIN = 1e-6
 AT_BOUND = "at its lower bound, 0"
@@ -132,6 +131,7 @@ class PhysicalFit:
         noise: (6,) standard deviation of the errors on the flights.
         independent_hz: (6,) independent errors per second.
         sensing: delay and bandwidth found.
+        delay_range_s: delays of the rotor speeds that the flights do not rule out; None if it was given.
         log: what was tried and chosen, step by step.
     """
 
@@ -143,6 +143,7 @@ class PhysicalFit:
     noise: Array
     independent_hz: Array
     sensing: Sensing
+    delay_range_s: tuple[float, float] | None
     log: tuple[FitStep, ...]
 
     @cached_property
@@ -173,14 +174,6 @@ class PhysicalFit:
         return np.array([term.spread for term in TERMS]) * scales(self.vehicle, self.reference_thrust)
 
     @property
-    def unidentified(self) -> list[str]:
-        """Parameters about which these flights say no more than the prior."""
-        share = self.standard_errors / self.spreads
-        return [
-            term.name for term, s, kept in zip(TERMS, share, self.kept, strict=True) if kept and s > _UNKNOWN
-        ]
-
-    @property
     def at_bound(self) -> list[str]:
         """Parameters that physics keeps from becoming negative."""
         return [name for name in bounded_terms(self.values, self.spreads) if self.kept[TERM_INDEX[name]]]
@@ -188,11 +181,7 @@ class PhysicalFit:
     @property
     def notes(self) -> dict[str, str]:
         """By parameter, what there is to say of it."""
-        manoeuvres = {term.name: term.manoeuvre for term in TERMS}
-        missing = {
-            name: f"not identified by these flights: fly {manoeuvres[name]}" for name in self.unidentified
-        }
-        return missing | dict.fromkeys(self.at_bound, AT_BOUND)
+        return unidentified(self.covariance, self.spreads) | dict.fromkeys(self.at_bound, AT_BOUND)
 
     def worst_pairs(self, count: int = 5) -> list[tuple[str, str, float]]:
         """The most correlated pairs of parameters, with their correlation."""

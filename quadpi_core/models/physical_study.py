@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
+from quadpi_core.models.physical_advice import UNTOLD_DELAY_S, delay_untold
 from quadpi_core.models.physical_fit import (
     LEAST,
     FitStep,
@@ -35,6 +36,8 @@ from quadpi_core.vehicle import Vehicle
 # Delays of the rotor speeds that are tried [s]: NeuroBEM has 2.5 ms, Crazyflies 7.5 ms. Beyond the last, the
 # series of `physical_kernel.delayed` is wrong by a third at 15 Hz, up to which moments follow rotor speeds.
 DELAYS_S = (0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015)
+# A delay is ruled out where twice the logarithm of the likelihood falls by this: χ² of one number, 95 %.
+_WITHIN_CHI_SQUARE = 3.84
 # Bandwidths of the force measurement that are tried [Hz]. The specific force of the NeuroBEM data set ends at
 # 7 Hz; that of an accelerometer lies beyond all signals.
 BANDWIDTHS_HZ = (20.0, 15.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0)
@@ -61,6 +64,7 @@ class PhysicalStudy:
         vehicle: that flew.
         reference: N s², thrust of a rotor over ω².
         sensing: delay and bandwidth of all flights.
+        delay_range_s: delays that the flights do not rule out; None if it was given.
         information: of each flight.
         weighing: of the errors of all flights.
         rate_hz: of the samples.
@@ -70,6 +74,7 @@ class PhysicalStudy:
     vehicle: Vehicle
     reference: float
     sensing: Sensing
+    delay_range_s: tuple[float, float] | None
     information: tuple[Information, ...]
     weighing: Weighing
     rate_hz: float
@@ -94,8 +99,9 @@ class PhysicalStudy:
         reference = reference_thrust(flights)
         problem, record = Problem.of(vehicle, reference), physical_vehicle(vehicle, reference)
         log: list[FitStep] = []
+        delay_range = None
         if sensing is None:
-            delay = _rotor_delay(flights, record, problem, log)
+            delay, delay_range = _rotor_delay(flights, record, problem, log)
             sensing = _force_bandwidth(flights, record, problem, delay, log)
         information = [_summed(flight, record, sensing) for flight in flights]
         weighing = Weighing.start(information)
@@ -104,7 +110,9 @@ class PhysicalStudy:
             values = problem.solve(information, weighing, _EVERYTHING)
             errors = [flight.errors(values, record, sensing) for flight in flights]
             weighing = Weighing.of_errors(errors, rate_hz)
-        return cls(vehicle, reference, sensing, tuple(information), weighing, rate_hz, tuple(log))
+        return cls(
+            vehicle, reference, sensing, delay_range, tuple(information), weighing, rate_hz, tuple(log)
+        )
 
     def fit(self, *, choose: bool, left_out: int | None = None) -> PhysicalFit:
         """Fit the model to all flights, or to all but one.
@@ -127,6 +135,7 @@ class PhysicalStudy:
             noise=self.weighing.deviation,
             independent_hz=self.weighing.independent * self.rate_hz,
             sensing=self.sensing,
+            delay_range_s=self.delay_range_s,
             log=tuple(log),
         )
 
@@ -137,21 +146,34 @@ def _summed(flight: PhysicalFlight, record: Records, sensing: Sensing) -> Inform
 
 def _rotor_delay(
     flights: Sequence[PhysicalFlight], record: Records, problem: Problem, log: list[FitStep]
-) -> float:
-    """The delay by the errors of the moments."""
+) -> tuple[float, tuple[float, float]]:
+    """The delay by the errors of the moments, and the range that these do not rule out.
+
+    The range is that of the likelihood ratio (Jategaonkar, Flight Vehicle System Identification, 2015, 11.2),
+    for normal errors of which as many are independent as their autocorrelation tells.
+    """
     thin = [flight.cut(slice(None, None, _DELAY_STRIDE)) for flight in flights]
-    costs: list[float] = []
+    squares: list[Array] = []
     for delay_s in DELAYS_S:
         information = [_summed(flight, record, Sensing(delay_s)) for flight in thin]
-        if not costs:
+        if not squares:
             weighing = Weighing.start(information)
             values = problem.solve(information, weighing, _EVERYTHING)
             weighing = replace(weighing, deviation=np.maximum(total(information).rmse(values), LEAST))
         values = problem.solve(information, weighing, _EVERYTHING)
-        relative = total(information).rmse(values) / weighing.deviation
-        costs.append(float(np.mean(np.square(relative[MOMENT]))))
-        log.append(FitStep("rotor delay", f"{delay_s * 1e3:g} ms", costs[-1]))
-    return DELAYS_S[int(np.argmin(costs))]
+        if not squares:
+            errors = [flight.errors(values, record, Sensing(delay_s)) for flight in thin]
+        relative = total(information).rmse(values)[MOMENT] / weighing.deviation[MOMENT]
+        squares.append(np.maximum(np.square(relative), LEAST))
+        log.append(FitStep("rotor delay", f"{delay_s * 1e3:g} ms", float(np.mean(squares[-1]))))
+    best = int(np.argmin(np.mean(squares, axis=1)))
+    rate_hz = float(np.mean([flight.rate_hz for flight in thin]))
+    independent = Weighing.of_errors(errors, rate_hz).independent[MOMENT]
+    count = sum(len(flight.time) for flight in thin) * independent
+    ratio = np.log(np.array(squares) / squares[best]) @ count
+    open_still = np.flatnonzero(ratio <= _WITHIN_CHI_SQUARE)
+    left = (DELAYS_S[open_still[0]], DELAYS_S[open_still[-1]])
+    return UNTOLD_DELAY_S if delay_untold(left) else DELAYS_S[best], left
 
 
 def _force_bandwidth(

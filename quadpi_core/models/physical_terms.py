@@ -33,6 +33,7 @@ Scale: TypeAlias = Literal["k/R3", "k/R2", "k/R", "k", "kR", "air", "air R", "ai
 # The flying that tells a parameter from the others.
 Manoeuvre: TypeAlias = Literal[
     "hover",
+    "throttle steps",
     "climbs and descents",
     "forward and backward flight",
     "sideways flight",
@@ -72,6 +73,7 @@ class Term(NamedTuple):
     positive: bool = False
 
 
+_THROTTLE: Manoeuvre = "throttle steps"
 _CLIMB: Manoeuvre = "climbs and descents"
 _FAST: Manoeuvre = "fast flight in all directions"
 _FAST_CLIMB: Manoeuvre = "fast climbs and descents"
@@ -98,9 +100,9 @@ TERMS: tuple[Term, ...] = (
     Term("thrust_mixed_cubed", "thrust per h w²/ω", _N3, "high advance", 30.0, "k/R3", _FAST_CLIMB),
     Term("thrust_incline_x", "per ω u: rotor planes inclined", _N1, "incline", 0.05, "k/R", _FORWARD),
     Term("thrust_incline_y", "per ω v: rotor planes inclined", _N1, "incline", 0.05, "k/R", _SIDEWAYS),
-    Term("thrust_rotor_1", "thrust of rotor 1 over that of 4, per ω²", _N0, "rotors", 0.05, "k", "hover"),
-    Term("thrust_rotor_2", "thrust of rotor 2 over that of 4, per ω²", _N0, "rotors", 0.05, "k", "hover"),
-    Term("thrust_rotor_3", "thrust of rotor 3 over that of 4, per ω²", _N0, "rotors", 0.05, "k", "hover"),
+    Term("thrust_rotor_1", "thrust of rotor 1 over that of 4, per ω²", _N0, "rotors", 0.05, "k", _AGILE),
+    Term("thrust_rotor_2", "thrust of rotor 2 over that of 4, per ω²", _N0, "rotors", 0.05, "k", _AGILE),
+    Term("thrust_rotor_3", "thrust of rotor 3 over that of 4, per ω²", _N0, "rotors", 0.05, "k", _AGILE),
     # Moments of thrust by the arms differ: the flow is not uniform, and arms are not those of the file.
     Term("arm_thrust", "moment of thrust per ω² beside the arms", _N0, "", 0.3, "k", _AGILE),
     Term("arm_x", "moment about y per ω² beside the arms", _N0, "", 0.3, "k", _AGILE),
@@ -123,9 +125,9 @@ TERMS: tuple[Term, ...] = (
     Term("torque_axial", "torque per ω w", _N0, "torque", 0.5, "k", _CLIMB),
     Term("torque_induced", "torque per ω v_i", _N0, "torque", 0.5, "k", _FAST),
     Term("torque_advance", "torque per ω h", _N0, "torque", 0.5, "k", _FAST),
-    Term("torque_rotor_1", "torque of rotor 1 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", "hover"),
-    Term("torque_rotor_2", "torque of rotor 2 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", "hover"),
-    Term("torque_rotor_3", "torque of rotor 3 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", "hover"),
+    Term("torque_rotor_1", "torque of rotor 1 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", _AGILE),
+    Term("torque_rotor_2", "torque of rotor 2 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", _AGILE),
+    Term("torque_rotor_3", "torque of rotor 3 over that of 4, per ω²", _M0, "rotors", 0.005, "kR", _AGILE),
     # Force in the rotor plane, along and across its motion, with the yaw moment by the arms.
     Term("rotor_drag", "force along -(u, v) per ω", _N1, "", 1.0, "k/R", _FORWARD),
     Term("rotor_drag_advance", "force along -(u, v) per h", _N2, "rotor drag", 10.0, "k/R2", _FAST),
@@ -178,20 +180,22 @@ TERMS: tuple[Term, ...] = (
     Term("inertia_y", "error of (I_x - I_z), by r p", "kg m²", "inertia", 0.1, "I", _TURNS),
     Term("inertia_z", "error of (I_y - I_x), by p q", "kg m²", "inertia", 0.1, "I", _TURNS),
     # Sensors and mounting.
-    Term("bias_x", "force x at rest", "N", "", 0.005, "W", "hover"),
-    Term("bias_y", "force y at rest", "N", "", 0.005, "W", "hover"),
-    Term("bias_z", "force z at rest", "N", "", 0.005, "W", "hover"),
-    Term("bias_roll", "moment x at rest", "Nm", "", 0.02, "W R", "hover"),
-    Term("bias_pitch", "moment y at rest", "Nm", "", 0.02, "W R", "hover"),
-    Term("bias_yaw", "moment z at rest", "Nm", "", 0.02, "W R", "hover"),
-    Term("incline_x", "force x per ω²: IMU inclined", _N0, "", 0.03, "k", "hover"),
-    Term("incline_y", "force y per ω²: IMU inclined", _N0, "", 0.03, "k", "hover"),
-    Term("gravity_centre_x", "moment y per ω²: CG off x", _M0, "", 0.05, "kR", "hover"),
-    Term("gravity_centre_y", "moment x per ω²: CG off y", _M0, "", 0.05, "kR", "hover"),
+    Term("bias_x", "force x at rest", "N", "", 0.005, "W", _THROTTLE),
+    Term("bias_y", "force y at rest", "N", "", 0.005, "W", _THROTTLE),
+    Term("bias_z", "force z at rest", "N", "", 0.005, "W", _THROTTLE),
+    Term("bias_roll", "moment x at rest", "Nm", "", 0.02, "W R", _THROTTLE),
+    Term("bias_pitch", "moment y at rest", "Nm", "", 0.02, "W R", _THROTTLE),
+    Term("bias_yaw", "moment z at rest", "Nm", "", 0.02, "W R", _THROTTLE),
+    Term("incline_x", "force x per ω²: IMU inclined", _N0, "", 0.03, "k", _THROTTLE),
+    Term("incline_y", "force y per ω²: IMU inclined", _N0, "", 0.03, "k", _THROTTLE),
+    Term("gravity_centre_x", "moment y per ω²: CG off x", _M0, "", 0.05, "kR", _THROTTLE),
+    Term("gravity_centre_y", "moment x per ω²: CG off y", _M0, "", 0.05, "kR", _THROTTLE),
     Term("imu_x", "x of the accelerometer from the CG", "m", "imu position", 0.3, "R", _AGILE),
     Term("imu_y", "y of the accelerometer from the CG", "m", "imu position", 0.3, "R", _AGILE),
     Term("imu_z", "z of the accelerometer from the CG", "m", "imu position", 0.3, "R", _AGILE),
 )  # fmt: skip
+# Manoeuvres whose speed tells terms apart that grow with another power of it.
+BY_SPEED = frozenset({_CLIMB, _FAST, _FAST_CLIMB, _FORWARD, _SIDEWAYS})
 TERM_NAMES = tuple(term.name for term in TERMS)
 TERM_INDEX = {name: index for index, name in enumerate(TERM_NAMES)}
 

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
 from quadpi_core.models.fitted_physical import SHARED, CompiledPhysical, FittedPhysical, PhysicalParameters
 from quadpi_core.models.fitted_polynomial import PlacedErrors, SpreadShape, fit_shape, squared_speed
 from quadpi_core.models.interval_rules import NormalRule, calibrate, inside_range
@@ -29,6 +30,7 @@ from quadpi_core.models.model_kind import (
     TrainingSamples,
     option,
 )
+from quadpi_core.models.physical_advice import delay_words, missing_flying
 from quadpi_core.models.physical_fit import (
     AT_BOUND,
     PhysicalFit,
@@ -46,6 +48,8 @@ from quadpi_core.parallel import Progress, ReportProgress
 from quadpi_core.signals.force_bandwidth import as_recorded
 
 FIT_FILE, TABLE_FILE = "fit.json", "parameters.csv"
+# Least variance of a direction of correlated parameters: hover leaves some that are known to 1e-13 of others.
+_LEAST_VARIANCE = 1e-12
 # Stride over the samples when recording the largest leverage and spread.
 _PEAK_STEP = 8
 
@@ -230,16 +234,15 @@ def _facts_ahead(rollouts: RolloutModel) -> list[Facts]:
 
 
 def _sensing_words(shared: PhysicalParameters) -> str:
-    delay_s, bandwidth = shared.sensing.rotor_delay_s, shared.sensing.force_bandwidth_hz
-    words = f"rotor speeds act {delay_s * 1e3:g} ms after they were measured"
-    if delay_s >= DELAYS_S[-1]:
-        words += ", or later: no longer delay is tried"
-    if bandwidth is not None:
+    words = delay_words(shared.sensing.rotor_delay_s, shared.delay_range_s, DELAYS_S[-1])
+    if (bandwidth := shared.sensing.force_bandwidth_hz) is not None:
         words += (
             f"; measured forces of these flights end at {bandwidth:g} Hz, so predicted forces are judged "
             "smoothed alike"
         )
-    return words
+    untold = [name for name, note in shared.notes.items() if note != AT_BOUND]
+    missing = missing_flying(untold, len(shared.kept))
+    return f"{words}. {missing}" if missing else words
 
 
 def _axes(
@@ -259,6 +262,7 @@ def _axes(
         fit.record,
         fit.vehicle.inertia,
         fit.sensing,
+        fit.delay_range_s,
         fit.notes,
         tuple(fit.worst_pairs()),
         fit.log,
@@ -272,10 +276,17 @@ def _axes(
             thrust = fit.thrust_values[acting]
             covariance = covariance + thrusts[axis] * np.outer(thrust, thrust)
         scale = np.sqrt(np.diag(covariance))
-        factor = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(acting)))
-        whitening = scale[:, np.newaxis] * factor
+        whitening = scale[:, np.newaxis] * _factor(covariance / np.outer(scale, scale))
         axes[axis] = FittedPhysical(parameters, whitening, acting, SpreadShape(1.0, 0.0), NormalRule(), 1.0)
     return axes
+
+
+def _factor(correlation: Array) -> Array:
+    """Lower triangular L (s, s) with L Lᵀ the correlation (s, s), which rounding may leave indefinite."""
+    values, vectors = np.linalg.eigh(correlation)
+    half = vectors * np.sqrt(np.maximum(values, _LEAST_VARIANCE))
+    lower: Array = np.transpose(np.linalg.qr(half.T).R)
+    return lower * np.where(np.diag(lower) < 0.0, -1.0, 1.0)
 
 
 def _placed(

@@ -187,6 +187,7 @@ def fitted_axis(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> Fitt
         physical_vehicle(VEHICLE, REFERENCE),
         VEHICLE.inertia,
         Sensing(delay_s),
+        None,
         {"drag_x": "not identified"},
         (("thrust", "thrust_induced", 0.99),),
         (FitStep("rotor delay", "0 ms", 1.0),),

@@ -99,13 +99,6 @@ def test_thrust_differs_by_three_percent_until_flights_say_otherwise() -> None:
     assert np.sqrt(thrust_variance([0.01] * 100)) == pytest.approx(0.01, rel=0.1)
 
 
-def test_hover_tells_little_and_says_what_to_fly() -> None:
-    fit = fitted([flown(10.0, 1, speed=0.0)])
-    assert {"drag_x", "rotor_side", "inertia_z", "damping_r"} <= set(fit.unidentified)
-    assert fit.notes["drag_x"] == "not identified by these flights: fly forward and backward flight"
-    assert "thrust" not in fit.unidentified
-
-
 def test_a_negative_torque_is_held_at_its_bound() -> None:
     flight = flown(10.0, 1)
     wrench = flight.wrench.copy()
