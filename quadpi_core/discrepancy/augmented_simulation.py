@@ -220,7 +220,8 @@ class AugmentedSimulation(Simulation):
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
     """The simulation with the effects that were found, and with adjusted coefficients.
 
-    Coefficients are adjusted by their posterior means, if that reduces the residual of flights left out.
+    Coefficients are adjusted by their posterior means, if that reduces the residual of flights left out and
+    the discovery does not say otherwise.
 
     Args:
         discovery: result of the search.
@@ -240,7 +241,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         shape = found.closing.shape(index, law, fitted)
         effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
     adjusted: dict[str, float] = {}
-    if _adjusting_helps(found):
+    if discovery.adjusted and adjusting_helps(found):
         multiples = dict(zip(columns.tolerance_names, fitted.of(columns.tolerances).tolist(), strict=True))
         adjusted, small = _divided(multiples, simulation.tolerances)
         effects = merged(small, effects)
@@ -257,7 +258,7 @@ def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
     return possible
 
 
-def _adjusting_helps(found: Found) -> bool:
+def adjusting_helps(found: Found) -> bool:
     """Whether adjusted coefficients reduce the residual of flights left out."""
     gained = 0.0
     for own, fit in zip(found.closing.grams, found.closing.left_out, strict=True):

@@ -108,10 +108,13 @@ class Closing:
             squares += np.sum(left / regression.noise[:, band], axis=1)
         return squares
 
-    def gap(self) -> Gap:
+    def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
 
         Coefficients alone are not fitted: without the missing effect they would exceed their tolerances.
+
+        Args:
+            adjusted: whether coefficients are moved as fitted, or stay as they are stated.
         """
         columns, noise = self.regression.columns, self.regression.noise
         before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
@@ -119,7 +122,10 @@ class Closing:
         unchanged = residual_weights(1, ())
         for place, found in enumerate(self.left_out):
             before += np.square(columns.combined(place, unchanged)).sum(axis=1)
-            after += np.square(columns.combined(place, found.left if self.chosen else unchanged)).sum(axis=1)
+            left = found.left.copy() if self.chosen else unchanged
+            if self.chosen and not adjusted:
+                left[columns.tolerances] = 0.0
+            after += np.square(columns.combined(place, left)).sum(axis=1)
             floor += noise[:, columns.bands[place]].sum(axis=1)
             samples += len(columns.flights[place].thinned)
         removable = np.sum(np.maximum(before - floor, 0.0) / floor)

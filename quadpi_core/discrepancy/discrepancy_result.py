@@ -77,6 +77,8 @@ class Discovery:
             simulation.
         checks: tests of the whole result, passed or not.
         candidates: every candidate with its evidence, best first.
+        adjusted: whether coefficients are moved with the effects, where flights left out are simulated better
+            so.
         rejected: whether flights left out are simulated worse with the effects, so that nothing is added.
     """
 
@@ -89,6 +91,7 @@ class Discovery:
     without_trace: tuple[str, ...] = ()
     checks: tuple[Verdict, ...] = ()
     candidates: tuple[RankedCandidate, ...] = ()
+    adjusted: bool = True
     rejected: bool = False
 
     @property

@@ -57,6 +57,19 @@ def test_squares_left_are_in_variances_of_the_noise(closing):
     np.testing.assert_allclose(closing.left_out_squares(), squares)
 
 
+def test_the_gap_with_coefficients_as_stated_is_what_their_columns_leave(closing):
+    regression, gap = closing.regression, closing.gap(adjusted=False)
+    samples = sum(len(flight.thinned) for flight in regression.flights)
+    left = []
+    for place, fit in enumerate(closing.left_out):
+        weights = fit.left.copy()
+        weights[regression.columns.tolerances] = 0.0
+        left.append(regression.columns.combined(place, weights))
+    np.testing.assert_allclose(gap.after, rms(left, samples), rtol=1e-9)
+    assert not np.allclose(gap.after, closing.gap().after, rtol=1e-6)
+    np.testing.assert_array_equal(gap.before, closing.gap().before)
+
+
 def test_without_effects_the_gap_stays(found):
     bare = Closing.of(found.discovery.found.regression, ())
     gap = bare.gap()

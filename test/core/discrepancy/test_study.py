@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
-from quadpi_core.discrepancy.discrepancy_result import discovery_json
+from quadpi_core.discrepancy.augmented_simulation import augmented
+from quadpi_core.discrepancy.discrepancy_result import (
+    BeforeAfter,
+    ClosedLoops,
+    Reflights,
+    Rollouts,
+    discovery_json,
+)
 from quadpi_core.discrepancy.study import study
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.rotations import rotate_world_to_body
@@ -158,3 +165,33 @@ def test_a_model_of_flights_names_what_later_flights_have_more(physical_folder, 
         # The model knows the drag of its own flights to about as much as was added along x.
         assert 0.5 < parameter.value / DRAG[parameter.name] < 2.0
     assert set(found.flown_again.coverage) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
+
+
+def turned_over(discovery):
+    """Roll-outs that moved coefficients, and nothing else, make worse."""
+    after = 50.0 if discovery.adjusted else 4.0
+    rollouts = Rollouts(0.5, 10, {"attitude_deg": BeforeAfter(10.0, after, 1.0)})
+    return Reflights(rollouts, ClosedLoops(0, missing="none"), {})
+
+
+def test_coefficients_that_spoil_roll_outs_stay_as_stated(simulation, dragged, monkeypatch):
+    """The effect alone is added then, and its gap is that without them."""
+    monkeypatch.setattr("quadpi_core.discrepancy.study.reflights", turned_over)
+    monkeypatch.setattr("quadpi_core.discrepancy.study.adjusting_helps", lambda _: True)
+    result = study(simulation, dragged, names=SOUGHT)
+    discovery = result.discovery
+    assert (discovery.adjusted, discovery.rejected, discovery.verdict) == (False, False, "effects")
+    stated = discovery.found.closing.gap(adjusted=False)
+    np.testing.assert_array_equal(discovery.gap.after, stated.after)
+    assert result.flown_again.rollout.errors["attitude_deg"].after == 4.0
+    base, flight = augmented(discovery).base, dragged[0]
+    np.testing.assert_array_equal(base.wrench(flight), simulation.wrench(flight))
+
+
+def test_what_spoils_roll_outs_without_coefficients_too_is_rejected(simulation, dragged, monkeypatch):
+    monkeypatch.setattr(
+        "quadpi_core.discrepancy.study.reflights", lambda own: turned_over(replace(own, adjusted=True))
+    )
+    monkeypatch.setattr("quadpi_core.discrepancy.study.adjusting_helps", lambda _: True)
+    discovery = study(simulation, dragged, names=SOUGHT).discovery
+    assert (discovery.adjusted, discovery.rejected, discovery.verdict) == (True, True, "unknown")
