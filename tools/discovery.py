@@ -36,6 +36,7 @@ from blind.cases import (  # noqa: E402
 from blind.scoring import Answer, Figure, confusion, failures, figures  # noqa: E402
 from blind.searching import searched  # noqa: E402
 from page_tables import renew, stamp  # noqa: E402
+from reliability_diagram import IMAGES, write_diagram  # noqa: E402
 
 from quadpi_core.parallel import Workers  # noqa: E402
 from quadpi_core.paths import whole_output  # noqa: E402
@@ -177,6 +178,9 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "discovery", help="for results by case")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "discovery.json")
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
+    parser.add_argument(
+        "--diagram", type=Path, help="of the probabilities; a whole run renews that of the page"
+    )
     options = parser.parse_args()
     whole = not (options.short or options.development or options.cases or options.only)
     if options.short:
@@ -200,6 +204,9 @@ def main() -> None:
     print("\n\n".join(tables.values()))
     with whole_output(options.json) as temporary:
         temporary.write_text(json.dumps(as_json(results, answers), indent=1), encoding="utf-8")
+    diagram = options.diagram or (IMAGES / "reliability-blind.svg" if whole else None)
+    if diagram is not None:
+        write_diagram(diagram, results, f"Blind benchmark, {len(results)} cases")
     if not whole:
         return
     renew(options.page, tables | {"figures": f"{tables['figures']}\n\n*{stamp()}*"})

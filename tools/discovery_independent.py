@@ -31,6 +31,7 @@ from independent.cases import (  # noqa: E402
 )
 from independent.measures import Finding, columns, figures, order, said  # noqa: E402
 from independent.searching import MAPPINGS, Task, searched  # noqa: E402
+from reliability_diagram import write_diagram  # noqa: E402
 
 from quadpi_core.paths import whole_output  # noqa: E402
 from quadpi_core.report.table import Column, Table, markdown_table  # noqa: E402
@@ -113,6 +114,9 @@ def main() -> None:
         "--work", type=Path, default=ROOT / "out" / "discovery-independent", help="for results by case"
     )
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "discovery-independent.json")
+    parser.add_argument(
+        "--diagram", type=Path, help="of the probabilities, such as docs/images/reliability-independent.svg"
+    )
     options = parser.parse_args()
     if not available():
         sys.exit("no rotorpy here; `make bench` installs it")
@@ -134,6 +138,8 @@ def main() -> None:
     parts += [f"### {name}\n\n{figures_table(figures(some))}" for name, some in columns(findings).items()]
     print("\n\n".join(parts))
     parts += [f"### Every case\n\n{cases_table(findings)}", f"### Estimates\n\n{estimates_table(findings)}"]
+    if options.diagram is not None:
+        write_diagram(options.diagram, results, f"Flights of RotorPy, {len(results)} searches")
     with whole_output(options.out) as temporary:
         temporary.write_text(json.dumps(as_json(results, findings), indent=1), encoding="utf-8")
     with whole_output(options.out.with_suffix(".md")) as temporary:
