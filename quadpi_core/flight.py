@@ -169,7 +169,7 @@ class ImuStream(Stream):
 
 @dataclass(frozen=True)
 class RotorSpeedStream(Stream):
-    """speeds (N, 4) rad/s, mechanical, rotor order of the vehicle file."""
+    """speeds (N, rotors) rad/s, mechanical, rotor order of the vehicle file."""
 
     topic: ClassVar[str] = "rotor_speeds"
     speeds: Array

@@ -92,7 +92,9 @@ class LiveVehicle:
         described = {identity: model.described() for identity, (model, _) in known.items()}
         self.view = VehicleView(namespace, described, BLOCK_NS, _BLOCKS)
         self._node = node
-        self._known = known
+        # Cut-off and vehicle of models, by identity.
+        self._known = {identity: (model.cutoff_hz, vehicle) for identity, (model, vehicle) in known.items()}
+        self._given = tuple(known)
         # Inboxes by the name of their topic: of the vehicle's own nodes, and of its other topics by type.
         self._batches: dict[str, Inbox] = {}
         self._descriptions: dict[str, Inbox] = {}
@@ -203,6 +205,9 @@ class LiveVehicle:
             for message in inbox.take():
                 description = unpack_description(message.data)
                 self.view.learn(description.models)
+                for identity, model in description.models.items():
+                    if description.vehicle is not None and model.cutoff_hz is not None:
+                        self._known.setdefault(identity, (model.cutoff_hz, description.vehicle))
                 self._topics = {**self._topics, **description.topics}
 
     def _batched(self) -> dict[tuple[str, str], Payloads]:
@@ -261,7 +266,7 @@ class LiveVehicle:
         return None if self._carried(_ODOMETRY) else states
 
     def _single_rotors(self) -> RotorSpeedStream | None:
-        rotors = self._unpacked(_ROTORS, sensor_messages.unpack_rotor_speeds)
+        rotors = self._unpacked(_ROTORS, sensor_messages.unpack_any_rotor_speeds)
         flying = self._flying()
         if rotors is None and flying is not None:
             rotors = self._unpacked(_ERPM, lambda payloads: sensor_messages.unpack_erpm(payloads, flying[1]))
@@ -282,19 +287,19 @@ class LiveVehicle:
     def _single(self, type_: str) -> Inbox | None:
         return next(iter(self._singles[type_].values()), None)
 
-    def _flying(self) -> tuple[AerodynamicModel, Vehicle] | None:
-        """The model that gives the alarm with its vehicle, where they are known here."""
+    def _flying(self) -> tuple[float, Vehicle] | None:
+        """Cut-off and vehicle of the model that gives the alarm, where they are known here."""
         first = next(iter(self.view.models.values()), None)
         return None if first is None else self._known.get(first.identity)
 
     def _follower(self) -> LiveInputs | None:
         """Of the inputs of the model that flies; a new one where another model takes its place."""
-        flying = self._flying()
-        if flying is None:
+        first, flying = next(iter(self.view.models.values()), None), self._flying()
+        if first is None or flying is None:
             return None
-        model, vehicle = flying
-        if self._inputs is None or self._inputs[0] != model.identity:
-            self._inputs = model.identity, LiveInputs(vehicle, model.cutoff_hz)
+        cutoff_hz, vehicle = flying
+        if self._inputs is None or self._inputs[0] != first.identity:
+            self._inputs = first.identity, LiveInputs(vehicle, cutoff_hz)
         return self._inputs[1]
 
     def _watch(self) -> None:
@@ -330,13 +335,16 @@ class LiveVehicle:
         if now_s - self._since_s > _COMES_S:
             rows += self._missing()
         alarm = self._single(ALARM)
+        doubts = []
         for topic in filter(None, (first, alarm.topic if alarm is not None else None)):
             publishers = self._node.count_publishers(topic)
             if publishers > 1:
                 rows.append((topic, "error", f"{publishers} monitors publish here: their results are mixed"))
+                doubts = [f"{publishers} monitors publish in {self.view.name}: their results are mixed"]
+        self.view.doubts = tuple(doubts)
         flying = next(iter(self.view.models.values()), None)
-        if flying is not None and self.view.training is None and self._known:
-            names = ", ".join(self._known)
+        if flying is not None and self.view.training is None and self._given:
+            names = ", ".join(self._given)
             rows.append(("model", "warn", f"{flying.identity} flies; training ranges are known of {names}"))
         if self._refused:
             rows.append(("messages", "warn", f"{self._refused} batches refused, the last: {self._refusal}"))

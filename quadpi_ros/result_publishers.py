@@ -177,7 +177,9 @@ class Results:
 
     def _describe(self) -> None:
         described = [self.monitors[name].model.described() for name in self.monitors.names]
-        self._publish_description(serialize_message(String(data=pack_description(described, self._topics))))
+        vehicle = self.monitors[self._first].vehicle
+        description = pack_description(described, self._topics, vehicle)
+        self._publish_description(serialize_message(String(data=description)))
 
     def alarm_status(self) -> tuple[bytes, str, dict[str, Any]]:
         """Level, message and values of the status of the alarm."""

@@ -14,7 +14,11 @@ from quadpi_core.errors import QuadpiError
 
 _SUFFIXES = {"vehicle": (".yaml", ".yml"), "rerun": (".rrd",), "flight": (".csv", ".parquet")}
 # Options beside the output that each form takes.
-_TAKES = {"vehicle": (), "rerun": ("model", "vehicle", "confidence"), "flight": ("vehicle", "mapping")}
+_TAKES = {
+    "vehicle": (),
+    "rerun": ("model", "vehicle", "confidence", "rate"),
+    "flight": ("vehicle", "mapping"),
+}
 
 
 def export(
@@ -41,18 +45,27 @@ def export(
     vehicle: OptionalVehicle = None,
     confidence: Confidence = None,
     mapping: Mapping = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0,
+            metavar="HZ",
+            help="rerun: rows a second of each series at most; the least and the largest value between them "
+            "are kept. Default 50; the rate of the flight or more keeps every sample.",
+        ),
+    ] = None,
 ) -> None:
     """Write a model or a flight in another form: a vehicle file, a recording for Rerun, or a table."""
     if output.suffix not in _SUFFIXES[form]:
         raise QuadpiError(f"{output}: a {form} file ends in {' or '.join(_SUFFIXES[form])}")
-    given = {"model": model, "vehicle": vehicle, "confidence": confidence, "mapping": mapping}
+    given = {"model": model, "vehicle": vehicle, "confidence": confidence, "mapping": mapping, "rate": rate}
     for name, value in given.items():
         if value is not None and name not in _TAKES[form]:
             raise QuadpiError(f"--{name}: is not for --format {form}")
     if form == "vehicle":
         _export_vehicle(path, output)
     elif form == "rerun":
-        _export_recording(path, output, model or [], vehicle, confidence)
+        _export_recording(path, output, model or [], vehicle, confidence, rate)
     else:
         _export_flight(path, output, vehicle, mapping)
 
@@ -66,11 +79,16 @@ def _export_vehicle(model: Path, output: Path) -> None:
 
 
 def _export_recording(
-    bag: Path, output: Path, folders: list[Path], vehicle: str | None, confidence: float | None
+    bag: Path,
+    output: Path,
+    folders: list[Path],
+    vehicle: str | None,
+    confidence: float | None,
+    rate: float | None,
 ) -> None:
     from quadpi_core.models.aerodynamic import AerodynamicModel
-    from quadpi_core.view.bag_view import flight_parts
-    from quadpi_core.view.rerun_recording import write_rerun_file
+    from quadpi_core.view.flight_parts import flight_parts
+    from quadpi_core.view.rerun_recording import RATE_HZ, write_rerun_file
 
     check_outputs([bag, *folders], output)
     models = [AerodynamicModel.load(folder) for folder in folders]
@@ -80,7 +98,8 @@ def _export_recording(
     the_vehicle = models[0].load_vehicle(vehicle) if models else None
     command = f"quadpi export {bag} --format rerun -o {output}"
     parts = flight_parts(bag, models, the_vehicle, confidence, command)
-    write_rerun_file(parts, output, {model.identity: model.described() for model in models})
+    known = {model.identity: model.described() for model in models}
+    write_rerun_file(parts, output, known, RATE_HZ if rate is None else rate)
     open_console().print(f"{output}: open it with: rerun {output}", soft_wrap=True)
 
 

@@ -162,7 +162,7 @@ class McapFile(McapReader):
                 f"cut off, it has no footer; {_whole_messages(stream, self._size)} whole messages can be "
                 "read, `mcap recover` rebuilds the file"
             )
-        if next(_records_of(stream, self._size), None) is None:
+        if next(records_of(stream, self._size), None) is None:
             # rosbags takes memory for the length that it announces.
             raise LogError("damaged: its first record runs beyond its end")
         footer = np.frombuffer(ending, dtype=_FOOTER, count=1)[0]
@@ -191,7 +191,7 @@ class McapFile(McapReader):
         """Find the topics of a file without a complete summary; rosbags unpacks every chunk for that."""
         assert self.bio
         announced, stop = 0, len(MAGIC)
-        for opcode, start, length in _records_of(self.bio, self._size):
+        for opcode, start, length in records_of(self.bio, self._size):
             if opcode == CHUNK:
                 announced += int.from_bytes(_read_at(self.bio, start, length)[_CHUNK_SIZE], "little")
             stop = start + length
@@ -281,7 +281,7 @@ def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
     return stream.read(length)
 
 
-def _records_of(stream: BinaryIO, end: int) -> Iterator[tuple[int, int, int]]:
+def records_of(stream: BinaryIO, end: int) -> Iterator[tuple[int, int, int]]:
     """Opcode, start and length of the records of an MCAP file, up to the first that is not whole."""
     position = len(MAGIC)
     while position + RECORD_PREFIX <= end:
@@ -296,7 +296,7 @@ def _records_of(stream: BinaryIO, end: int) -> Iterator[tuple[int, int, int]]:
 def _whole_messages(stream: BinaryIO, size: int) -> int:
     """Number of whole messages in an MCAP file that is cut off, in chunks or not."""
     count = 0
-    for opcode, start, length in _records_of(stream, size):
+    for opcode, start, length in records_of(stream, size):
         count += opcode == MESSAGE
         if opcode == CHUNK:
             with suppress(Exception):  # a damaged chunk holds no whole message

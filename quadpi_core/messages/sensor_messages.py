@@ -358,6 +358,16 @@ def unpack_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
     return ROTOR_SPEED_SAMPLES.unpack(payloads)
 
 
+def unpack_any_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
+    """Decode quadpi/RotorSpeeds of any number of rotors, the same in all messages: to be shown, not modelled.
+
+    Raises:
+        SampleError: for messages of different numbers of rotors, too.
+    """
+    columns = codec(ROTOR_SPEEDS).decode(payloads)
+    return RotorSpeedStream(header_stamps(columns), columns["rotor_speeds"])
+
+
 def pack_rotor_speeds(stream: RotorSpeedStream, frame_id: str = BODY_FRAME) -> Payloads:
     """Encode as quadpi/RotorSpeeds."""
     columns = {**header_columns(stream.time_ns, frame_id), "rotor_speeds": stream.speeds}

@@ -132,8 +132,10 @@ class AerodynamicModel:
         return vehicle
 
     def described(self) -> DescribedModel:
-        """Identity, vehicle and ranges of training, as they are published and written into bags."""
-        return DescribedModel(self.identity, self.vehicle, self.envelope.lower, self.envelope.upper)
+        """Identity, vehicle, low-pass and ranges of training, as they are published and written into bags."""
+        return DescribedModel(
+            self.identity, self.vehicle, self.envelope.lower, self.envelope.upper, self.cutoff_hz
+        )
 
     def require(self, vehicle: Vehicle) -> None:
         """Refuse a vehicle other than the one that the model was identified for.

@@ -55,6 +55,7 @@ class Monitor:
         self.model = model
         self.confidence = model.confidence if confidence is None else confidence
         settings = settings or MonitorSettings()
+        self.vehicle = vehicle
         self.preparation = Preparation(vehicle, rate_hz, model.cutoff_hz)
         self._alarm = Alarm(
             model.envelope,

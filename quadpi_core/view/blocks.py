@@ -8,6 +8,7 @@ newest blocks are kept in a ring, so memory does not grow with the flight either
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum
 from typing import NamedTuple
 
@@ -54,9 +55,9 @@ COMMON = (
     Quantity("attitude", 4, Fold.LAST),
     Quantity("velocity", 3, Fold.LAST),
     Quantity("speed", 1, Fold.MAX),
-    Quantity("rotor_min", ROTORS, Fold.MIN),
-    Quantity("rotor_max", ROTORS, Fold.MAX),
 )
+# Of a vehicle's rotors, as many as it has.
+PER_ROTOR = (("rotor_min", Fold.MIN), ("rotor_max", Fold.MAX))
 # Of each model.
 PER_MODEL = (
     Quantity("count", 1, Fold.SUM),
@@ -66,37 +67,42 @@ PER_MODEL = (
     Quantity("lower", _AXES, Fold.MIN),
     Quantity("upper", _AXES, Fold.MAX),
 )
-_COMMON_WIDTH = sum(one.width for one in COMMON)
-_MODEL_WIDTH = sum(one.width for one in PER_MODEL)
 
 
-def columns(models: int) -> dict[str, tuple[int, int]]:
-    """Place and width of each quantity in a row: by its name, of a model by `MODEL.name`."""
-    placed: dict[str, tuple[int, int]] = {}
-    place = 0
-    for prefix, quantities in (("", COMMON), *((f"{model}.", PER_MODEL) for model in range(models))):
-        for one in quantities:
-            placed[prefix + one.name] = (place, one.width)
-            place += one.width
+def quantities(models: int, rotors: int) -> list[Quantity]:
+    """What a row holds, one behind the other; quantities of a model are called `MODEL.name`."""
+    of_rotors = [Quantity(name, rotors, fold) for name, fold in PER_ROTOR]
+    of_models = [one._replace(name=f"{model}.{one.name}") for model in range(models) for one in PER_MODEL]
+    return [*COMMON, *of_rotors, *of_models]
+
+
+def _placed(held: Iterable[Quantity]) -> dict[str, tuple[int, int]]:
+    placed, place = {}, 0
+    for one in held:
+        placed[one.name] = (place, one.width)
+        place += one.width
     return placed
 
 
 class BlockStore:
-    """The newest blocks of a flight, rows of :func:`columns`; a number that nothing gave is NaN.
+    """The newest blocks of a flight, rows of :func:`quantities`; a number that nothing gave is NaN.
 
     Args:
         block_ns: duration of a block.
         capacity: how many are kept.
+
+    Attributes:
+        models, rotors: how many it has room for.
+        columns: place and width of each quantity in a row, by name.
     """
 
     def __init__(self, block_ns: int, capacity: int) -> None:
         self.block_ns = block_ns
         self.capacity = capacity
-        self.models = 0
         self.newest = -1
-        self._rows = np.full((capacity, _COMMON_WIDTH), np.nan, dtype=np.float32)
-        self._quantities = {one.name: one for one in COMMON}
-        self._columns = columns(0)
+        self.columns: dict[str, tuple[int, int]] = {}
+        self._rows: Rows = np.empty((capacity, 0), dtype=np.float32)
+        self._lay_out(0, ROTORS)
         self._changed_from: int | None = None
 
     @property
@@ -106,13 +112,23 @@ class BlockStore:
 
     def add_model(self) -> int:
         """Make room for one more model; returns its number."""
-        added = np.full((self.capacity, _MODEL_WIDTH), np.nan, dtype=np.float32)
-        self._rows = np.concatenate((self._rows, added), axis=1)
-        for one in PER_MODEL:
-            self._quantities[f"{self.models}.{one.name}"] = one
-        self.models += 1
-        self._columns = columns(self.models)
+        self._lay_out(self.models + 1, self.rotors)
         return self.models - 1
+
+    def set_rotors(self, rotors: int) -> None:
+        """Make room for another number of rotors."""
+        self._lay_out(self.models, rotors)
+
+    def _lay_out(self, models: int, rotors: int) -> None:
+        held = quantities(models, rotors)
+        placed, before = _placed(held), self.columns
+        rows = np.full((self.capacity, sum(one.width for one in held)), np.nan, dtype=np.float32)
+        for name in before.keys() & placed.keys():
+            (old, _), (new, _) = before[name], placed[name]
+            width = min(before[name][1], placed[name][1])
+            rows[:, new : new + width] = self._rows[:, old : old + width]
+        self.models, self.rotors, self.columns, self._rows = models, rotors, placed, rows
+        self._quantities = {one.name: one for one in held}
 
     def add(self, time_ns: Stamps, **values: Array) -> None:
         """Take samples into their blocks; those before the first block or the oldest kept are left out.
@@ -139,7 +155,7 @@ class BlockStore:
         for name, value in values.items():
             key = name.removeprefix("model_").replace("__", ".")
             folded = _folded(value.reshape(len(numbers), -1), first, self._quantities[key].fold)[recent]
-            place, width = self._columns[key]
+            place, width = self.columns[key]
             old = self._rows[slots, place : place + width]
             self._rows[slots, place : place + width] = _joined(old, folded, self._quantities[key].fold)
         changed = int(blocks[0])
@@ -152,7 +168,7 @@ class BlockStore:
 
     def value(self, number: int, name: str) -> Rows:
         """A quantity (width,) of one block; NaN where it is not kept."""
-        place, width = self._columns[name]
+        place, width = self.columns[name]
         if not self.oldest <= number <= self.newest:
             return np.full(width, np.nan, dtype=np.float32)
         row: Rows = self._rows[number % self.capacity, place : place + width]

@@ -8,9 +8,11 @@ so that the flight nodes do nothing for it.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
-from quadpi_core.errors import SignalError
+from quadpi_core.errors import LogError, SignalError
 from quadpi_core.flight import MAX_GAP_NS, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, aerodynamic_inputs, relative_to_air
@@ -55,33 +57,50 @@ class LiveInputs:
         self._rotors = np.empty((0, ROTORS))
 
     def take(self, states: OdometryStream | None, rotors: RotorSpeedStream | None) -> tuple[Stamps, Array]:
-        """Take what has come; stamps (K,) and inputs (K, 19) of the states with rotor speeds behind them."""
+        """Take what has come; stamps (K,) and inputs (K, 19) of the states with rotor speeds behind them.
+
+        Raises:
+            LogError: for another number of rotors than the vehicle has.
+        """
         if rotors is not None:
-            self._rotor_ns = np.concatenate((self._rotor_ns, rotors.time_ns))[-_WAITING_MOST:]
-            self._rotors = np.concatenate((self._rotors, rotors.speeds))[-_WAITING_MOST:]
+            if rotors.speeds.shape[1] != ROTORS:
+                raise LogError(
+                    f"topic rotor_speeds: {rotors.speeds.shape[1]} rotors, vehicle {self._vehicle.name} has "
+                    f"{ROTORS}: its inputs are not known"
+                )
+            self._rotor_ns = np.concatenate((self._rotor_ns, rotors.time_ns))
+            self._rotors = np.concatenate((self._rotors, rotors.speeds))
         if states is not None:
             rows = np.concatenate((states.velocity, states.attitude, states.rates), axis=1)
-            self._time_ns = np.concatenate((self._time_ns, states.time_ns))[-_WAITING_MOST:]
-            self._states = np.concatenate((self._states, rows))[-_WAITING_MOST:]
-        nothing = np.empty(0, dtype=np.int64), np.empty((0, len(INPUT_NAMES)))
-        if len(self._rotor_ns) == 0 or not self._rate_is_known():
-            return nothing
-        ready = self._time_ns <= self._rotor_ns[-1]
+            self._time_ns = np.concatenate((self._time_ns, states.time_ns))
+            self._states = np.concatenate((self._states, rows))
+        ready = np.empty(0, dtype=np.bool_)
+        if len(self._rotor_ns) and self._rate_is_known():
+            ready = self._time_ns <= self._rotor_ns[-1]
+        if not ready.any():
+            self._keep(-_WAITING_MOST)
+            return np.empty(0, dtype=np.int64), np.empty((0, len(INPUT_NAMES)))
         time_ns, rows = self._time_ns[ready], self._states[ready]
-        if len(time_ns) == 0:
-            return nothing
         self._time_ns, self._states = self._time_ns[~ready], self._states[~ready]
         steps = np.diff(time_ns, prepend=self._last_ns)
         breaks = np.flatnonzero((steps <= 0) | (steps > MAX_GAP_NS))
-        if len(breaks):
-            # The low-pass starts again behind the last gap.
-            self._delays, self._attitude = None, np.zeros(4)
-            time_ns, rows = time_ns[breaks[-1] :], rows[breaks[-1] :]
-        inputs = self._filtered_inputs(time_ns, rows)
+        inputs = []
+        for first, end in itertools.pairwise((0, *breaks.tolist(), len(time_ns))):
+            if first in breaks:
+                # The low-pass starts again behind a gap.
+                self._delays, self._attitude = None, np.zeros(4)
+            if end > first:
+                inputs.append(self._filtered_inputs(time_ns[first:end], rows[first:end]))
         self._last_ns = int(time_ns[-1])
         kept = self._rotor_ns >= self._last_ns - MAX_GAP_NS
         self._rotor_ns, self._rotors = self._rotor_ns[kept], self._rotors[kept]
-        return time_ns, inputs
+        self._keep(-_WAITING_MOST)
+        return time_ns, np.concatenate(inputs)
+
+    def _keep(self, first: int) -> None:
+        """Let go of what waits for too long."""
+        self._time_ns, self._states = self._time_ns[first:], self._states[first:]
+        self._rotor_ns, self._rotors = self._rotor_ns[first:], self._rotors[first:]
 
     def _rate_is_known(self) -> bool:
         if self._design is None and len(self._time_ns) >= _RATE_STAMPS:

@@ -16,7 +16,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
-from quadpi_core.view.blocks import BlockStore, Rows, columns
+from quadpi_core.view.blocks import BlockStore, Rows
 from quadpi_core.view.flight_clock import FlightClock
 from quadpi_core.view.timeline import Timeline, Track
 from quadpi_core.view.trust import INPUT_WORDS, State, plain, reasons_of, states_of
@@ -27,6 +27,8 @@ BLOCK_NS = 50_000_000
 EVENTS_SHOWN = 200
 # The largest number of models that colours distinguish; further ones are not shown.
 MODELS_MAX = 6
+# More than any multicopter has: a message that names a million rotors is not to fill the memory.
+ROTORS_MAX = 16
 # A message's inputs are those of this many blocks before it as well: alarms come at 10 Hz, blocks at 20 Hz.
 _BLOCKS_OF_A_MESSAGE = 2
 _NANOSECONDS = 1e-9
@@ -83,6 +85,8 @@ class VehicleView:
         self.start_ns = 0
         self.state = State.NO_DATA
         self.reasons: tuple[str, ...] = ("nothing has come yet",)
+        # Why what is said now cannot be relied on, whatever it is.
+        self.doubts: tuple[str, ...] = ()
         self._known = dict(known)
         self._clock = FlightClock(self._jumped)
         self._events: dict[tuple[int, int], dict[str, Any]] = {}
@@ -160,9 +164,15 @@ class VehicleView:
         self.track.add(_seconds(times[near]), position)
 
     def take_rotor_speeds(self, rotors: RotorSpeedStream) -> None:
-        """Take rotor speeds."""
+        """Take rotor speeds (K, rotors); the newest number of rotors counts."""
         times, near = self._clock.place(rotors.time_ns)
-        self.blocks.add(times[near], rotor_min=rotors.speeds[near], rotor_max=rotors.speeds[near])
+        speeds = rotors.speeds[near, :ROTORS_MAX]
+        if not len(speeds):
+            return
+        if speeds.shape[1] != self.blocks.rotors:
+            self.blocks.set_rotors(speeds.shape[1])
+            self.version += 1
+        self.blocks.add(times[near], rotor_min=speeds, rotor_max=speeds)
 
     def take_alarms(self, alarms: ReportedAlarms) -> None:
         """Take what the monitor says, and put it in plain words."""
@@ -223,7 +233,7 @@ class VehicleView:
             "id": self.name,
             "block_s": _NANOSECONDS * self.blocks.block_ns,
             "start": _NANOSECONDS * self.start_ns,
-            "columns": columns(self.blocks.models),
+            "columns": self.blocks.columns,
             "models": [
                 {
                     "name": one.name,
@@ -248,11 +258,12 @@ class VehicleView:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Its state now."""
+        """Its state now; where that is in doubt, nothing is trusted."""
+        doubted = State.WARNING if self.doubts and self.state is State.TRUSTED else self.state
         return {
             "id": self.name,
-            "state": int(self.state),
-            "reasons": list(self.reasons),
+            "state": int(doubted),
+            "reasons": [*self.doubts, *self.reasons],
             "oldest": self.blocks.oldest,
             "newest": self.blocks.newest,
             "version": self.version,

@@ -268,7 +268,6 @@ class _Page(WebSocketHandler):
                 self._selected = str(wish["select"])
                 self._told.pop(self._selected, None)
                 self._wants_overview = True
-                self._missed_from = None
             if "blocks" in wish:
                 first, last = wish["blocks"]
                 self._asked = [*self._asked, (str(wish["id"]), int(first), int(last))][-8:]
@@ -302,6 +301,8 @@ class _Page(WebSocketHandler):
             return
         if self._told.get(view.name) != view.version:
             self._told[view.name] = view.version
+            # Of a live vehicle, all that its charts and shares cover.
+            self._missed_from = 0
             self._send({"type": "vehicle", "version": view.version, **view.describe()})
         if self._missed_from is not None and self._server.source.live:
             first = max(self._missed_from, view.blocks.newest + 1 - _BLOCKS_MAX)

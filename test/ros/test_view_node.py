@@ -182,6 +182,9 @@ def test_two_monitors_in_one_namespace_are_told(node, source, model):
         ),
         flying(source, *both),
     )
+    said = source.vehicles["/"].summary()
+    assert said["reasons"][0] == "2 monitors publish in /: their results are mixed"
+    assert said["state"] != State.TRUSTED
 
 
 def test_another_model_than_those_known_is_told(node, source):
@@ -224,6 +227,30 @@ def test_inputs_follow_from_odometry_and_rotor_speeds(node, source, model):
     wait_until(lambda: newest("inputs_max") == pytest.approx(3.0, abs=1e-3), turn)
     assert newest("speed") == pytest.approx(3.0)
     assert newest("rotor_max") == pytest.approx(800.0)
+
+
+def test_six_rotors_are_shown(node, source, model):
+    rotors_out = node.create_publisher(RotorSpeeds, "rotor_speeds", SENSOR_QOS)
+    one = Publishing(node, "", model.identity)
+    sent = 0
+
+    def turn() -> None:
+        nonlocal sent
+        time_ns = START_NS + (sent + np.arange(25)) * 2_000_000
+        sent += 25
+        speeds = np.tile(700.0 + np.arange(6.0), (25, 1))
+        for payload in sensor_messages.pack_rotor_speeds(RotorSpeedStream(time_ns, speeds)):
+            rotors_out.publish(payload)
+        flying(source, one)()
+
+    def shown() -> bool:
+        view = source.vehicles.get("/")
+        return view is not None and any(
+            view.blocks.value(number, "rotor_max").tolist() == [700.0 + k for k in range(6)]
+            for number in range(view.blocks.newest)
+        )
+
+    wait_until(shown, turn)
 
 
 def test_a_message_that_cannot_be_read_is_counted_and_shown(node, source, model):

@@ -43,10 +43,10 @@ export class TimeChart {
 
   draw(store, cursor, series, {band = null, outlines = [], misses = null, least = 0} = {}) {
     const [context, width, height] = cleared(this.canvas);
-    const left = 46, bottom = height - 16, span = width - left;
+    const left = 46, top = 7, bottom = height - 16, span = width - left;
     const last = Math.floor(cursor / store.blockS), first = Math.max(0, last - Math.round(WINDOW_S / store.blockS));
     const x = (block) => left + span * (1 - (cursor - block * store.blockS) / WINDOW_S);
-    const [low, high] = this.fit(store, first, last, [...series, ...(band ? [band] : [])], least), y = (value) => bottom - (bottom - 4) * (value - low) / (high - low);
+    const [low, high] = this.fit(store, first, last, [...series, ...(band ? [band] : [])], least), y = (value) => bottom - (bottom - top) * (value - low) / (high - low);
     context.strokeStyle = colours["--rule"];
     context.fillStyle = colours["--soft"];
     context.lineWidth = 1;
@@ -320,8 +320,11 @@ export class FlightFigure {
       2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c].map((value, k) => position[k] + arm * value);
     context.strokeStyle = context.fillStyle = colours["--ink"];
     context.lineWidth = 2.5;
-    for (const [one, other] of [[[0.7, 0.7, 0], [-0.7, -0.7, 0]], [[0.7, -0.7, 0], [-0.7, 0.7, 0]], [[0, 0, 0], [1.5, 0, 0]]]) {
-      context.beginPath(); context.moveTo(...project(body(one))); context.lineTo(...project(body(other))); context.stroke();
+    // Arms to as many rotors as there are, two of them in front, and a longer line forward.
+    const rotors = store.columns.rotor_min[1], ends = [[1.5, 0, 0]];
+    for (let k = 0; k < rotors; k++) ends.push([Math.cos((2 * k + 1) * Math.PI / rotors), Math.sin((2 * k + 1) * Math.PI / rotors), 0]);
+    for (const tip of ends) {
+      context.beginPath(); context.moveTo(...project(position)); context.lineTo(...project(body(tip))); context.stroke();
     }
     context.fillStyle = stateColour(state);
     context.beginPath(); context.arc(...project(position), 5, 0, 7); context.fill();
@@ -336,12 +339,14 @@ export function drawTimeline(canvas, overview, end, cursor) {
   context.fillStyle = colours["--training"];
   context.fillRect(Math.max(0, (cursor - WINDOW_S) * scale), 0, Math.min(cursor, WINDOW_S) * scale, floor);
   const bin = overview.bin_s ?? 1;
-  for (let k = 0; k < (overview.codes ?? "").length; k++) {
-    const code = overview.codes[k];
-    if (code === "-") continue;
-    context.fillStyle = stateColour(Number(code));
-    const tall = floor * HEIGHTS[code];
-    context.fillRect(k * bin * scale, floor - tall, Math.max(1, bin * scale + 0.3), tall);
+  const codes = overview.codes ?? "";
+  for (let k = 0, next; k < codes.length; k = next) {
+    // Bars of one state are one: seams between them would be seen.
+    for (next = k + 1; codes[next] === codes[k];) next++;
+    if (codes[k] === "-") continue;
+    context.fillStyle = stateColour(Number(codes[k]));
+    const tall = floor * HEIGHTS[codes[k]];
+    context.fillRect(k * bin * scale, floor - tall, Math.max(1, (next - k) * bin * scale + 0.3), tall);
   }
   context.fillStyle = colours["--soft"];
   context.textAlign = "center";

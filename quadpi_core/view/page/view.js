@@ -358,12 +358,13 @@ function drawStrips() {
   // Height is up, position is down: a view of the store that turns it.
   const down = column("position", 2);
   strips.height.draw(mirrored(down), page.cursor, [{low: down, high: down, colour: colour("--model-1")}], {least: 1});
-  strips.rotor.draw(store, page.cursor, [0, 1, 2, 3].map((k) => ({
+  const rotors = [...Array(store.columns.rotor_min[1]).keys()];
+  strips.rotor.draw(store, page.cursor, rotors.map((k) => ({
     low: column("rotor_min", k), high: column("rotor_max", k), colour: modelColour(k)})), {least: 20});
   const text = (number, unit, digits) => Number.isNaN(number) ? "" : `${number.toFixed(digits)} ${unit}`;
   say("speed_now", text(value("speed"), "m/s", 1));
   say("height_now", text(-value("position", 2), "m", 1));
-  const mean = [0, 1, 2, 3].map((k) => 0.5 * (value("rotor_min", k) + value("rotor_max", k)));
+  const mean = rotors.map((k) => 0.5 * (value("rotor_min", k) + value("rotor_max", k)));
   say("rotor_now", mean.some(Number.isNaN) ? "" : `${mean.map((speed) => speed.toFixed(0)).join(" · ")} rad/s`);
 }
 

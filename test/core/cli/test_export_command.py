@@ -86,7 +86,7 @@ def test_recorded_results_and_those_of_a_model_are_the_same_recording(quadpi, tm
     replayed, files = tmp_path / "replayed.mcap", [tmp_path / "judged.rrd", tmp_path / "recorded.rrd"]
     assert quadpi("replay", GOLDEN, BAG, "-o", replayed).status == 0
     for bag, more, file in ((BAG, ("--model", GOLDEN), files[0]), (replayed, (), files[1])):
-        outcome = quadpi("export", bag, "--format", "rerun", *more, "-o", file)
+        outcome = quadpi("export", bag, "--format", "rerun", *more, "--rate", 1000, "-o", file)
         assert (outcome.status, outcome.errors) == (0, "")
         assert f"rerun {file}" in outcome.output.replace("\n", "")
 
@@ -102,6 +102,13 @@ def test_recorded_results_and_those_of_a_model_are_the_same_recording(quadpi, tm
     of_model, of_bag = map(wrench, files)
     assert len(of_model) > 9000
     assert of_model == of_bag
+    few = tmp_path / "few.rrd"
+    assert quadpi("export", replayed, "--format", "rerun", "-o", few).status == 0
+    fewer = wrench(few)
+    assert len(fewer) < 1100, "50 rows a second of 19 s"
+    for column in range(4):
+        every, kept = ([row[column] for row in rows.values()] for rows in (of_bag, fewer))
+        assert (min(kept), max(kept)) == (min(every), max(every))
 
 
 def test_a_flight_is_exported_and_imported_again(quadpi, read_json, tmp_path):

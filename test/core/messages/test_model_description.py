@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from quadpi_core.errors import LogError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel, pack_description, unpack_description
+from quadpi_core.vehicle import Vehicle
 
 LOWER = -np.arange(1.0, len(INPUT_NAMES) + 1.0)
 MODEL = DescribedModel('hover "1"@0123', "bebop2", LOWER, -2.0 * LOWER)
@@ -25,6 +27,23 @@ def test_it_is_read_as_it_was_written():
     np.testing.assert_array_equal(found.models[MODEL.identity].lower, MODEL.lower)
     np.testing.assert_array_equal(found.models[MODEL.identity].upper, MODEL.upper)
     assert found.topics == {"prediction": "/uav/prediction"}
+
+
+def test_what_inputs_are_computed_with_is_read_too():
+    vehicle = Vehicle.load("neurobem")
+    model = replace(MODEL, vehicle="neurobem", cutoff_hz=30.0)
+    found = unpack_description(pack_description([model], {}, vehicle))
+    assert found.models[model.identity].cutoff_hz == 30.0
+    assert found.vehicle is not None
+    assert (found.vehicle.name, found.vehicle.fingerprint) == ("neurobem", vehicle.fingerprint)
+    assert found.vehicle.pole_pairs == vehicle.pole_pairs
+    earlier = unpack_description(pack_description([MODEL], {}))
+    assert earlier.vehicle is None
+    assert earlier.models[MODEL.identity].cutoff_hz is None
+
+
+def with_key(name: str, value: object) -> str:
+    return json.dumps(json.loads(pack_description([MODEL], {})) | {name: value})
 
 
 def changed(**training: object) -> str:
@@ -42,6 +61,9 @@ def changed(**training: object) -> str:
         '{"models": 3, "topics": {}}',
         '{"models": [], "topics": []}',
         "[" * 100_000,
+        with_key("vehicle", {"name": "quad", "file": {"mass_kg": -1.0}}),
+        with_key("vehicle", 3),
+        with_key("models", [json.loads(pack_description([MODEL], {}))["models"][0] | {"cutoff_hz": -1.0}]),
         changed(u=None),
         changed(u=[1.0]),
         changed(u=[float("nan"), 1.0]),

@@ -136,22 +136,22 @@ def test_closing_ends_the_reader_at_once(model, vehicle):
     assert "bag reader" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_a_bag_that_is_cut_off_shows_what_was_read_and_says_so(model, vehicle, monkeypatch):
-    from quadpi_core.view import bag_view
+def test_a_bag_that_cannot_be_read_further_shows_what_was_read_and_says_so(model, vehicle, monkeypatch):
+    from quadpi_core.view import flight_parts
 
-    whole = bag_view.judged
+    whole = flight_parts.judged
 
     def cut(*arguments):
         for number, part in enumerate(whole(*arguments)):
             if number == 2:
-                raise LogError("flight.mcap: cut off")
+                raise LogError("flight.mcap: damaged")
             yield part
 
-    monkeypatch.setattr(bag_view, "judged", cut)
+    monkeypatch.setattr(flight_parts, "judged", cut)
     source = open_bag(BAG, [model], vehicle)
-    with pytest.raises(LogError, match="cut off"):
+    with pytest.raises(LogError, match="damaged"):
         read_whole(source)
     (view,) = source.vehicles.values()
     assert view.blocks.newest > 0
     assert view.summary()["state"] == State.NO_DATA
-    assert view.overview()["health"] == [("bag", "error", "flight.mcap: cut off")]
+    assert view.overview()["health"] == [("bag", "error", "flight.mcap: damaged")]

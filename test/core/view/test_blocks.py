@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from quadpi_core.view.blocks import BlockStore, columns
+from quadpi_core.view.blocks import BlockStore, quantities
 
 BLOCK_NS = 50_000_000
 
@@ -59,7 +59,7 @@ def test_the_ring_keeps_the_newest_and_its_size():
     assert (store.oldest, store.newest) == (300, 399)
     first, rows = store.get(0, 10_000)
     assert first == 300
-    assert rows.shape == (100, sum(width for _, width in columns(1).values()))
+    assert rows.shape == (100, sum(one.width for one in quantities(models=1, rotors=4)))
     assert np.isnan(store.value(299, "measured_min")).all()
 
 
@@ -87,6 +87,19 @@ def test_what_changed_is_said_once():
     assert store.take_changed() is None
     store.add(np.array([1_000_000_000]), speed=np.ones(1))
     assert store.take_changed() == 20
+
+
+def test_another_number_of_rotors_moves_nothing_else():
+    store, *_ = filled(1.0, 3)
+    before = {name: store.value(7, name) for name in ("measured_max", "position", "0.count")}
+    store.set_rotors(6)
+    speeds = np.arange(6.0)[None] + 700.0
+    store.add(np.array([7 * BLOCK_NS]), rotor_min=speeds, rotor_max=speeds)
+    assert store.value(7, "rotor_max").tolist() == speeds[0].tolist()
+    for name, values in before.items():
+        np.testing.assert_array_equal(store.value(7, name), values)
+    store.set_rotors(4)
+    assert store.value(7, "rotor_max").tolist() == speeds[0, :4].tolist()
 
 
 def test_a_model_that_comes_later_has_columns_of_its_own():

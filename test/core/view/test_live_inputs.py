@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.errors import LogError
 from quadpi_core.flight import OdometryStream, RotorSpeedStream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import read_bag
@@ -79,6 +80,26 @@ def test_it_starts_again_behind_a_gap_and_a_jump(published, model, vehicle):
     time_ns, inputs = live.take(earlier, before)
     assert len(time_ns) > 0
     assert np.isfinite(inputs).all()
+
+
+def test_a_block_of_a_bag_is_taken_whole_and_both_sides_of_a_gap(published, model, vehicle):
+    states, rotors = published
+    assert len(states) > 5000
+    gone = (states.time_ns < states.time_ns[2000]) | (states.time_ns > states.time_ns[2500])
+    time_ns, inputs = LiveInputs(vehicle, model.cutoff_hz).take(states.take(gone), rotors)
+    ready = states.time_ns[gone & (states.time_ns <= rotors.time_ns[-1])]
+    np.testing.assert_array_equal(time_ns, ready)
+    whole_ns, whole = LiveInputs(vehicle, model.cutoff_hz).take(states, rotors)
+    # A second behind the gap the low-pass has forgotten it.
+    behind_ns = states.time_ns[2500] + 1_000_000_000
+    np.testing.assert_allclose(inputs[time_ns > behind_ns], whole[whole_ns > behind_ns], rtol=1e-3, atol=1e-3)
+
+
+def test_another_number_of_rotors_is_refused_by_name(published, model, vehicle):
+    states, rotors = published
+    six = RotorSpeedStream(rotors.time_ns, np.tile(rotors.speeds[:, :1], (1, 6)))
+    with pytest.raises(LogError, match="topic rotor_speeds: 6 rotors, vehicle bebop2 has 4"):
+        LiveInputs(vehicle, model.cutoff_hz).take(states, six)
 
 
 def test_nothing_comes_without_rotor_speeds_or_a_rate_that_fits(published, model, vehicle):

@@ -17,8 +17,8 @@ from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.results import ACTIVE, AlarmEvent, Predictions, ReportedAlarms
-from quadpi_core.view.bag_view import Part
-from quadpi_core.view.rerun_recording import TIMELINE, write_rerun_file
+from quadpi_core.view.flight_parts import Part
+from quadpi_core.view.rerun_recording import RATE_HZ, TIMELINE, extremes, write_rerun_file
 
 rerun = pytest.importorskip("rerun", reason="Rerun is not installed: extra `rerun`")
 chunks = pytest.importorskip("rerun.chunk", reason="this Rerun does not read its files")
@@ -108,7 +108,8 @@ class Recording:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     file = tmp_path_factory.mktemp("rerun") / "flight.rrd"
-    write_rerun_file(parts(), file, KNOWN)
+    # Of 500 Hz every sample.
+    write_rerun_file(parts(), file, KNOWN, 1000.0)
     return Recording(file)
 
 
@@ -168,6 +169,35 @@ def test_alarm_as_series_and_as_words_where_they_change(recording: Recording) ->
         (STAMPS[9], "alarm 1 cleared: extrapolation"),
     ]
     assert [value[0] for _, value in sorted(log["level"])] == ["INFO", "ERROR", "ERROR", "INFO"]
+
+
+def test_an_hour_has_few_rows_and_every_extreme() -> None:
+    time_ns = np.arange(5000) * 2_000_000
+    values = np.random.default_rng(3).normal(size=(5000, 2))
+    values[1234, 0], values[4321, 1] = 50.0, -60.0
+    chosen_ns, rows = extremes(time_ns, values, round(2e9 / RATE_HZ))
+    assert 400 <= len(rows) <= 10 * 50, "50 rows a second, 10 s"
+    assert (np.diff(chosen_ns) > 0).all()
+    for stretch in range(250):
+        inside = time_ns // 40_000_000 == stretch
+        kept = rows[chosen_ns // 40_000_000 == stretch]
+        np.testing.assert_array_equal(kept.min(axis=0), values[inside].min(axis=0))
+        np.testing.assert_array_equal(kept.max(axis=0), values[inside].max(axis=0))
+
+
+def test_what_falls_still_falls_and_gaps_stay_gaps() -> None:
+    time_ns = np.arange(100) * 2_000_000
+    falling = np.column_stack((-np.arange(100.0), np.full(100, np.nan)))
+    _, rows = extremes(time_ns, falling, 40_000_000)
+    assert (np.diff(rows[:, 0]) < 0).all()
+    assert np.isnan(rows[:, 1]).all()
+
+
+def test_few_samples_are_left_as_they_are() -> None:
+    time_ns, values = np.arange(7) * 20_000_000, np.arange(7.0)[:, None]
+    chosen_ns, rows = extremes(time_ns, values, 40_000_000)
+    np.testing.assert_array_equal(chosen_ns, time_ns)
+    np.testing.assert_array_equal(rows, values)
 
 
 def test_an_error_on_the_way_leaves_no_file(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import json
 import numpy as np
 import pytest
 
-from quadpi_core.flight import AXES
+from quadpi_core.flight import AXES, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.results import AlarmEvent, Predictions
 from quadpi_core.view.trust import State
@@ -51,6 +51,30 @@ def test_misses_are_counted_by_axis():
     one.take_predictions("m", predictions(1.0, START + 1_000_000_000, miss=True), "m@1", 0.95, AXES)
     assert one.blocks.value(3, "0.misses").tolist() == [0.0] * 6
     assert one.blocks.value(23, "0.misses").tolist() == [25.0] * 6
+
+
+def test_a_doubt_comes_first_and_nothing_is_trusted_with_it():
+    one = view()
+    one.state, one.reasons = State.TRUSTED, ()
+    assert one.summary()["state"] == State.TRUSTED
+    one.doubts = ("2 monitors publish in /uav: their results are mixed",)
+    assert one.summary()["state"] == State.WARNING
+    one.state, one.reasons = State.ALARM, ("outside: forward speed",)
+    assert one.summary()["state"] == State.ALARM
+    assert one.summary()["reasons"] == [*one.doubts, "outside: forward speed"]
+
+
+@pytest.mark.parametrize(("rotors", "shown"), [(6, 6), (4, 4), (100_000, 16)])
+def test_rotor_speeds_of_any_number_of_rotors(rotors, shown):
+    one = view()
+    one.take_predictions("m", predictions(1.0), "m@1", 0.95, AXES)
+    version = one.version
+    speeds = np.tile(np.arange(float(rotors)), (50, 1))
+    one.take_rotor_speeds(RotorSpeedStream(START + np.arange(50) * 2_000_000, speeds))
+    assert one.describe()["columns"]["rotor_max"][1] == shown
+    assert (one.version > version) == (shown != 4)
+    assert one.blocks.value(0, "rotor_max").tolist() == list(range(shown))
+    assert one.blocks.value(0, "0.count")[0] == 25
 
 
 def test_words_come_with_the_blocks_from_which_they_hold(judged_view):

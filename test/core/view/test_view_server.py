@@ -21,7 +21,6 @@ from tornado.websocket import WebSocketClientConnection, websocket_connect
 from quadpi_core.flight import AXES
 from quadpi_core.report import ASSETS, SHARED_ASSETS
 from quadpi_core.view import view_server
-from quadpi_core.view.blocks import columns
 from quadpi_core.view.trust import State
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 from quadpi_core.view.view_server import (
@@ -174,13 +173,27 @@ def test_a_page_is_told_of_the_vehicle_and_then_what_is_new():
         assert vehicle["newest"] == 19
         await page.write_message(json.dumps({"select": "uav"}))
         described = await received(page, "vehicle")
-        assert described["columns"]["0.count"] == list(columns(1)["0.count"])
+        assert described["columns"]["0.count"] == list(source.vehicles["uav"].blocks.columns["0.count"])
         assert (await received(page, "overview"))["id"] == "uav"
         source.feed(1.0, 0.5)
         head, rows = await received(page, "blocks")
         assert head["first"] <= 20
         assert head["first"] + head["count"] == 30
         np.testing.assert_array_equal(rows, source.vehicles["uav"].window(head["first"], 29)[1])
+
+    serving(scenario)
+
+
+def test_a_page_that_comes_later_gets_what_its_charts_and_shares_cover():
+    async def scenario(server: ViewServer, source: Given) -> None:
+        source.feed(0.0, 90.0)
+        await asyncio.sleep(0.2)
+        page = await page_of(server)
+        await page.write_message(json.dumps({"select": "uav"}))
+        head, rows = await received(page, "blocks")
+        assert head["first"] + head["count"] == 1800
+        assert head["count"] * BLOCK_NS >= 60e9
+        np.testing.assert_array_equal(rows, source.vehicles["uav"].window(head["first"], 1799)[1])
 
     serving(scenario)
 

@@ -1,0 +1,355 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A flight in parts, as the page and recordings take it: judged by models, or with the results in a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream, Stamps, WindStream
+from quadpi_core.frames import Array
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
+from quadpi_core.logs.cut_off import is_cut_off, whole_part
+from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.model_description import DescribedModel, MonitorDescription, unpack_description
+from quadpi_core.messages.payloads import Payloads, Topic
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.monitor import pairing_kernel
+from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.monitor import Monitor
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
+from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.vehicle import Vehicle
+from quadpi_core.view.live_inputs import LiveInputs
+
+CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
+_RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm", "wind")
+_STRING, _DESCRIPTION = "std_msgs/msg/String", "description"
+# What is not shown without a topic of a bag of results.
+_WITHOUT = {
+    "extrapolation_alarm": "nobody says whether the model can be trusted",
+    "odometry": "flight, speed and height are not shown",
+    "rotor_speeds": "rotor speeds are not shown",
+}
+
+
+class FlightTaker(Protocol):
+    """Takes what comes of a flight, part by part; see :class:`VehicleView`."""
+
+    def take_predictions(
+        self, model: str, predictions: Predictions, identity: str, confidence: float, axes: Sequence[str]
+    ) -> None:
+        """Take predictions of a model, the first one's before those of others."""
+
+    def take_inputs(self, time_ns: Stamps, inputs: Array) -> None:
+        """Take inputs (K, 19) of the models."""
+
+    def take_states(self, states: OdometryStream) -> None:
+        """Take positions, attitudes and velocities."""
+
+    def take_rotor_speeds(self, rotors: RotorSpeedStream) -> None:
+        """Take rotor speeds."""
+
+    def take_alarms(self, alarms: ReportedAlarms) -> None:
+        """Take what the monitor says."""
+
+    def take_events(self, events: Sequence[AlarmEvent]) -> None:
+        """Take alarms that were raised or cleared."""
+
+    def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
+        """Take topics that are missing, with what is not shown for that."""
+
+    def learn(self, models: Mapping[str, DescribedModel]) -> None:
+        """Take the training ranges of models, by identity."""
+
+
+Part = Callable[[FlightTaker], None]
+_Content = TypeVar("_Content")
+
+
+def flight_parts(
+    bag: Path,
+    models: Sequence[AerodynamicModel],
+    vehicle: Vehicle | None,
+    confidence: float | None,
+    command: str,
+) -> Iterator[Part]:
+    """Parts of a flight, judged by models or with the results that the bag holds.
+
+    Args:
+        bag: see :func:`open_bag`.
+        models: see there.
+        vehicle: see there.
+        confidence: see there.
+        command: to advise `--model` for, where the bag holds no results.
+
+    Raises:
+        QuadpiError: see there.
+    """
+    if len({model.name for model in models}) < len(models):
+        raise QuadpiError("--model: two models have the same name, which is how they are told apart")
+    return _parts(bag, models, vehicle, confidence, command)
+
+
+def _parts(
+    bag: Path,
+    models: Sequence[AerodynamicModel],
+    vehicle: Vehicle | None,
+    confidence: float | None,
+    command: str,
+) -> Iterator[Part]:
+    with whole_part(bag) as readable:
+        if models:
+            assert vehicle is not None
+            parts = judged(readable, models, vehicle, confidence)
+        else:
+            parts = recorded(readable, command)
+        for number, part in enumerate(parts):
+            yield part
+            if number == 0 and is_cut_off(bag):
+                yield lambda view: view.take_missing([("bag", CUT_OFF)])
+
+
+def judged(
+    bag: Path, models: Sequence[AerodynamicModel], vehicle: Vehicle, confidence: float | None
+) -> Iterator[Part]:
+    """Parts of a flight, judged as `quadpi replay` does."""
+    monitors = [Monitor(model, vehicle, None, confidence) for model in models]
+    held: list[OdometryStream] = []
+    with open_flight(bag, vehicle) as flight:
+        for stretch in follow(_noting_states(flight, held), vehicle):
+            if stretch.begin == pairing_kernel.SET_BACK:
+                for monitor in monitors:
+                    monitor.reset()
+            for monitor in monitors:
+                monitor.retune(stretch.rate)
+            states = held[:] if stretch.states is None else [stretch.states.odometry]
+            held.clear()
+            yield _judged_part(monitors, stretch.samples, states)
+
+
+def _noting_states(flight: RecordedFlight, held: list[OdometryStream]) -> RecordedFlight:
+    """The flight; what its blocks say of the state by themselves is noted, as no estimator gives it."""
+
+    def blocks() -> Iterator[Recording]:
+        for block in flight.blocks:
+            if not flight.has_mocap and block.odometry is not None:
+                held.append(block.odometry)
+            yield block
+
+    return replace(flight, blocks=blocks())
+
+
+def _judged_part(
+    monitors: Sequence[Monitor], samples: PairedSamples, states: Sequence[OdometryStream]
+) -> Part:
+    first, *others = monitors
+    prepared = first.preparation.step(*samples)
+    predictions, alarms, events = first.judge(prepared)
+    further = [(other, other.predict(other.preparation.step(*samples))) for other in others]
+    reported = None
+    if len(alarms):
+        reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, reasons_by_row(alarms)))
+    rotors = RotorSpeedStream(samples.time_ns, samples.rotor_speeds)
+
+    def show(view: FlightTaker) -> None:
+        for monitor, given in ((first, predictions), *further):
+            model = monitor.model
+            view.take_predictions(model.name, given, model.identity, monitor.confidence, model.axes)
+        view.take_inputs(prepared.usable_ns, prepared.inputs)
+        for stream in states:
+            view.take_states(stream)
+        view.take_rotor_speeds(rotors)
+        if reported is not None:
+            view.take_alarms(reported)
+        view.take_events(events)
+
+    return show
+
+
+def recorded(bag: Path, command: str) -> Iterator[Part]:
+    """Parts of the results that a bag holds; without any, `command` is advised with a model."""
+    with Bag(bag) as opened:
+        names = {}
+        for topic in _RESULTS:
+            connection = find_topic(opened, topic)
+            if connection is not None:
+                names[topic] = connection.topic
+        if "prediction" not in names:
+            found = ", ".join(sorted({connection.topic for connection in opened.connections})) or "none"
+            raise LogError(
+                f"{bag}: holds no predictions; judge it by a model: {command} --model MODEL "
+                f"(topics of the bag: {found})"
+            )
+        # Predictions of further models are below the topic of the first.
+        further = sorted(
+            {
+                connection.topic
+                for connection in opened.connections
+                if connection.topic.startswith(f"{names['prediction']}/")
+                and connection.msgtype == sensor_messages.PREDICTION
+            }
+        )
+        description, lacks = _description(opened)
+        vehicle, without = _rotor_vehicle(opened, names, description.vehicle)
+        inputs = _RecordedInputs(description)
+        for number, block in enumerate(opened.blocks([*names.values(), *further])):
+            topics = {topic: block[name] for topic, name in names.items() if len(block[name].payloads)}
+            others = [block[name] for name in further if len(block[name].payloads)]
+            part = _recorded_part(bag, topics, others, vehicle, inputs)
+            yield _after_learning(description.models, part) if number == 0 else part
+            if number == 0:
+                yield lambda view: view.take_missing([*lacks, *without, *inputs.lacks])
+
+
+def _after_learning(models: Mapping[str, DescribedModel], part: Part) -> Part:
+    def show(view: FlightTaker) -> None:
+        view.learn(models)
+        part(view)
+
+    return show
+
+
+def _description(opened: Bag) -> tuple[MonitorDescription, list[tuple[str, str]]]:
+    """What the monitors of a bag say of their models, and topics of that name that no monitor wrote."""
+    names = {
+        one.topic
+        for one in opened.connections
+        if one.msgtype == _STRING and one.topic.rpartition("/")[2] == _DESCRIPTION and one.msgcount
+    }
+    models: dict[str, DescribedModel] = {}
+    vehicle, lacks = None, []
+    for topic in opened.read(names).values() if names else ():
+        for payload in topic.payloads:
+            try:
+                text = codec(_STRING).decode(payload)["data"][0].decode(errors="replace")
+                found = unpack_description(text)
+            except LogError as error:
+                lacks.append((topic.name, f"gives no training ranges: {error}"))
+                break
+            models |= found.models
+            vehicle = found.vehicle or vehicle
+    return MonitorDescription(models, {}, vehicle), lacks
+
+
+class _RecordedInputs:
+    """Inputs of the models by odometry and rotor speeds, where the monitor says what they follow from.
+
+    Attributes:
+        identity: of the model that flies.
+        lacks: why they are not known, for the table of health.
+    """
+
+    def __init__(self, description: MonitorDescription) -> None:
+        self.identity = ""
+        self.lacks: list[tuple[str, str]] = []
+        self._vehicle = description.vehicle
+        self._models = description.models
+        self._live: LiveInputs | None = None
+
+    def take(
+        self,
+        identity: str,
+        states: OdometryStream | None,
+        rotors: RotorSpeedStream | None,
+        wind: WindStream | None,
+    ) -> tuple[Stamps, Array] | None:
+        """Stamps (K,) and inputs (K, 19) of the model that flies; None where they are not known."""
+        model = self._models.get(identity)
+        if self._vehicle is None or model is None or model.cutoff_hz is None or self.lacks:
+            return None
+        if self._live is None or identity != self.identity:
+            self._live, self.identity = LiveInputs(self._vehicle, model.cutoff_hz), identity
+        if wind is not None:
+            self._live.wind = wind.velocity[-1]
+        try:
+            return self._live.take(states, rotors)
+        except LogError as error:
+            self.lacks.append(("inputs", f"not shown: {error}"))
+            return None
+
+
+def _rotor_vehicle(
+    opened: Bag, names: dict[str, str], described: Vehicle | None
+) -> tuple[Vehicle | None, list[tuple[str, str]]]:
+    """The vehicle, if `erpm` alone gives rotor speeds; and topics that are missing, with what that hides."""
+    lacks = [
+        (topic, f"the bag has no topic {topic}: {without}")
+        for topic, without in _WITHOUT.items()
+        if topic not in names
+    ]
+    if "rotor_speeds" in names or "erpm" not in names:
+        names.pop("erpm", None)
+        return None, lacks
+    name = opened.metadata.get("vehicle", "")
+    try:
+        if not name and described is None:
+            raise LogError("the bag does not name its vehicle, whose file gives the pole pairs")
+        vehicle = described or Vehicle.load(name)
+        vehicle.rotor_speeds_from_erpm(np.empty(0))
+    except QuadpiError as error:
+        del names["erpm"]
+        return None, [*lacks, ("erpm", f"no rotor speeds: {error}")]
+    return vehicle, [row for row in lacks if row[0] != "rotor_speeds"]
+
+
+def _recorded_part(
+    bag: Path,
+    topics: Mapping[str, Topic],
+    others: Sequence[Topic],
+    vehicle: Vehicle | None,
+    inputs: _RecordedInputs,
+) -> Part:
+    """What to show of the topics of a block that have messages.
+
+    Args:
+        bag: for what cannot be read.
+        topics: by their standard names.
+        others: predictions of further models.
+        vehicle: of `erpm`, where that is among the topics.
+        inputs: follow the states.
+    """
+
+    def unpacked(name: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
+        return unpacked_topic(bag, topics[name], unpack) if name in topics else None
+
+    predicted = [
+        (
+            unpacked_topic(bag, topic, lambda payloads: result_messages.unpack_model(payloads[-1])),
+            unpacked_topic(bag, topic, result_messages.unpack_predictions),
+        )
+        for topic in ([topics["prediction"]] if "prediction" in topics else []) + list(others)
+    ]
+    states = unpacked("odometry", sensor_messages.unpack_odometry)
+    rotors = unpacked("rotor_speeds", sensor_messages.unpack_any_rotor_speeds)
+    if vehicle is not None:
+        rotors = unpacked("erpm", lambda payloads: sensor_messages.unpack_erpm(payloads, vehicle))
+    alarms = unpacked("extrapolation_alarm", result_messages.unpack_alarms)
+    events = unpacked("alarm_log", result_messages.unpack_events)
+    wind = unpacked("wind", sensor_messages.unpack_wind)
+    identity = predicted[0][0].identity if "prediction" in topics else inputs.identity
+    followed = inputs.take(identity, states, rotors, wind)
+
+    def show(view: FlightTaker) -> None:
+        for about, predictions in predicted:
+            view.take_predictions(about.identity.partition("@")[0], predictions, *about)
+        if followed is not None:
+            view.take_inputs(*followed)
+        if states is not None:
+            view.take_states(states)
+        if rotors is not None:
+            view.take_rotor_speeds(rotors)
+        if alarms is not None:
+            view.take_alarms(alarms)
+        view.take_events(events or [])
+
+    return show

@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Results of a bag with what its monitor said of itself, of any number of rotors, and up to a cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.flight import RotorSpeedStream
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_writer import write_mcap
+from quadpi_core.logs.bags import output_topic, read_bag
+from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.model_description import pack_description
+from quadpi_core.messages.payloads import Payloads, Topic
+from quadpi_core.messages.sensor_messages import pack_rotor_speeds
+from quadpi_core.view.bag_view import open_bag
+from quadpi_core.view.trust import State
+
+from .conftest import BAG, read_whole
+
+STRING = "std_msgs/msg/String"
+
+
+def described(text: str, time_ns: int) -> Topic:
+    payloads = codec(STRING).encode(1, {"data": text})
+    return Topic("/uav/monitor/description", STRING, np.array([time_ns]), payloads)
+
+
+@pytest.fixture(scope="module")
+def rotors(vehicle) -> RotorSpeedStream:
+    stream = read_bag(BAG, vehicle).rotor_speeds
+    assert stream is not None
+    return stream
+
+
+def recorded(results: Path, target: Path, more: Sequence[Topic]) -> Path:
+    """A bag of results with further topics, as a recorder of all topics writes it."""
+    with Bag(results) as bag:
+        topics = list(bag.read([connection.topic for connection in bag.connections]).values())
+    write_mcap(target, [*topics, *more], {})
+    return target
+
+
+def rotor_topic(rotors: RotorSpeedStream) -> Topic:
+    return output_topic("rotor_speeds", rotors.time_ns, pack_rotor_speeds(rotors))
+
+
+def test_ranges_and_inputs_come_with_the_description_of_the_monitor(
+    results_bag, judged_view, model, vehicle, rotors, tmp_path
+):
+    text = pack_description([model.described()], {}, vehicle)
+    bag = recorded(
+        results_bag, tmp_path / "flown.mcap", [described(text, rotors.time_ns[0]), rotor_topic(rotors)]
+    )
+    view = read_whole(open_bag(bag, [], None))
+    assert view.overview()["health"] == []
+    given, judged = view.describe()["inputs"], judged_view.describe()["inputs"]
+    assert given == judged
+    assert given[0]["upper"] is not None
+    number = round(10.5 / 0.05)
+    assert any("flown in training" in word for _, words in view.window(number, number)[2] for word in words)
+    scale = model.envelope.scale
+    for block in range(60, judged_view.blocks.newest - 1):
+        for name in ("inputs_min", "inputs_max"):
+            found, expected = view.blocks.value(block, name), judged_view.blocks.value(block, name)
+            np.testing.assert_allclose(found / scale, expected / scale, atol=0.02, err_msg=f"{name} {block}")
+
+
+def test_a_description_without_a_vehicle_gives_ranges_alone(results_bag, model, rotors, tmp_path):
+    text = pack_description([replace(model.described(), cutoff_hz=None)], {})
+    bag = recorded(results_bag, tmp_path / "flown.mcap", [described(text, rotors.time_ns[0])])
+    view = read_whole(open_bag(bag, [], None))
+    assert view.describe()["inputs"][0]["upper"] is not None
+    assert np.isnan(view.blocks.value(200, "inputs_max")).all()
+
+
+def test_a_topic_of_that_name_of_another_node_is_named(results_bag, rotors, tmp_path):
+    bag = recorded(results_bag, tmp_path / "flown.mcap", [described("<robot/>", rotors.time_ns[0])])
+    view = read_whole(open_bag(bag, [], None))
+    about, level, text = view.overview()["health"][0]
+    assert (about, level) == ("/uav/monitor/description", "warn")
+    assert text.startswith("gives no training ranges: not the description of a monitor")
+    assert view.describe()["inputs"][0]["upper"] is None
+
+
+def test_six_rotors_are_shown_and_the_inputs_of_four_are_not(results_bag, model, vehicle, rotors, tmp_path):
+    six = replace(rotors, speeds=np.concatenate((rotors.speeds, rotors.speeds[:, :2] + 50.0), axis=1))
+    text = pack_description([model.described()], {}, vehicle)
+    bag = recorded(
+        results_bag, tmp_path / "hexa.mcap", [described(text, rotors.time_ns[0]), rotor_topic(six)]
+    )
+    view = read_whole(open_bag(bag, [], None))
+    assert view.describe()["columns"]["rotor_max"][1] == 6
+    shown = view.blocks.value(200, "rotor_max")
+    np.testing.assert_allclose(shown[4:] - shown[:2], 50.0, rtol=1e-4)
+    rows = [row for row in view.overview()["health"] if row[0] == "inputs"]
+    assert rows == [
+        (
+            "inputs",
+            "warn",
+            "not shown: topic rotor_speeds: 6 rotors, vehicle bebop2 has 4: its inputs are not known",
+        )
+    ]
+    assert view.describe()["inputs"][0]["upper"] is not None
+
+
+@pytest.mark.parametrize("share", [0.6, 0.999])
+def test_results_are_shown_up_to_a_cut_which_is_said(results_bag, judged_view, tmp_path, share):
+    content = results_bag.read_bytes()
+    bag = tmp_path / "cut.mcap"
+    bag.write_bytes(content[: round(share * len(content))])
+    source = open_bag(bag, [], None)
+    assert source.title == "cut.mcap, results as recorded, as far as the file goes: it is cut off"
+    view = read_whole(source)
+    assert 0.3 * judged_view.blocks.newest < view.blocks.newest <= judged_view.blocks.newest
+    np.testing.assert_allclose(
+        view.blocks.value(60, "0.upper"), judged_view.blocks.value(60, "0.upper"), rtol=1e-5
+    )
+    about, level, text = view.overview()["health"][0]
+    assert (about, level) == ("bag", "warn")
+    assert "`mcap recover`" in text
+
+
+def test_a_flight_that_is_cut_off_is_judged_up_to_the_cut(model, vehicle, tmp_path):
+    content = BAG.read_bytes()
+    bag = tmp_path / "cut.mcap"
+    bag.write_bytes(content[: round(0.7 * len(content))])
+    view = read_whole(open_bag(bag, [model], vehicle))
+    assert view.blocks.newest > 150
+    assert [row[:2] for row in view.overview()["health"]] == [("bag", "warn")]
+
+
+def test_a_cut_bag_without_results_is_named_with_the_cut(tmp_path):
+    content = BAG.read_bytes()
+    bag = tmp_path / "cut.mcap"
+    bag.write_bytes(content[: round(0.7 * len(content))])
+    with pytest.raises(LogError, match=r"cut.mcap: holds no predictions; .*\(the file is cut off\)"):
+        open_bag(bag, [], None)
+
+
+def test_stamps_that_jump_in_a_bag_are_drawn_on_and_listed(results_bag, tmp_path):
+    with Bag(results_bag) as bag:
+        topics = bag.read([connection.topic for connection in bag.connections])
+    moved = []
+    for topic in topics.values():
+        half = topic.log_time_ns > np.median(topics["/prediction"].log_time_ns)
+        payloads = [
+            _with_stamp_s(payload, 1000) if late else payload
+            for payload, late in zip(topic.payloads, half, strict=True)
+        ]
+        moved.append(replace(topic, payloads=Payloads.join(payloads)))
+    write_mcap(tmp_path / "jump.mcap", moved, {})
+    view = read_whole(open_bag(tmp_path / "jump.mcap", [], None))
+    jumps = [event for event in view.overview()["events"] if event["cause"] == "stamps jumped"]
+    assert [reason[:11] for event in jumps for reason in event["reasons"]] == ["by +1000.0 "]
+    # What comes behind it is a second later, not a thousand.
+    assert 370 < view.blocks.newest < 420
+    assert view.state is not State.NO_DATA
+
+
+def _with_stamp_s(payload: bytes, seconds: int) -> bytes:
+    """A message with a header whose stamp is later."""
+    stamp = int.from_bytes(payload[4:8], "little", signed=True) + seconds
+    return payload[:4] + stamp.to_bytes(4, "little", signed=True) + payload[8:]
