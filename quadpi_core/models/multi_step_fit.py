@@ -31,7 +31,7 @@ from quadpi_core.models.multi_step_errors import (
     median_norms,
     part_of,
 )
-from quadpi_core.models.physical_fit import FitStep, bounded_solution
+from quadpi_core.models.physical_fit import FitStep, Problem, bounded_solution
 from quadpi_core.models.rollout_flight import RolloutFlight
 from quadpi_core.models.rollout_model import MOVES, RolloutModel
 
@@ -69,7 +69,9 @@ def fit_multi_step(
     flights: Sequence[RolloutFlight],
     first: RolloutModel,
     left_out: Sequence[RolloutModel],
-    lower: Array,
+    problem: Problem,
+    *,
+    by_terms: bool = False,
 ) -> MultiStepFit:
     """Improve a model by the errors of its predictions.
 
@@ -77,7 +79,9 @@ def fit_multi_step(
         flights: to fit it to.
         first: the first step, fitted to all flights; its disturbance is that of roll-outs.
         left_out: the first step without each of them.
-        lower: (P,) bounds of the parameters.
+        problem: bounds of the parameters, and what is known of them before any flight.
+        by_terms: take what `problem` knows as prior, for flights whose single samples are mostly noise; the
+            first step is then where the search starts, and no more.
 
     Returns:
         The models of the first step, said in their remark and the log, where predictions of flights left out
@@ -93,16 +97,22 @@ def fit_multi_step(
         free &= np.diag(own.covariance) > 0.0
     if not windows:
         return _first_step(first, left_out, (), "no roll-out of half a second can be used")
-    space = _Space(first.parameters, free, np.sqrt(np.diag(first.covariance))[free], lower)
-    prior, priors = _Prior.of(first, space), [_Prior.of(own, space) for own in left_out]
+    spread = problem.spread if by_terms else np.sqrt(np.diag(first.covariance))
+    space = _Space(first.parameters, free, spread[free], problem.lower)
+    if by_terms:
+        prior = _Prior.of_terms(problem, space)
+        priors = [prior] * len(left_out)
+    else:
+        prior, priors = _Prior.of(first, space), [_Prior.of(own, space) for own in left_out]
     begun = mean_norms(windows, [left_out[k].parameters for k in used])
     log: list[FitStep] = []
     best, chosen, values = 0.0, None, first.parameters
-    for weight in WEIGHTS_TRIED:
-        solution = _minimised(windows, _Problem(space, prior, weight), values, log)
+    # The terms are not of these flights, so that roll-outs weigh what they are worth.
+    for weight in WEIGHTS_TRIED[:1] if by_terms else WEIGHTS_TRIED:
+        solution = _minimised(windows, _Objective(space, prior, weight), values, log)
         values = solution.values
         apart = [
-            _without(solution, used.index(k) if k in used else None, _Problem(space, own, weight))
+            _without(solution, used.index(k) if k in used else None, _Objective(space, own, weight))
             for k, own in enumerate(priors)
         ]
         gain = log_ratio(mean_norms(windows, [apart[k][0] for k in used]), begun)
@@ -128,12 +138,12 @@ def fit_multi_step(
 
 
 class _Space(NamedTuple):
-    """Coordinates x (n,) of the parameters that move: in standard errors of the first step, from it.
+    """Coordinates x (n,) of the parameters that move, from the first step on, in deviations of the prior.
 
     Attributes:
         origin: (P,) parameters of the first step.
         free: (P,) those that move.
-        unit: (n,) their standard errors.
+        unit: (n,) their standard deviations in the prior.
         lower: (P,) bounds.
     """
 
@@ -153,20 +163,25 @@ class _Space(NamedTuple):
 
 
 class _Prior(NamedTuple):
-    """What the first step says: parameters (P,), their coordinates (n,), their information (n, n)."""
+    """What is known before the roll-outs: coordinates (n,) of the parameters, their information (n, n)."""
 
-    values: Array
     centre: Array
     information: Array
 
     @classmethod
+    def of_terms(cls, problem: Problem, space: _Space) -> _Prior:
+        """Of the terms, before any flight."""
+        return cls(space.place(problem.mean), np.diag(np.square(space.unit / problem.spread[space.free])))
+
+    @classmethod
     def of(cls, first: RolloutModel, space: _Space) -> _Prior:
+        """Of the first step."""
         scaled = first.covariance[np.ix_(space.free, space.free)] / np.outer(space.unit, space.unit)
         information = np.asarray(np.linalg.inv(scaled), dtype=float)
-        return cls(first.parameters, space.place(first.parameters), information)
+        return cls(space.place(first.parameters), information)
 
 
-class _Problem(NamedTuple):
+class _Objective(NamedTuple):
     """What is minimised: the prior plus the weighted cost of the roll-outs."""
 
     space: _Space
@@ -204,29 +219,31 @@ class _Problem(NamedTuple):
 
 
 class _Solution(NamedTuple):
-    """Parameters (P,) with the least cost, the problem, and the parts of each flight there."""
+    """Parameters (P,) with the least cost, the objective, and the parts of each flight there."""
 
     values: Array
-    problem: _Problem
+    objective: _Objective
     parts: tuple[Part, ...]
 
     def covariance(self) -> Array:
-        return self.problem.covariance(self.parts)
+        return self.objective.covariance(self.parts)
 
 
-def _minimised(windows: Sequence[Windows], problem: _Problem, start: Array, log: list[FitStep]) -> _Solution:
-    values, space = start, problem.space
+def _minimised(
+    windows: Sequence[Windows], objective: _Objective, start: Array, log: list[FitStep]
+) -> _Solution:
+    values, space = start, objective.space
     rolled = all_rolled(windows, values, derivatives=True)
     for _ in range(_ITERATIONS):
         scales = [median_norms(own) for own in rolled]
         parts = [
             part_of(own, scale, space.free, space.unit) for own, scale in zip(rolled, scales, strict=True)
         ]
-        before, step = problem.cost(values, parts), problem.step(values, parts)
+        before, step = objective.cost(values, parts), objective.step(values, parts)
         for share in _SHARES:
-            trial = problem.moved(values, share * step)
+            trial = objective.moved(values, share * step)
             there = all_rolled(windows, trial, derivatives=False)
-            tried = problem.cost(
+            tried = objective.cost(
                 trial,
                 [
                     part_of(own, scale, space.free, space.unit)
@@ -238,20 +255,20 @@ def _minimised(windows: Sequence[Windows], problem: _Problem, start: Array, log:
         else:
             break
         values = trial
-        log.append(FitStep("multi-step fit", f"roll-outs weigh {problem.weight:g}, cost", tried / before))
+        log.append(FitStep("multi-step fit", f"roll-outs weigh {objective.weight:g}, cost", tried / before))
         rolled = all_rolled(windows, values, derivatives=True)
         if tried > before * (1.0 - _ENOUGH):
             break
     return _Solution(
-        values, problem, tuple(part_of(own, median_norms(own), space.free, space.unit) for own in rolled)
+        values, objective, tuple(part_of(own, median_norms(own), space.free, space.unit) for own in rolled)
     )
 
 
-def _without(solution: _Solution, flight: int | None, problem: _Problem) -> tuple[Array, Array]:
-    """Parameters (P,) and covariance (n, n) of a problem without the roll-outs of a flight."""
+def _without(solution: _Solution, flight: int | None, objective: _Objective) -> tuple[Array, Array]:
+    """Parameters (P,) and covariance (n, n) of a objective without the roll-outs of a flight."""
     parts = [part for k, part in enumerate(solution.parts) if k != flight]
-    values = problem.moved(solution.values, problem.step(solution.values, parts))
-    return values, problem.covariance(parts)
+    values = objective.moved(solution.values, objective.step(solution.values, parts))
+    return values, objective.covariance(parts)
 
 
 def _moved(first: RolloutModel, space: _Space, values: Array, covariance: Array, remark: str) -> RolloutModel:

@@ -68,7 +68,7 @@ def calibrated_rollouts(
     final = _uncalibrated(whole, disturbance_left(bare, headed))
     log: tuple[FitStep, ...] = ()
     if multi_step:
-        found = fit_multi_step(headed, final, bare, Problem.of(whole.vehicle, whole.reference_thrust).lower)
+        found = fit_multi_step(headed, final, bare, Problem.of(whole.vehicle, whole.reference_thrust))
         final, bare, log = found.model, list(found.left_out), found.log
     variance = _measured_variance(bare, headed)
     models = [

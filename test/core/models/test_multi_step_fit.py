@@ -31,7 +31,7 @@ def wrong_model() -> RolloutModel:
 
 
 def fitted(flights: list[RolloutFlight], first: RolloutModel) -> MultiStepFit:
-    return fit_multi_step(flights, first, [first] * len(flights), PROBLEM.lower)
+    return fit_multi_step(flights, first, [first] * len(flights), PROBLEM)
 
 
 def attitude_error(model: RolloutModel, flight: RolloutFlight) -> float:
@@ -55,6 +55,17 @@ def test_predictions_of_a_flight_that_was_not_seen_improve(fit: MultiStepFit) ->
     assert abs(fit.model.parameters[HUB] - known_parameters()[HUB]) < 0.2 * PROBLEM.spread[HUB]
     assert fit.weight in WEIGHTS_TRIED
     assert "times those by the parameters of the wrench" in fit.model.remark
+
+
+def test_by_the_prior_of_the_terms_a_first_step_that_is_too_sure_is_left(
+    flights: list[RolloutFlight],
+) -> None:
+    sure = replace(wrong_model(), covariance=1e-8 * wrong_model().covariance)
+    kept = fitted(flights, sure).model.parameters[HUB]
+    left = fit_multi_step(flights, sure, [sure] * len(flights), PROBLEM, by_terms=True).model.parameters[HUB]
+    true = known_parameters()[HUB]
+    assert abs(kept - true) > 0.9 * PROBLEM.spread[HUB]
+    assert abs(left - true) < 0.2 * PROBLEM.spread[HUB]
 
 
 def test_the_log_has_the_cost_of_each_iteration_and_the_gain_of_each_weight(fit: MultiStepFit) -> None:
