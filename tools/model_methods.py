@@ -46,8 +46,8 @@ MOST_FLIGHTS = 6
 FASTEST = 0.9
 # Share of the samples of a flight that may be faster than its speed.
 _FASTER = 0.001
-# Networks are trained on so many samples a second, and on the slower flights alone: on all samples a model
-# takes ten minutes of two cores, and each data set has up to eight of them.
+# Networks are trained on so many samples a second: on all samples a model
+# takes ten minutes of two cores, and each data set has up to seven of them.
 NETWORK_HZ = 20.0
 IN_TURN, FASTEST_OUT = "in turn", "the fastest"
 BOTH = (IN_TURN, FASTEST_OUT)
@@ -132,7 +132,8 @@ class Job:
         methods: kinds of model.
         most_flights: of a data set.
         sets: to look at.
-        kept: methods of which results of other code are taken, and said so; the others are renewed.
+        kept: methods of which the results at hand are taken, and said so where they are of other code; the
+            others are renewed.
     """
 
     data: Path
@@ -155,13 +156,13 @@ def spread_over_speeds(flights: Sequence[PreparedFlight], most: int) -> list[Pre
     return [ordered[place] for place in places]
 
 
-def cases(flights: Sequence[PreparedFlight], *, in_turn: bool) -> Iterator[Case]:
-    """Each flight left out in turn, if asked for, then the fastest together; flights in order of speed."""
-    for k, flight in enumerate(flights) if in_turn else ():
-        yield Case(IN_TURN, (*flights[:k], *flights[k + 1 :]), (flight,))
+def cases(flights: Sequence[PreparedFlight]) -> Iterator[Case]:
+    """The fastest flights left out together, then each flight in turn; flights in order of speed."""
     limit = FASTEST * speed(flights[-1])
     slow = tuple(flight for flight in flights if speed(flight) < limit)
     yield Case(FASTEST_OUT, slow, tuple(flight for flight in flights if speed(flight) >= limit))
+    for k, flight in enumerate(flights):
+        yield Case(IN_TURN, (*flights[:k], *flights[k + 1 :]), (flight,))
 
 
 def judge(case: Case, vehicle: Vehicle, method: str) -> list[Judged]:
@@ -173,7 +174,12 @@ def judge(case: Case, vehicle: Vehicle, method: str) -> list[Judged]:
     identified = list(case.identified)
     if trains_networks(method):
         identified = [thinned(flight, NETWORK_HZ) for flight in identified]
-    options = IdentifyOptions(method=method, confidence=CONFIDENCE)
+    kind = kind_named(method)
+    if any(option.name == "multi_step" for option in fields(kind)):
+        # Takes most of the time, and changes predictions ahead alone, which are not judged here.
+        changes: dict[str, Any] = {"multi_step": False}
+        kind = replace(kind, **changes)
+    options = IdentifyOptions(method=kind, confidence=CONFIDENCE)
     model = identify(identified, vehicle, load_pools("quadrotor"), options)
     found = []
     for flight in case.judged:
@@ -268,10 +274,11 @@ def content(flights: Sequence[PreparedFlight]) -> str:
     return digest.hexdigest()
 
 
-def outcome(job: Job, case: Case, vehicle: Vehicle, method: str) -> dict[str, Any]:
+def outcome(job: Job, case: Case, vehicle: Vehicle, method: str) -> dict[str, Any] | None:
     """What was found for a case, now or earlier: `flights`, or the `error` that it ends with.
 
-    It names the `code` that found it, and its `version` for people.
+    None where results of the method are kept and this is not among them. It names the `code` that found it,
+    and its `version` for people.
     """
     basis = [method, vehicle.fingerprint, content(case.identified), content(case.judged), NETWORK_HZ]
     key = hashlib.sha256(json.dumps(basis).encode()).hexdigest()[:24]
@@ -280,6 +287,8 @@ def outcome(job: Job, case: Case, vehicle: Vehicle, method: str) -> dict[str, An
         kept: dict[str, Any] = json.loads(file.read_text())
         if kept["code"] == code(method) or method in job.kept:
             return kept
+    if method in job.kept:
+        return None
     begin = perf_counter()
     found: dict[str, Any]
     try:
@@ -349,9 +358,15 @@ def compared(job: Job, data_set: DataSet) -> Compared:
     for method in job.methods:
         found: dict[str, list[Judged]] = {IN_TURN: [], FASTEST_OUT: []}
         errors: dict[str, str] = {}
-        for case in cases(flights, in_turn=not trains_networks(method)):
+        missing: list[str] = []
+        for case in cases(flights):
             result = outcome(job, case, vehicle, method)
             names = ", ".join(flight.name for flight in case.judged)
+            if case.name == FASTEST_OUT:
+                fastest = len(case.judged)
+            if result is None:
+                missing.append(case.name)
+                continue
             if result["code"] != code(method):
                 earlier[method] = result["version"]
             if "error" in result:
@@ -359,12 +374,10 @@ def compared(job: Job, data_set: DataSet) -> Compared:
             else:
                 found[case.name] += [Judged(**own) for own in result["flights"]]
                 print(f"{data_set.title}: {method}: {names}: {result['seconds']:.0f} s", flush=True)
-            if case.name == FASTEST_OUT:
-                fastest = len(case.judged)
-        if trains_networks(method):
-            remarks.append(f"{method}, {IN_TURN}: not computed")
         for name, own in found.items():
-            if name in errors:
+            if name in missing:
+                remarks.append(f"{method}, {name}: not computed")
+            elif name in errors:
                 remarks.append(f"{method}, {name}: {errors[name]}")
             elif own:
                 judged[name, method] = Judged.mean(own)
@@ -499,7 +512,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--flights", type=int, default=MOST_FLIGHTS, help="of a data set, at most")
     parser.add_argument("--only", default="", help="data sets whose title contains this")
     parser.add_argument(
-        "--keep", default="", help="methods whose results of other code are taken as they are"
+        "--keep", default="", help="methods whose results at hand are taken as they are, none computed"
     )
     options = parser.parse_args(arguments)
     job = Job(
