@@ -150,6 +150,9 @@ class AerodynamicModel:
                 f"model {self.name} was identified with another mass, inertia or rotor geometry than vehicle "
                 f"file {vehicle.name} gives now"
             )
+        if self.rollouts is not None:
+            with named_in(f"model {self.name}"):
+                self.rollouts.require_rotors(vehicle)
 
     def simulation_section(self) -> dict[str, Any]:
         """The key `simulation` of a vehicle file that flies as the model says, its motors apart.

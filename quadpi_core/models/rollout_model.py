@@ -36,10 +36,13 @@ from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance,
 from quadpi_core.models.rollout_flight import RolloutFlight
 from quadpi_core.models.stored_body import require_body
 from quadpi_core.records import Records
+from quadpi_core.vehicle import Vehicle
 
 # Samples [s] before a start whose residual is not used: the low-pass of all signals works in both directions,
 # and its impulse response at 30 Hz has died out after this.
 LEAD_S = 0.02
+# Places of a rotor [m] that are the same: of one file, however it was written.
+_SAME_PLACE_M = 1e-6
 # Parameters of sensors move no body: place, bias and inclination of the accelerometer.
 _SENSORS = ("imu_", "bias_x", "bias_y", "bias_z", "incline_")
 MOVES = np.array([not name.startswith(_SENSORS) for name in TERM_NAMES])
@@ -90,6 +93,20 @@ class RolloutModel:
     calibration: TubeCalibration | None = None
     lead_s: float = LEAD_S
     remark: str = ""
+
+    def require_rotors(self, vehicle: Vehicle) -> None:
+        """Refuse a vehicle whose rotors are at other places than those that the model was fitted with.
+
+        Raises:
+            ModelError: naming the first rotor that is.
+        """
+        apart = np.linalg.norm(self.vehicle["positions"][0] - vehicle.rotor_positions, axis=1)
+        if np.any(elsewhere := apart > _SAME_PLACE_M):
+            rotor = int(np.argmax(elsewhere))
+            raise ModelError(
+                f"was identified with rotor {rotor + 1} {apart[rotor] * 1e3:.3g} mm from where vehicle file "
+                f"{vehicle.name} has it now; identify it again"
+            )
 
     def track(self, flight: RolloutFlight) -> Track:
         """A flight on an even time grid as roll-outs need it."""

@@ -63,8 +63,15 @@ def rollout_summary(evaluation: RolloutEvaluation) -> Table:
         for quantity, own in quantities.items()
     ]
     inferred = [name for name, judged in evaluation.flights.items() if not judged.position_measured]
-    note = f"Position of {', '.join(inferred)} against integrated velocity: it was not measured."
-    return Table(columns, rows, note=note if inferred else "")
+    notes = [
+        f"{name}: {judged.left_out} of {judged.left_out + judged.starts} starts left out, as a rotor was not "
+        "measured, or samples are missing, within the horizon."
+        for name, judged in evaluation.flights.items()
+        if judged.left_out
+    ]
+    if inferred:
+        notes.append(f"Position of {', '.join(inferred)} against integrated velocity: it was not measured.")
+    return Table(columns, rows, note=" ".join(notes))
 
 
 def rollout_verdict(evaluation: RolloutEvaluation) -> str:

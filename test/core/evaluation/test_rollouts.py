@@ -85,6 +85,9 @@ def test_models_that_cannot_predict_are_refused(model, vehicle, bags) -> None:
     heavier = replace(vehicle, mass_kg=2.0 * vehicle.mass_kg)
     with pytest.raises(ModelError, match="another mass, inertia or rotor geometry"):
         evaluate_rollouts(model, [bags[2]], heavier)
+    longer = replace(vehicle, rotor_positions=1.2 * vehicle.rotor_positions)
+    with pytest.raises(ModelError, match=r"rotor 1 .* mm from where vehicle file"):
+        evaluate_rollouts(model, [bags[2]], longer)
     with pytest.raises(ModelError, match=r"calibrated from 0\.01 to 1 s"):
         evaluate_rollouts(model, [bags[2]], vehicle, horizon_s=2.0)
     with pytest.raises(QuadpiError, match="another flight is called flight2"):

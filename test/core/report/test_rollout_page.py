@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,14 @@ def test_a_row_for_each_horizon_and_quantity(judged) -> None:
     text = markdown_table(rollout_summary(judged[1]))
     assert text.count("position [m]") == 3
     assert text.count("attitude [°]") == 3
+
+
+def test_starts_that_were_left_out_are_said(judged) -> None:
+    _, evaluation = judged
+    ((name, whole),) = evaluation.flights.items()
+    assert "left out" not in rollout_summary(evaluation).note
+    partly = replace(evaluation, flights={name: replace(whole, starts=90, left_out=10)})
+    assert f"{name}: 10 of 100 starts left out" in rollout_summary(partly).note
 
 
 def test_a_fan_spreads_around_the_prediction(judged) -> None:
