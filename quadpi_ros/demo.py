@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import shlex
+import shutil
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -142,6 +145,7 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
     console.print(evaluation_summary(evaluation))
 
     console.rule(f"4  Live: {flights.replayed.name} through the ROS 2 nodes at {rate:g} x real time")
+    page = _page(vehicle, output / "model", console) if view else None
     console.print(
         "Alarm and inputs outside their training range, the farthest first, by a share of that range:"
     )
@@ -151,7 +155,7 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
         vehicle=vehicle.name,
         rate=rate,
         on_alarm=lambda change: _show(console, change),
-        page=_page(vehicle, output / "model", console) if view else None,
+        page=page,
     )
     live = session.summary()
     console.print(
@@ -168,8 +172,22 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
     files = FlightFiles(bags, [output / "model"])
     write_evaluation_page(output / "report.html", evaluation, results, model, replay, files)
     console.print(f"Open {output / 'report.html'}; figures in {output / 'summary.json'}")
-    again = f"quadpi view {flights.replayed} --model {output / 'model'}"
+    again = f"{called_as()} view {flights.replayed} --model {output / 'model'}"
     console.print(f"See the flight again: {again}", soft_wrap=True)
+    first_alarm_s = live["alarm_first_s"]
+    if first_alarm_s is not None:
+        at = f"--at {first_alarm_s - replay.begins_s:.2f}"
+        counts = f"as the page counts from the first prediction, {replay.begins_s:.2f} s into the flight"
+        console.print(f"and at its first alarm: add {at}, {counts}", soft_wrap=True)
+
+
+def called_as() -> str:
+    """How a shell here reaches the command line: by name, or where that is not on the path by its file."""
+    program = Path(sys.executable).with_name("quadpi")
+    if shutil.which("quadpi") or not program.exists():
+        return "quadpi"
+    inside = program.is_relative_to(Path.cwd())
+    return shlex.quote(str(program.relative_to(Path.cwd()) if inside else program))
 
 
 def _page(vehicle: Vehicle, model: Path, console: Console) -> list[str] | None:

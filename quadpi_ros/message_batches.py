@@ -17,9 +17,10 @@ import itertools
 import time
 from array import array
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import MultiArrayDimension, MultiArrayLayout, UInt8MultiArray
@@ -43,14 +44,25 @@ class OutgoingBatch:
 
     Args:
         node: to publish from.
+
+    Attributes:
+        heard: whether somebody listens; while nobody does, nothing need be added.
     """
 
     def __init__(self, node: Node) -> None:
+        self.heard = False
         self._node = node
-        self._publisher = node.create_publisher(UInt8MultiArray, TOPIC, BATCH_QOS)
+        self._publisher = node.create_publisher(
+            UInt8MultiArray,
+            TOPIC,
+            BATCH_QOS,
+            event_callbacks=PublisherEventCallbacks(matched=self._note_listeners),
+        )
         self._waiting: dict[str, list[bytes]] = {}
-        self._heard = False
         self._due_s = 0.0
+
+    def _note_listeners(self, matched: Any) -> None:
+        self.heard = matched.current_count > 0
 
     def adding(self, topic: str, type_name: str) -> Callable[[bytes], None]:
         """A function that takes the serialized messages of a topic."""
@@ -59,7 +71,7 @@ class OutgoingBatch:
         def add(payload: bytes) -> None:
             if time.monotonic() >= self._due_s:
                 self.send()
-            if self._heard:
+            if self.heard:
                 self._waiting.setdefault(label, []).append(payload)
 
         return add
@@ -69,8 +81,6 @@ class OutgoingBatch:
         add = self.adding(name, ROWS)
 
         def add_rows(time_ns: Stamps, values: Array) -> None:
-            if not self._heard:
-                return
             for k in range(len(time_ns)):
                 add(time_ns[k].tobytes() + values[k].tobytes())
 
@@ -79,9 +89,9 @@ class OutgoingBatch:
     def send(self) -> None:
         """Publish what waits."""
         self._due_s = time.monotonic() + PERIOD_S
-        self._heard = self._publisher.get_subscription_count() > 0
+        self.heard = self._publisher.get_subscription_count() > 0
         waiting, self._waiting = self._waiting, {}
-        if self._heard and waiting:
+        if self.heard and waiting:
             self._publisher.publish(batch_of(waiting))
 
     def destroy(self) -> None:

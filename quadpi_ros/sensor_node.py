@@ -196,17 +196,26 @@ class SensorNode(ManagedNode[Parameters]):
         publish: Callable[[Any], None] = output.publisher.publish
         if not batched:
             return publish
-        add = self._open_batch().adding(output.publisher.topic_name, diagnostics.type_name(message_type))
+        batch = self._open_batch()
+        add = batch.adding(output.publisher.topic_name, diagnostics.type_name(message_type))
 
         def publish_and_add(payload: bytes) -> None:
             publish(payload)
-            add(payload)
+            if batch.heard:
+                add(payload)
 
         return publish_and_add
 
     def announce_rows(self, name: str) -> Callable[[Stamps, Array], None]:
         """A function that takes rows for the node's batch, which no topic of their own has."""
-        return self._open_batch().adding_rows(name)
+        batch = self._open_batch()
+        add = batch.adding_rows(name)
+
+        def add_if_heard(time_ns: Stamps, values: Array) -> None:
+            if batch.heard:
+                add(time_ns, values)
+
+        return add_if_heard
 
     def _open_batch(self) -> OutgoingBatch:
         if self._batch is None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,12 +15,26 @@ import pytest
 import scipy.io
 from rich.console import Console
 
-from quadpi_ros.demo import run_demo
+from quadpi_ros.demo import called_as, run_demo
 
 # When the bundled flight `extrapolation` passes the range of its training by a tenth, at 7 m/s.
 LEAVES_THE_ENVELOPE_S = 9.5
 # Of each real flight, from its start: by then the fastest has passed the 12 m/s that tell the groups apart.
 REAL_FLIGHT_S = 8.0
+
+
+def test_the_command_that_is_offered_is_one_that_the_shell_finds(tmp_path, monkeypatch):
+    """`make demo` runs what is in `.venv`, which is on nobody's path."""
+    program = tmp_path / ".venv" / "bin" / "quadpi"
+    program.parent.mkdir(parents=True)
+    program.touch(mode=0o755)
+    monkeypatch.setattr(sys, "executable", str(program.with_name("python")))
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert called_as() == str(program)
+    monkeypatch.chdir(tmp_path)
+    assert called_as() == ".venv/bin/quadpi"
+    monkeypatch.setenv("PATH", str(program.parent))
+    assert called_as() == "quadpi"
 
 
 @pytest.mark.slow
@@ -39,6 +54,10 @@ def test_demo_on_the_bundled_flights(tmp_path: Path) -> None:
     assert "ALARM" in told.getvalue()
     assert f"first warning at {live['warning_first_s']:.1f} s" in told.getvalue()
     assert "extrapolation.mcap" in told.getvalue()
+    # The page counts from the first prediction, a second into the flight.
+    (offered,) = re.findall(r"add --at ([0-9.]+), .* ([0-9.]+) s into the flight", told.getvalue())
+    assert float(offered[0]) + float(offered[1]) == pytest.approx(live["alarm_first_s"], abs=0.02)
+    assert 0.5 < float(offered[1]) < 2.0
     page = (tmp_path / "out" / "report.html").read_text()
     assert len(page) < 3e6
     assert f"--model {tmp_path / 'out' / 'model'}" in page

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import MultiArrayDimension, MultiArrayLayout, UInt8MultiArray
 
@@ -73,4 +74,18 @@ def test_nothing_is_sent_until_somebody_listens(node):
     assert {part.topic for part in came} == {"/uav/prediction", "inputs"}
     for time_ns, values in rows:
         np.testing.assert_array_equal(values, [[0.5 * time_ns[0], -1.0]])
+    batch.destroy()
+
+
+def test_it_notes_who_comes_and_goes_without_being_asked(node):
+    batch = OutgoingBatch(node)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    assert not batch.heard
+    inbox = Inbox(node, UInt8MultiArray, "/uav/batching/batch", BATCH_QOS, raw=False)
+    wait_until(lambda: batch.heard, lambda: executor.spin_once(timeout_sec=0.01))
+    inbox.close(node)
+    wait_until(lambda: not batch.heard, lambda: executor.spin_once(timeout_sec=0.01))
+    executor.remove_node(node)
+    executor.shutdown()
     batch.destroy()
