@@ -76,31 +76,47 @@ class NoiseWeighting:
 
 @dataclass(frozen=True)
 class Regression:
-    """Weighted columns of residual, tolerances and candidates of all flights; changes give new values."""
+    """Weighted columns of residual, tolerances and candidates of all flights; changes give new values.
+
+    Attributes:
+        columns: columns in frequency.
+        weighting: their weights by the noise, and Gram matrices.
+        explained: per flight, rows (6, B) of the wrench of the accelerations that the columns of mass and
+            inertia are made of.
+    """
 
     columns: Linearisation
     weighting: NoiseWeighting
+    explained: tuple[Array, ...]
 
     @classmethod
     def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
-        """Regression with every candidate linearised at zero, and the noise that all of them leave.
-
-        Columns of another mass or inertia are made of the accelerations that all columns together explain,
-        beside those of the quiet simulation. Measured accelerations, and those of the residual, would explain
-        their own noise; simulated ones lack the effects that are looked for.
-        """
+        """Regression with every candidate linearised at zero, and the noise that all of them leave."""
         columns = Linearisation.of(flights, candidates)
-        regression = cls(columns, NoiseWeighting.of(columns, _estimated_noise(columns, ())))
-        simulated = [_rows(flight, flight.quiet_wrench[:: flight.step]) for flight in flights]
-        before = [_rows(flight, flight.expected_measured) for flight in flights]
+        explained = tuple(_rows(flight, flight.expected_measured) for flight in flights)
+        regression = cls(columns, NoiseWeighting.of(columns, _estimated_noise(columns, ())), explained)
         for _ in range(_ACCELERATION_ROUNDS):
-            columns, left = regression.columns, regression._left_of_everything()
-            fitted = residual_weights(columns.width, ()) - left
-            explained = [rows + columns.combined(place, fitted) for place, rows in enumerate(simulated)]
-            columns = columns.accelerated([new - old for new, old in zip(explained, before, strict=True)])
-            before = explained
-            regression = cls(columns, NoiseWeighting.of(columns, _estimated_noise(columns, ())))
+            accelerated = regression.accelerated(_require(regression.fit(())))
+            noise = _estimated_noise(accelerated.columns, ())
+            regression = replace(accelerated, weighting=NoiseWeighting.of(accelerated.columns, noise))
         return regression
+
+    def accelerated(self, found: Fit) -> Regression:
+        """The regression with columns of mass and inertia made of the accelerations that a fit explains.
+
+        They are those of the quiet simulation and of what the fit adds to it. Another mass or inertia then
+        explains nothing that the fit itself does not. Measured accelerations hold the noise of the residual,
+        and so do those that many columns explain together: a vehicle without mass, in no air, would leave
+        none of it. The weighting is not changed.
+        """
+        columns = self.columns
+        fitted = residual_weights(columns.width, ()) - found.left
+        explained = tuple(
+            _rows(flight, flight.quiet_wrench[:: flight.step]) + columns.combined(place, fitted)
+            for place, flight in enumerate(self.flights)
+        )
+        changes = [new - old for new, old in zip(explained, self.explained, strict=True)]
+        return replace(self, columns=columns.accelerated(changes), explained=explained)
 
     @property
     def flights(self) -> tuple[Compared, ...]:
@@ -129,19 +145,22 @@ class Regression:
     def moved(self, points: Mapping[int, Array]) -> Regression:
         """The regression with candidates, by index, linearised about other points."""
         columns = self.columns.moved(points)
-        return Regression(columns, self.weighting.extended(columns))
+        return replace(self, columns=columns, weighting=self.weighting.extended(columns))
 
     def weighted(self, noise: Array) -> Regression:
         """The regression with another noise (6, C)."""
         return replace(self, weighting=NoiseWeighting.of(self.columns, noise))
 
     def beside(self, chosen: Sequence[int], found: Fit) -> Regression:
-        """The regression with at least the residual after a set of effects as noise.
+        """The regression with at least the residual after a set of effects as noise, as far as there was any.
 
-        An error of a law would otherwise be explained by another effect.
+        An error of a law would otherwise be explained by another effect. Columns of mass and inertia are made
+        of the accelerations that the set explains.
         """
         left = band_means([np.square(rows) for rows in self.left(found)], self.columns.bands)
-        return self.weighted(np.maximum(_estimated_noise(self.columns, chosen), left))
+        accelerated = self.accelerated(found)
+        noise = np.maximum(_estimated_noise(accelerated.columns, chosen), left)
+        return accelerated.weighted(np.minimum(noise, _residual_squares(self.columns)))
 
     def fit(self, chosen: Sequence[int], gram: Array | None = None, *, form: bool = True) -> Fit | None:
         """Fit a set of candidates, by their indices, with or without the columns of their form.
@@ -188,23 +207,6 @@ class Regression:
             if block.offset is not None:
                 weights[block.offset] = -1.0
         return self.columns.combined(place, weights)
-
-    def _left_of_everything(self) -> Array:
-        """Weights (K,) of what tolerances and every linear candidate but mass and inertia leave together.
-
-        With those, nothing says how large accelerations and simulation are together: the noise would decide,
-        and columns of mass and inertia made of accelerations that were shrunk take the noise away in turn.
-        """
-        vehicle = [
-            block.parameters
-            for candidate, block in zip(self.candidates, self.columns.blocks, strict=True)
-            if candidate.effect.kind == "vehicle"
-        ]
-        linear = np.setdiff1d(self.columns.linear_columns, np.concatenate([*vehicle, NO_COLUMNS]))
-        matrix = self.gram[np.ix_(linear, linear)] + np.eye(len(linear))
-        weights = residual_weights(self.columns.width, ())
-        weights[linear] = -np.linalg.solve(matrix, self.gram[linear, 0])
-        return weights
 
 
 def settled(regression: Regression) -> Regression:
@@ -270,8 +272,22 @@ def _estimated_noise(columns: Linearisation, chosen: Sequence[int]) -> Array:
         [
             Spectrum(np.dstack((columns.combined(place, residual), columns.rows(place, explaining))), band)
             for place, band in enumerate(columns.bands)
-        ]
+        ],
+        _residual_squares(columns),
     )
+
+
+def _residual_squares(columns: Linearisation) -> Array:
+    """Mean squares (6, C) of the residual as it is; infinite in a band that no flight is long enough for."""
+    alone = residual_weights(columns.width, ())
+    rows = [np.square(columns.combined(place, alone)) for place in range(len(columns.flights))]
+    squares = band_means(rows, columns.bands)
+    return np.where(squares > 0.0, squares, np.inf)
+
+
+def _require(found: Fit | None) -> Fit:
+    assert found is not None  # without effects there is always a fit
+    return found
 
 
 def _rows(flight: Compared, wrench: Array) -> Array:

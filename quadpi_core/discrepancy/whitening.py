@@ -93,29 +93,38 @@ def cross_gram(first: Array, second: Array) -> Array:
     return total
 
 
-def estimate_noise(spectra: Sequence[Spectrum]) -> Array:
+def estimate_noise(spectra: Sequence[Spectrum], most: Array | None = None) -> Array:
     """Variance (6, C) of the noise in C bands: that of the residual after a fit of all columns.
 
     Args:
         spectra: per flight the residual, and the columns that may explain it with a prior deviation of 1.
+        most: (6, C) what no noise exceeds, such as the squares before any fit. A fit that is bent by one axis
+            may leave more than that in another, whose noise would then be overstated, and bend it further.
     """
+    most = np.full((len(AXES), 1), np.inf) if most is None else most
     last = max(int(flight.band.max()) for flight in spectra)
     alone = []
     for axis in range(len(AXES)):
         own = [Spectrum(flight.rows[axis : axis + 1], flight.band) for flight in spectra]
         # Starting from too little noise, where the fit is that of least squares, the rounds converge quickly.
         highest = np.concatenate([flight.rows[0, flight.band == last, 0] for flight in own])
-        alone.append(settled_noise(own, np.full((1, last + 1), np.mean(np.square(highest))), _prior))
+        first = np.full((1, last + 1), np.mean(np.square(highest)))
+        alone.append(settled_noise(own, first, _prior, most[axis : axis + 1]))
     # Fitted together from the start, an axis with too little noise would bend the fit, and the error that
     # this leaves in another axis would count as its noise for good.
-    return settled_noise(spectra, np.concatenate(alone), _prior)
+    return settled_noise(spectra, np.concatenate(alone), _prior, most)
 
 
 def _prior(gram: Array) -> Array:
     return np.eye(len(gram))
 
 
-def settled_noise(spectra: Sequence[Spectrum], noise: Array, penalty: Callable[[Array], Array]) -> Array:
+def settled_noise(
+    spectra: Sequence[Spectrum],
+    noise: Array,
+    penalty: Callable[[Array], Array],
+    most: Array | float = np.inf,
+) -> Array:
     """Variance (A, C) of the residual of A axes after a fit of the columns, which it weighs in turn.
 
     By expectation and maximisation: the variance of a band is its mean square after the fit plus the variance
@@ -126,6 +135,7 @@ def settled_noise(spectra: Sequence[Spectrum], noise: Array, penalty: Callable[[
         noise: (A, C) variance to start from.
         penalty: (K, K) matrix to add to the Gram matrix (K, K) of the whitened columns, such as the precision
             of their prior.
+        most: (A, C) what no variance exceeds.
     """
     bands = [flight.band for flight in spectra]
     # A band that no flight is long enough for has the noise of the next.
@@ -138,6 +148,7 @@ def settled_noise(spectra: Sequence[Spectrum], noise: Array, penalty: Callable[[
         fit = cho_solve((lower, True), gram[1:, 0])
         means = band_means([expected_squares(flight.rows, fit, lower) for flight in spectra], bands)
         noise = np.stack([np.interp(np.arange(len(own)), filled, own[filled]) for own in means])
+        noise = np.minimum(noise, most)
     return np.maximum(noise, np.finfo(float).tiny)
 
 

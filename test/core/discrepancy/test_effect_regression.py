@@ -12,6 +12,7 @@ import pytest
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_regression import NoiseWeighting, Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.whitening import band_means
 
 WIND = np.array([0.8, -0.5, 0.0])
 
@@ -84,15 +85,15 @@ def test_a_gram_matrix_grows_with_the_columns(regression, drag):
     np.testing.assert_allclose(moved.gram, whole.gram, atol=1e-9 * scale)
 
 
-def test_noise_beside_an_effect_is_no_less_than_what_it_leaves(regression, drag):
+def test_noise_beside_an_effect_is_no_less_than_what_it_leaves_and_no_more_than_there_was(regression, drag):
     fit = regression.fit((drag,))
     beside = regression.beside((drag,), fit)
-    left, bands = beside.left(fit), beside.columns.bands
-    for index in range(regression.noise.shape[1]):
-        squares = np.concatenate(
-            [np.square(rows[:, band == index]) for rows, band in zip(left, bands, strict=True)], axis=1
-        )
-        assert np.all(beside.noise[:, index] >= (1.0 - 1e-9) * squares.mean(axis=1))
+    bands = beside.columns.bands
+    left = band_means([np.square(rows) for rows in regression.left(fit)], bands)
+    residual = [own.spectrum(own.residual[:, :, None]).rows[:, :, 0] for own in regression.flights]
+    before = band_means([np.square(rows) for rows in residual], bands)
+    assert np.all(beside.noise >= (1.0 - 1e-9) * np.minimum(left, before))
+    assert np.all(beside.noise <= (1.0 + 1e-9) * before)
 
 
 @pytest.fixture(scope="module")

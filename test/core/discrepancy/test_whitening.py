@@ -133,6 +133,17 @@ def test_a_band_that_no_flight_reaches_has_the_noise_of_the_next():
     assert np.all(found[:, 2] > found[:, 1])
 
 
+def test_noise_is_no_more_than_what_it_may_be():
+    spectra = noisy_spectra(3, np.ones((6, BANDS)))
+    most = np.ones((6, BANDS))
+    most[2] = 0.01
+    found = estimate_noise(spectra, most)
+    np.testing.assert_allclose(found[2], 0.01)
+    np.testing.assert_allclose(
+        found[[0, 1, 3, 4, 5]], np.minimum(estimate_noise(spectra)[[0, 1, 3, 4, 5]], 1.0), rtol=0.05
+    )
+
+
 def test_a_penalty_keeps_columns_from_explaining_noise():
     spectra = noisy_spectra(3, np.ones((6, BANDS)))
     start = np.ones((6, BANDS))
