@@ -21,8 +21,7 @@ from quadpi_core.discrepancy.discrepancy_result import Discovery
 from quadpi_core.discrepancy.effect_formulas import write_formulas
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
 from quadpi_core.discrepancy.own_state import OwnStates, started
-from quadpi_core.discrepancy.search import Found
-from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, VehicleSimulation
+from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tolerances, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
@@ -125,6 +124,10 @@ class AugmentedSimulation(Simulation):
         """See :class:`Simulation`; the base's."""
         return self.base.recorded(flight, wrench)
 
+    def margins(self, flight: Flight) -> Margins | None:
+        """See :class:`Simulation`: those of the base."""
+        return self.base.margins(flight)
+
     def unjudged(self, flight: Flight) -> int:
         """See :class:`Simulation`: those of the base."""
         return self.base.unjudged(flight)
@@ -220,8 +223,8 @@ class AugmentedSimulation(Simulation):
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
     """The simulation with the effects that were found, and with adjusted coefficients.
 
-    Coefficients are adjusted by their posterior means, if that reduces the residual of flights left out and
-    the discovery does not say otherwise.
+    Those coefficients are adjusted, by their posterior means, that help on flights left out; none if the
+    discovery says so.
 
     Args:
         discovery: result of the search.
@@ -241,7 +244,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         shape = found.closing.shape(index, law, fitted)
         effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
     adjusted: dict[str, float] = {}
-    if discovery.adjusted and adjusting_helps(found):
+    if discovery.adjusted:
         multiples = dict(zip(columns.tolerance_names, fitted.of(columns.tolerances).tolist(), strict=True))
         adjusted, small = _divided(multiples, simulation.tolerances)
         effects = merged(small, effects)
@@ -256,17 +259,6 @@ def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
         if feasible is not None:
             possible[name] = _named(name, feasible(vehicle, np.array(list(parameters.values()))))
     return possible
-
-
-def adjusting_helps(found: Found) -> bool:
-    """Whether adjusted coefficients reduce the residual of flights left out."""
-    gained = 0.0
-    for own, fit in zip(found.closing.grams, found.closing.left_out, strict=True):
-        weights = fit.left
-        unmoved = weights.copy()
-        unmoved[found.regression.columns.tolerances] = 0.0
-        gained += float(unmoved @ own @ unmoved - weights @ own @ weights)
-    return gained > 0.0
 
 
 def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[dict[str, float], Effects]:

@@ -10,14 +10,15 @@ weight at all frequencies, and the parameters of the effects stay as the search 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
 from quadpi_core.discrepancy.effect_regression import Regression
-from quadpi_core.discrepancy.evidence import Fit, fit_forms, residual_weights
+from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit_forms, form_precisions, residual_weights
 from quadpi_core.discrepancy.linearisation import AXES_OVER_FORM
 from quadpi_core.discrepancy.whitening import cross_gram
 from quadpi_core.flight import AXES
@@ -51,29 +52,33 @@ class Closing:
         shaped: those whose laws are shaped, because that reduces the residual of flights left out.
         grams: (F, K, K) Gram matrices that weigh the residual: equally at all frequencies with shapes, by the
             noise without.
+        adjusted: columns of the coefficients that are adjusted beside the effects; see :mod:`.adjustment`.
     """
 
     regression: Regression
     chosen: tuple[int, ...]
     shaped: tuple[int, ...]
     grams: Array
+    adjusted: Indices
 
     @classmethod
     def by_laws(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
-        """Fits of the laws alone."""
-        return cls(regression, tuple(chosen), (), regression.weighting.per_flight)
+        """Fits of the laws alone, and of all coefficients."""
+        grams = regression.weighting.per_flight
+        return cls(regression, tuple(chosen), (), grams, regression.columns.tolerances)
 
     @classmethod
     def of(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
-        """Fits with laws shaped where that reduces the residual of flights left out."""
+        """Fits with laws shaped, and coefficients adjusted, where that helps on flights left out."""
         bare = cls.by_laws(regression, chosen)
         laws = [regression.candidates[index] for index in chosen]
         # A law that is not linear in its parameters is shaped by them.
         shaped = tuple(i for i, law in zip(chosen, laws, strict=True) if law.effect.shape and law.linear)
-        if not shaped:
-            return bare
-        whole = cls(regression, tuple(chosen), shaped, _even_grams(regression, chosen))
-        return whole if whole._leaves(whole.grams) < bare._leaves(whole.grams) else bare
+        best = bare
+        if shaped:
+            whole = replace(bare, shaped=shaped, grams=_even_grams(regression, chosen))
+            best = whole if whole._leaves(whole.grams) < bare._leaves(whole.grams) else bare
+        return best._adjusting_what_helps() if chosen else best
 
     def fits(self, without: int | None = None) -> tuple[Fit, Fit]:
         """Fit of the parameters by the laws alone, and fit of parameters, tolerances and shapes.
@@ -81,19 +86,60 @@ class Closing:
         Args:
             without: index of a flight to leave out of both, so that they can be judged on it.
         """
+        law = self._law(without)
+        if not self.chosen or (not self.shaped and self._adjusts_all):
+            return law, law
+        gram = self.grams.sum(axis=0)
+        if without is not None:
+            gram -= self.grams[without]
+        return law, fit_forms(gram, self.adjusted, self._blocks, law, self._formed)
+
+    def _law(self, without: int | None) -> Fit:
+        """Fit of the parameters and all coefficients by the laws alone."""
         regression = self.regression
         gram = regression.gram if without is None else regression.gram - self._per_flight[without]
-        law = regression.fit(self.chosen, gram, form=False)
-        if law is None or not self.shaped:
-            law = law or regression.fit((), gram)
-            assert law is not None  # without effects there is always a fit
-            return law, law
-        even = self.grams.sum(axis=0)
-        if without is not None:
-            even -= self.grams[without]
-        blocks = {index: regression.block(index) for index in self.chosen}
-        formed = [blocks[index] for index in self.shaped]
-        return law, fit_forms(even, regression.columns.tolerances, list(blocks.values()), law, formed)
+        law = regression.fit(self.chosen, gram, form=False) or regression.fit((), gram)
+        assert law is not None  # without effects there is always a fit
+        return law
+
+    @property
+    def _adjusts_all(self) -> bool:
+        return len(self.adjusted) == len(self.regression.columns.tolerances)
+
+    @property
+    def _blocks(self) -> list[Block]:
+        return [self.regression.block(index) for index in self.chosen]
+
+    @property
+    def _formed(self) -> list[Block]:
+        return [self.regression.block(index) for index in self.shaped]
+
+    def _adjusting_what_helps(self) -> Closing:
+        """The same with those coefficients adjusted that help on flights left out."""
+        columns, grams = self.regression.columns, self.grams
+        parts = [columns.tolerances, *(block.form for block in self._formed)]
+        free = np.concatenate(parts).astype(np.intp)
+        total, flights = grams.sum(axis=0), []
+        for place, band in enumerate(columns.bands):
+            law = self._law(place)
+            residual = residual_weights(columns.width, self._blocks)
+            for block in self._blocks:
+                residual[block.parameters] -= law.of(block.parameters)
+            into = np.column_stack((residual, np.eye(columns.width)[:, free]))
+            rows = np.dstack((columns.combined(place, residual), columns.rows(place, free)))
+            noisy = rows * np.sqrt(self.regression.noise[:, band])[:, :, None]
+            flights.append(
+                LeftOut(
+                    others=into.T @ (total - grams[place]) @ into,
+                    own=into.T @ grams[place] @ into,
+                    squares=np.swapaxes(rows, 1, 2) @ rows,
+                    noisy=np.swapaxes(noisy, 1, 2) @ noisy,
+                )
+            )
+        law = self._law(None)
+        precisions = np.concatenate((np.ones(len(columns.tolerances)), form_precisions(law, self._formed)))
+        adjustment = Adjustment(flights, precisions, len(columns.tolerances))
+        return replace(self, adjusted=columns.tolerances[adjustment.chosen()])
 
     @cached_property
     def left_out(self) -> list[Fit]:

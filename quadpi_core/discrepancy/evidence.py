@@ -136,9 +136,16 @@ def fit_forms(
     residual = residual_weights(len(gram), blocks)
     for block in blocks:
         residual[block.parameters] -= fixed.of(block.parameters)
-    precisions = [np.full(len(block.form), _form_precision(fixed, block)) for block in formed]
     columns = np.concatenate([tolerances, *(block.form for block in formed)]).astype(np.intp)
-    return _evidence(gram, columns, residual, np.concatenate([np.ones(len(tolerances)), *precisions]))
+    precisions = np.concatenate((np.ones(len(tolerances)), form_precisions(fixed, formed)))
+    return _evidence(gram, columns, residual, precisions)
+
+
+def form_precisions(found: Fit, formed: Sequence[Block]) -> Array:
+    """Prior precision of the form columns of blocks, in a row, for effects of the sizes of a fit."""
+    return np.concatenate(
+        [np.empty(0), *(np.full(len(block.form), _form_precision(found, block)) for block in formed)]
+    )
 
 
 def residual_weights(width: int, blocks: Sequence[Block]) -> Array:

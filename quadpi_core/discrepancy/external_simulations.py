@@ -16,7 +16,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, axis_columns, read_tolerances
+from quadpi_core.discrepancy.simulations import (
+    Column,
+    Margins,
+    Simulation,
+    Tolerances,
+    axis_columns,
+    read_tolerances,
+)
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps, WrenchStream
 from quadpi_core.frames import Array
@@ -183,10 +190,11 @@ class ModelSimulation(CallableSimulation):
         found = self._evaluated(flight)
         return found.lower, found.upper
 
-    def margins(self, flight: Flight) -> tuple[Array, Array] | None:
+    def margins(self, flight: Flight) -> Margins | None:
         """See :class:`Simulation`; at the confidence of the model."""
+        assert self.model is not None  # by load
         found = self._evaluated(flight)
-        return found.lower - found.predicted, found.upper - found.predicted
+        return Margins(found.lower - found.predicted, found.upper - found.predicted, self.model.confidence)
 
     def _evaluated(self, flight: Flight) -> Evaluation:
         assert self.model is not None  # by load

@@ -418,7 +418,7 @@ def coverages(
         margins = model.margins(flight)
         if margins is None:
             return {}
-        lower, upper = margins
+        lower, upper, _ = margins
         for when, simulation in (("before", before), ("after", added)):
             left = residual(flight, simulation)
             inside[when] += inside_interval(left, lower, upper).sum(axis=0)

@@ -71,6 +71,14 @@ class Column(NamedTuple):
     wrench: Array
 
 
+class Margins(NamedTuple):
+    """Bounds (N, 6), (N, 6) of intervals less the wrench that they are about, and their nominal coverage."""
+
+    lower: Array
+    upper: Array
+    confidence: float
+
+
 def axis_columns(parts: Mapping[str, Array], tolerances: Tolerances) -> list[Column]:
     """One column per part (N, 6) of a wrench and axis; the part `rotors` has the thrust as its Fz."""
     columns = []
@@ -133,8 +141,8 @@ class Simulation(ABC):
         """
         return wrench
 
-    def margins(self, flight: Flight) -> tuple[Array, Array] | None:  # noqa: ARG002 - for those that have any
-        """Bounds (N, 6), (N, 6) of its intervals less its wrench; None for a simulation without intervals."""
+    def margins(self, flight: Flight) -> Margins | None:  # noqa: ARG002 - for those that have any
+        """Its intervals for a flight; None for a simulation without intervals."""
         return None
 
     def unjudged(self, flight: Flight) -> int:  # noqa: ARG002 - for those that leave samples out
@@ -222,7 +230,7 @@ class VehicleSimulation(Simulation):
         forces = band_limited(flight.time, flight.rates, wrench[:, :3, np.newaxis], bandwidth)
         return np.column_stack((forces[:, :, 0], wrench[:, 3:]))
 
-    def margins(self, flight: Flight) -> tuple[Array, Array] | None:
+    def margins(self, flight: Flight) -> Margins | None:
         """See :class:`Simulation`."""
         return None if self.intervals_of is None else self.intervals_of.margins(flight)
 

@@ -18,7 +18,6 @@ from quadpi_core.discrepancy.acceptance import (
     unexplained_axis,
     unexplained_share,
 )
-from quadpi_core.discrepancy.augmented_simulation import adjusting_helps
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -35,6 +34,7 @@ from quadpi_core.discrepancy.ranked_evidence import ranked_candidates
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.search import Found, search
 from quadpi_core.discrepancy.simulations import Simulation, airspeed
+from quadpi_core.discrepancy.unexplained import within_intervals
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
@@ -158,7 +158,7 @@ def _flown_again(discovery: Discovery) -> tuple[Discovery, Reflights]:
     """
     flown = reflights(discovery)
     judged = judged_by_rollouts(discovery, flown.rollout)
-    if not judged.rejected or not adjusting_helps(discovery.found):
+    if not judged.rejected or not len(discovery.found.closing.adjusted):
         return judged, flown
     gap = discovery.found.closing.gap(adjusted=False)
     closed = judge_closed(gap.reduction)
@@ -202,7 +202,7 @@ def discover(
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, candidates(simulation.vehicle, names), seed)
     rows = sum(len(band) for band in found.regression.columns.bands)
-    left = predictable(found.left.gain, rows)
+    left = np.where(within_intervals(compared), 0.0, predictable(found.left.gain, rows))
     named = np.maximum(found.named, 0.0)
     share, worst = unexplained_share(left, named, rows), unexplained_axis(left, named, rows)
     law, whole = found.closing.fits()

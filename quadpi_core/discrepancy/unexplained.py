@@ -13,12 +13,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.signal import lfilter
 
-from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.effect_response import Compared, residual
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, settled_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
@@ -87,6 +89,25 @@ def slow_state_noise(flights: Sequence[Compared]) -> Array:
         np.square(WANDER_M_S.value * slopes) * flights[0].thinned.rate_hz / (2.0 * WANDER_HZ.value)
     )
     return variance
+
+
+def within_intervals(flights: Sequence[Compared]) -> npt.NDArray[np.bool_]:
+    """Axes (6,) of which the intervals of the simulation hold as many samples as they say.
+
+    An identified model states by its intervals how well it knows a wrench. What stays inside is no
+    discrepancy, even where other flights predict it.
+    """
+    inside, samples, confidence = np.zeros(len(AXES)), 0, 1.0
+    for own in flights:
+        margins = own.simulation.margins(own.flight)
+        if margins is None:
+            return np.zeros(len(AXES), dtype=np.bool_)
+        left = residual(own.flight, own.simulation)
+        inside += inside_interval(left, margins.lower, margins.upper).sum(axis=0)
+        samples += len(left)
+        confidence = margins.confidence
+    held: npt.NDArray[np.bool_] = inside >= confidence * samples
+    return held
 
 
 class Left(NamedTuple):

@@ -19,6 +19,7 @@ from scipy.stats import chi2
 from quadpi_core import discrepancy, simulation
 from quadpi_core.discrepancy import acceptance, residual_bins, study, unexplained, whitening
 from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, judge_loudness, judge_size
+from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
 from quadpi_core.discrepancy.by_condition import Range, holding_bulk
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.effect_regression import refined
@@ -338,6 +339,15 @@ def rolls_out(**motion):
     return rollout_floor(steady(**motion), BEBOP).starts > 0
 
 
+def no_loss(deviations):
+    """Whether a coefficient is adjusted with which Fx gains and Fz loses so much of its noise."""
+    fx, fz = np.array([[99.0, 50.0], [50.0, 0.0]]), np.diag([1.0, 2.0 * deviations])
+    squares, noisy = (np.stack((one, other)) for one, other in ((fx, fz), (np.zeros((2, 2)), np.eye(2))))
+    noisy[1, 0, 0] = 0.0
+    flight = LeftOut(np.full((2, 2), 1e6), squares.sum(axis=0), squares, noisy)
+    return len(Adjustment([flight], np.full(1, 1e-9), 1).chosen()) == 1
+
+
 def bridged(share):
     """Whether a model that gives nothing for a share of a flight is taken."""
 
@@ -385,6 +395,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     ),
     "CLOSED": (0.5, lambda x: acceptance.judge_closed(x).passed),
     # The others of the room, file by file.
+    "LOST": (2.0, no_loss),
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),
     "DIVERGED_RATE": (60.0, lambda x: rolls_out(yaw_rate=x)),
     "UNJUDGED_MOST": (0.05, bridged),

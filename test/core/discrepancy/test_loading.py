@@ -99,7 +99,7 @@ def test_a_physical_model_serves_as_a_vehicle_file_does(physical_folder, flights
     assert list(simulation.effects) == ["imu_lever_arm"]
     base = simulation.base
     assert isinstance(base, VehicleSimulation)
-    lower, upper = base.margins(flights[0])
+    lower, upper, _ = base.margins(flights[0])
     assert np.all(lower < 0.0)
     assert np.all(upper > 0.0)
     names = [column.name for column in base.uncertain(flights[0])]

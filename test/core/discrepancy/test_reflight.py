@@ -122,7 +122,8 @@ def test_flights_of_bags_are_flown_again(quadpi, tmp_path):
     assert loop["flights"] == 3
     assert loop["lost"] == []
     assert loop["reduction"] > 0.8
-    assert loop["position_m"]["floor"] <= loop["position_m"]["after"] < loop["position_m"]["before"]
+    # The floor is the error of the estimator alone, to which another may add or not.
+    assert loop["position_m"]["after"] < 1.2 * loop["position_m"]["floor"] < loop["position_m"]["before"]
     for name in ("velocity_m_s", "attitude_deg"):
         assert result["rollout"][name]["after"] < 0.5 * result["rollout"][name]["before"]
     assert "coverage" not in result

@@ -177,7 +177,6 @@ def turned_over(discovery):
 def test_coefficients_that_spoil_roll_outs_stay_as_stated(simulation, dragged, monkeypatch):
     """The effect alone is added then, and its gap is that without them."""
     monkeypatch.setattr("quadpi_core.discrepancy.study.reflights", turned_over)
-    monkeypatch.setattr("quadpi_core.discrepancy.study.adjusting_helps", lambda _: True)
     result = study(simulation, dragged, names=SOUGHT)
     discovery = result.discovery
     assert (discovery.adjusted, discovery.rejected, discovery.verdict) == (False, False, "effects")
@@ -192,6 +191,5 @@ def test_what_spoils_roll_outs_without_coefficients_too_is_rejected(simulation, 
     monkeypatch.setattr(
         "quadpi_core.discrepancy.study.reflights", lambda own: turned_over(replace(own, adjusted=True))
     )
-    monkeypatch.setattr("quadpi_core.discrepancy.study.adjusting_helps", lambda _: True)
     discovery = study(simulation, dragged, names=SOUGHT).discovery
     assert (discovery.adjusted, discovery.rejected, discovery.verdict) == (True, True, "unknown")

@@ -5,17 +5,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.effect_response import Compared, residual
+from quadpi_core.discrepancy.simulations import Margins
 from quadpi_core.discrepancy.unexplained import (
     functions_of_course,
     functions_of_place,
     left_out_gain,
     predicted,
+    within_intervals,
 )
 from quadpi_core.discrepancy.whitening import Spectrum
 
@@ -106,3 +109,19 @@ def test_functions_of_course_are_the_airspeed_of_the_world(simulation, flights):
     np.testing.assert_allclose(east_of_north, world[:, [1]] * north_in_body, atol=1e-9)
     size = values[:, :, names.index("speed down along north")]
     np.testing.assert_allclose(size, np.abs(world[:, [2]]) * north_in_body, atol=1e-9)
+
+
+@pytest.mark.parametrize(("confidence", "held"), [(0.85, True), (0.95, False)])
+def test_an_axis_is_explained_where_intervals_hold_as_much_as_they_say(simulation, flights, confidence, held):
+    """Nine tenths of the residual of Fx lie inside, of Fy all, and of the rest nothing."""
+    left = [Compared(flight, simulation) for flight in flights[:2]]
+    errors = np.abs(np.concatenate([residual(own.flight, simulation) for own in left]))
+    wide = np.append([np.quantile(errors[:, 0], 0.9), errors[:, 1].max()], np.zeros(4))
+
+    def margins(flight):
+        return Margins(np.tile(-wide, (len(flight), 1)), np.tile(wide, (len(flight), 1)), confidence)
+
+    model = replace(simulation, intervals_of=SimpleNamespace(margins=margins))
+    stated = within_intervals([Compared(flight, model) for flight in flights[:2]])
+    np.testing.assert_array_equal(stated, [held, True, False, False, False, False])
+    assert not within_intervals(left).any()
