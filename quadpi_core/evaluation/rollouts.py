@@ -25,14 +25,20 @@ from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.rollout_calibration import (
     HORIZONS_S,
-    QUANTITIES,
     error_norms,
     require_horizon,
-    tube_radii,
-    tube_scores,
 )
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_model import FlightRollouts, RolloutModel
+from quadpi_core.models.tube_shape import (
+    LARGEST,
+    QUANTITIES,
+    TRACKING_PER_S,
+    Following,
+    tracked_factors,
+    tube_radii,
+    tube_scores,
+)
 from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
@@ -41,14 +47,8 @@ from quadpi_core.version import __version__
 START_EVERY = 10
 # Horizons [s] that are always judged, where they are not beyond the one asked for.
 JUDGED_S = (0.01, 0.1, 0.5)
-# How fast a tube follows its flight [1/s], see `monitor.adaptive`. At ten starts a second the factor grows by
-# 46 % after a miss and shrinks by 2 % after a hit. A flight of 30 s whose errors are three times those of the
-# calibration then has 0.9 % more misses than nominal; half as fast, twice as many.
-TRACKING_PER_S = 4.0
 # Names of the quantities in results: angles are given in degrees there.
 _NAMES = {"attitude_rad": ("attitude_deg", float(np.degrees(1.0)))}
-# No attitude errs by more than half a turn: larger tubes are the whole.
-_LARGEST = np.array([np.pi if name == "attitude_rad" else np.inf for name in QUANTITIES])
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class RolledFlight:
         norms: (W, H, 4) of the errors.
         radii: (W, H, 4) of balls with the volume of the tubes.
         flight: that was flown, at about 100 Hz.
-        rolled: paths, errors and covariances.
+        rolled: paths, errors, and the matrices of the tubes' ellipsoids for covariances.
         factors: (W, H, 4) on the ellipsoids.
     """
 
@@ -211,20 +211,21 @@ def judge_flight(
             f"{flight.source}: topic rotor_speeds: a rotor was not measured within {horizon_s:g} s "
             f"of every start"
         )
-    rolled = model.roll(own, starts, horizons)
     assert model.calibration is not None
+    rolled = model.roll(own, starts, horizons)
+    rolled = rolled._replace(covariance=model.calibration.shape.shaped(rolled.covariance))
     scores, norms = tube_scores(rolled.errors, rolled.covariance), error_norms(rolled.errors)
     radii = tube_radii(rolled.covariance)
     ones = np.ones_like(norms)
-    gain = TRACKING_PER_S * START_EVERY * step
-    delays = (-(-horizons // START_EVERY)).tolist()
-
-    def tracked(sizes: Array, start: Array) -> Array:
-        return tracked_factors(sizes, start, delays, 1.0 - confidence, gain)
-
+    following = Following(
+        (-(-horizons // START_EVERY)).tolist(), 1.0 - confidence, TRACKING_PER_S * START_EVERY * step
+    )
     factors = model.calibration.factors(times, confidence)
     balls = model.calibration.radii(times, confidence)
-    tubes, tracked_balls = tracked(scores, factors), tracked(norms, balls)
+    tubes, tracked_balls = (
+        tracked_factors(scores, factors, following),
+        tracked_factors(norms, balls, following),
+    )
     # Scores, the factors that they must not exceed, and radii.
     ways = {
         "": (scores, tubes, tubes * radii),
@@ -232,7 +233,7 @@ def judge_flight(
         "conformal_": (norms, balls * ones, balls * ones),
         "conformal_tracked_": (norms, tracked_balls, tracked_balls),
     }
-    ways = {way: (of[0], of[1], np.minimum(of[2], _LARGEST)) for way, of in ways.items()}
+    ways = {way: (of[0], of[1], np.minimum(of[2], LARGEST)) for way, of in ways.items()}
     judged = [k for k, time in enumerate(times) if time in (*JUDGED_S, horizon_s)]
     metrics = {
         f"{times[k]:g}": {
@@ -249,30 +250,6 @@ def judge_flight(
         ),
         FlightRolloutMetrics(len(starts), possible - len(starts), flight.position_measured, metrics),
     )
-
-
-def tracked_factors(
-    scores: Array, calibrated: Array, delays: Sequence[int], miss_share: float, gain: float
-) -> Array:
-    """Factors (W, H, 4) that follow the scores (W, H, 4) of roll-outs once they have ended.
-
-    Args:
-        scores: smallest factor that covers each error, in the order of the starts.
-        calibrated: (H, 4) factors to begin with.
-        delays: (H,) starts after which the score of a horizon is known.
-        miss_share: nominal share of misses.
-        gain: step of the logarithm of the factor.
-    """
-    log = np.zeros_like(calibrated)
-    factors = np.empty_like(scores)
-    for start in range(len(scores)):
-        for horizon, delay in enumerate(delays):
-            ended = start - delay
-            if ended >= 0:
-                missed = scores[ended, horizon] > factors[ended, horizon]
-                log[horizon] += gain * (missed - miss_share)
-        factors[start] = calibrated * np.exp(log)
-    return factors
 
 
 def _horizons(horizon_s: float) -> tuple[float, ...]:

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """How large the tube around a roll-out must be: factors on its covariance, calibrated on flights left out.
 
-The tube of a quantity (position, velocity, attitude or rates) at a horizon is the ellipsoid eᵀ Σ⁻¹ e ≤ f² of
-the covariance Σ that the physics give (see `rollout_covariance`). Per flight, the quantile of the score
-√(eᵀ Σ⁻¹ e) is the factor that would have covered that flight; the geometric mean over the flights is used, so
-that the coverage of the next flight lies about the nominal one, neither above nor below. Split conformal
-prediction of |e|, whose regions are balls of one size, is kept beside it for comparison.
+The tube of a quantity (position, velocity, attitude or rates) at a horizon is the ellipsoid eᵀ Σ⁻¹ e ≤ f²
+of the covariance Σ that the physics give (see `rollout_covariance`), shaped as `tube_shape` says. Per
+flight, the quantile of the score √(eᵀ Σ⁻¹ e) is the factor that would have covered that flight; the
+geometric mean over the flights is used, so that the coverage of the next flight lies about the nominal one,
+neither above nor below. Split conformal prediction of |e|, whose regions are balls of one size, is kept
+beside it for comparison.
 """
 
 from __future__ import annotations
@@ -19,34 +20,10 @@ import numpy as np
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import LEVELS, require_confidence
-from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
+from quadpi_core.models.tube_shape import EARLIER, QUANTITIES, TubeShape
 
-# Rows of an error by the name of the quantity, with its unit.
-QUANTITIES = {
-    "position_m": POSITION,
-    "velocity_m_s": VELOCITY,
-    "attitude_rad": ATTITUDE,
-    "rates_rad_s": RATES,
-}
 # Horizons [s] that are calibrated; factors in between are interpolated.
 HORIZONS_S = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 1.0)
-
-
-def tube_scores(errors: Array, covariance: Array) -> Array:
-    """Size (W, H, 4) of errors (W, H, 12) in terms of their covariance (W, H, 12, 12)."""
-    scores = []
-    for part in QUANTITIES.values():
-        own = errors[..., part]
-        weighed = np.linalg.solve(covariance[..., part, part], own[..., np.newaxis])[..., 0]
-        scores.append(np.sqrt(np.sum(own * weighed, axis=-1)))
-    return np.stack(scores, axis=-1)
-
-
-def tube_radii(covariance: Array) -> Array:
-    """Radius (W, H, 4) of the ball that has the volume of the ellipsoid with factor 1."""
-    return np.stack(
-        [np.linalg.det(covariance[..., part, part]) ** (1.0 / 6.0) for part in QUANTITIES.values()], axis=-1
-    )
 
 
 def error_norms(errors: Array) -> Array:
@@ -61,15 +38,19 @@ class TubeCalibration:
     Attributes:
         scores: (F, H, 4, L) of each flight the quantiles of its scores at `interval_rules.LEVELS`.
         norms: (F, H, 4, L) likewise of the norms of its errors.
+        shape: of the tubes that the scores are in terms of.
     """
 
     scores: Array
     norms: Array
+    shape: TubeShape = EARLIER
 
     @classmethod
-    def of_flights(cls, scores: Sequence[Array], norms: Sequence[Array]) -> TubeCalibration:
-        """From scores and norms (W, H, 4) of the roll-outs of each flight."""
-        return cls(_quantiles(scores), _quantiles(norms))
+    def of_flights(
+        cls, scores: Sequence[Array], norms: Sequence[Array], shape: TubeShape = EARLIER
+    ) -> TubeCalibration:
+        """From scores, by a shape, and norms (W, H, 4) of the roll-outs of each flight."""
+        return cls(_quantiles(scores), _quantiles(norms), shape)
 
     def factors(self, horizons_s: Sequence[float], confidence: float) -> Array:
         """Factor (h, 4) on the covariance's ellipsoids at horizons (h,).
@@ -88,6 +69,7 @@ class TubeCalibration:
         return {
             "calibration_scores": np.ascontiguousarray(self.scores),
             "calibration_norms": np.ascontiguousarray(self.norms),
+            "calibration_shape": np.array(self.shape),
         }
 
     @classmethod
@@ -104,7 +86,11 @@ class TubeCalibration:
         for name, values in (("scores", scores), ("norms", norms)):
             if values.shape != wanted or not len(values) or not np.all(values > 0.0):
                 raise ModelError(f"roll-outs: {name} of shape {values.shape}, expected positive {wanted}")
-        return cls(scores, norms)
+        # Models of earlier versions have none.
+        shape = arrays.get("calibration_shape", np.array(EARLIER))
+        if shape.shape != (2, len(QUANTITIES)) or not np.all((shape >= 0.0) & (shape <= 1.0)):
+            raise ModelError(f"roll-outs: shape of tubes of shape {shape.shape}, expected shares (2, 4)")
+        return cls(scores, norms, TubeShape(*shape))
 
 
 def require_horizon(horizon_s: float) -> None:

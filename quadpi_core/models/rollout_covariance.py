@@ -39,11 +39,6 @@ _FORCE, _MOMENT = slice(12, 15), slice(15, 18)
 _ALL = STATES + 6
 
 
-# Share of a ball in the covariance of position and velocity, whose directions turn with an attitude that is
-# only predicted. Tubes of velocity 0.5 s ahead of NeuroBEM flights left out were up to 30 % narrower with it.
-ROUND_SHARE = 0.3
-
-
 class Uncertainty(NamedTuple):
     """What is not known when a roll-out starts; every number a variance but for the decay.
 
@@ -83,17 +78,6 @@ def error_covariance(
     covariance = np.zeros((len(starts), len(horizons), STATES, STATES))
     _propagate(track, starts, horizons, path, parameters, uncertainty, covariance)
     return covariance
-
-
-def rounded(covariance: Array) -> Array:
-    """Covariance (..., 12, 12) with a share of a ball in position and velocity, at the same mean variance."""
-    result = covariance.copy()
-    for part in (POSITION, VELOCITY):
-        result[..., part, :] *= np.sqrt(1.0 - ROUND_SHARE)
-        result[..., :, part] *= np.sqrt(1.0 - ROUND_SHARE)
-        mean = np.trace(covariance[..., part, part], axis1=-2, axis2=-1)[..., np.newaxis, np.newaxis] / 3.0
-        result[..., part, part] += ROUND_SHARE * mean * np.eye(3)
-    return result
 
 
 @njit(cache=True, nogil=True)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,13 +20,16 @@ from quadpi_core.models.multi_step_fit import fit_multi_step
 from quadpi_core.models.physical_fit import FitStep, PhysicalFit, Problem
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_rollout import STATES, roll_out
-from quadpi_core.models.rollout_calibration import HORIZONS_S, TubeCalibration, error_norms, tube_scores
+from quadpi_core.models.rollout_calibration import HORIZONS_S, TubeCalibration, error_norms
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_model import MOVES, FlightRollouts, RolloutModel, disturbance_left
+from quadpi_core.models.tube_shape import TRACKING_PER_S, Following, TubeShape, chosen_shape, tube_scores
 from quadpi_core.rotations import from_rotation_vectors, inverses, products
 
 # Between the starts that calibrate [s].
 _CALIBRATION_EVERY_S = 0.5
+# Horizons [s] over which the shape of tubes is chosen, and the share of misses: those of the goals.
+_SHAPED_S, _MISS_SHARE = (0.1, 0.5), 0.05
 # Least variance of a measured state, for flights without any noise.
 _LEAST_VARIANCE = 1e-16
 # Kernels release the interpreter.
@@ -88,11 +92,27 @@ def calibrated_rollouts(
         of_flights = [own for own in threads.map(rolled, models, headed) if len(own.starts)]
     if not of_flights:
         return CalibratedRollouts(None, log)
+    shape = _narrowest(of_flights)
     calibration = TubeCalibration.of_flights(
-        [tube_scores(own.errors, own.covariance) for own in of_flights],
+        [tube_scores(own.errors, shape.shaped(own.covariance)) for own in of_flights],
         [error_norms(own.errors) for own in of_flights],
+        shape,
     )
     return CalibratedRollouts(replace(final, measured_variance=variance, calibration=calibration), log)
+
+
+def _narrowest(flights: Sequence[FlightRollouts]) -> TubeShape:
+    """The shape of tubes that is narrowest at 95 % over the horizons that flights are judged at."""
+    judged = [k for k, horizon in enumerate(HORIZONS_S) if _SHAPED_S[0] <= horizon <= _SHAPED_S[1]]
+    return chosen_shape(
+        [own.errors[:, judged] for own in flights],
+        [own.covariance[:, judged] for own in flights],
+        Following(
+            [math.ceil(HORIZONS_S[k] / _CALIBRATION_EVERY_S) for k in judged],
+            _MISS_SHARE,
+            TRACKING_PER_S * _CALIBRATION_EVERY_S,
+        ),
+    )
 
 
 def _uncalibrated(fit: PhysicalFit, disturbance: Disturbance) -> RolloutModel:

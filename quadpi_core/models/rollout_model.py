@@ -32,7 +32,7 @@ from quadpi_core.models.physical_rollout import (
 )
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
 from quadpi_core.models.rollout_calibration import TubeCalibration
-from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance, rounded
+from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance
 from quadpi_core.models.rollout_flight import RolloutFlight
 from quadpi_core.models.stored_body import require_body
 from quadpi_core.records import Records
@@ -181,7 +181,7 @@ class RolloutModel:
             for k, steps in enumerate(horizons):
                 moved = flight.position[starts + steps] - flight.position[starts]
                 errors[:, k, POSITION] = rolled.path["displacement"][:, steps] - moved
-        return FlightRollouts(starts, errors, rounded(covariance), rolled.path)
+        return FlightRollouts(starts, errors, covariance, rolled.path)
 
     def _process(self, track: Track) -> Disturbance:
         return replace(self.disturbance, step_s=track.step)

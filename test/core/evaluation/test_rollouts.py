@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError, QuadpiError
-from quadpi_core.evaluation.rollouts import JUDGED_S, evaluate_rollouts, judge_flight, tracked_factors
+from quadpi_core.evaluation.rollouts import JUDGED_S, evaluate_rollouts, judge_flight
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.vehicle import Vehicle
@@ -92,21 +92,3 @@ def test_models_that_cannot_predict_are_refused(model, vehicle, bags) -> None:
         evaluate_rollouts(model, [bags[2]], vehicle, horizon_s=2.0)
     with pytest.raises(QuadpiError, match="another flight is called flight2"):
         evaluate_rollouts(model, [bags[2], bags[2]], vehicle)
-
-
-@pytest.mark.parametrize("size", [0.5, 1.0, 2.5])
-def test_tubes_that_follow_a_flight_cover_it_whatever_its_errors(size: float) -> None:
-    rng = np.random.default_rng(1)
-    scores = size * np.linalg.norm(rng.normal(size=(400, 2, 4, 3)), axis=-1)
-    factors = tracked_factors(scores, np.full((2, 4), 2.7955), [1, 5], 0.05, 0.4)
-    coverage = np.mean(scores <= factors, axis=0)
-    assert np.all(np.abs(coverage - 0.95) < 0.03)
-
-
-def test_a_tube_knows_no_error_before_its_roll_out_has_ended() -> None:
-    scores = np.ones((20, 1, 4))
-    changed = scores.copy()
-    changed[10:] = 1e6
-    first, second = (tracked_factors(own, np.full((1, 4), 2.0), [5], 0.05, 0.4) for own in (scores, changed))
-    np.testing.assert_array_equal(first[:15], second[:15])
-    assert np.all(second[15:] > first[15:])

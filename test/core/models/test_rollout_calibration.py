@@ -8,12 +8,10 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.models.rollout_calibration import (
     HORIZONS_S,
-    QUANTITIES,
     TubeCalibration,
     error_norms,
-    tube_radii,
-    tube_scores,
 )
+from quadpi_core.models.tube_shape import EARLIER, QUANTITIES, TubeShape, tube_scores
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +39,6 @@ def test_scores_of_normal_errors_are_those_of_a_chi_distribution(errors) -> None
     assert tube_scores(flights[0], covariance).shape == (400, len(HORIZONS_S), len(QUANTITIES))
 
 
-def test_a_radius_is_that_of_the_ball_of_equal_volume() -> None:
-    covariance = np.diag([1.0, 4.0, 16.0, *np.ones(9)])[np.newaxis, np.newaxis]
-    np.testing.assert_allclose(tube_radii(covariance), [[[2.0, 1.0, 1.0, 1.0]]])
-
-
 def test_the_factor_lies_in_the_middle_of_the_flights(calibration) -> None:
     factors = calibration.factors(HORIZONS_S, 0.95)
     # Geometric mean of 1, 1 and 2.
@@ -70,3 +63,16 @@ def test_a_stored_calibration_is_the_same_and_damage_is_refused(calibration) -> 
         TubeCalibration.stored({**arrays, "calibration_scores": -arrays["calibration_scores"]})
     with pytest.raises(ModelError, match="norms"):
         TubeCalibration.stored({**arrays, "calibration_norms": arrays["calibration_norms"][:, :2]})
+    shape = {"calibration_shape": np.array([[0.0, 0.3, 0.6, 1.0], [1.0, 0.5, 0.0, 0.25]])}
+    np.testing.assert_array_equal(
+        TubeCalibration.stored({**arrays, **shape}).shape.size_power, [1, 0.5, 0, 0.25]
+    )
+    with pytest.raises(ModelError, match="shape of tubes"):
+        TubeCalibration.stored({**arrays, "calibration_shape": 2.0 * shape["calibration_shape"]})
+
+
+def test_a_calibration_of_an_earlier_version_keeps_its_shape(calibration) -> None:
+    arrays = calibration.arrays()
+    del arrays["calibration_shape"]
+    read: TubeShape = TubeCalibration.stored(arrays).shape
+    np.testing.assert_array_equal(read, EARLIER)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, STATES, VELOCITY, roll_out
+from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCITY, roll_out
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_covariance import ROUND_SHARE, Uncertainty, error_covariance, rounded
+from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance
 from test.core.models.flights_ahead import ahead, true_model
 from test.core.models.physical_flights import STEP_S, VEHICLE, known_parameters
 
@@ -81,22 +81,6 @@ def test_an_attitude_that_is_lost_pushes_no_harder_than_the_thrust(case) -> None
     found = covariance(case, CERTAIN._replace(state=state))[:, -1]
     # 0.3 s of a thrust of about the weight, by a direction at random.
     assert np.all(np.sqrt(np.diagonal(found[:, VELOCITY, VELOCITY], axis1=1, axis2=2)) < 0.3 * 12.0)
-
-
-def test_directions_of_position_and_velocity_are_rounded() -> None:
-    factor = np.random.default_rng(1).normal(size=(2, 12, 12))
-    full = factor @ factor.transpose(0, 2, 1)
-    found = rounded(full)
-    for part in (POSITION, VELOCITY):
-        before, after = np.linalg.eigvalsh(full[..., part, part]), np.linalg.eigvalsh(found[..., part, part])
-        np.testing.assert_allclose(after.sum(axis=-1), before.sum(axis=-1))
-        apart = after - after.mean(axis=-1, keepdims=True)
-        np.testing.assert_allclose(
-            apart, (1.0 - ROUND_SHARE) * (before - before.mean(axis=-1, keepdims=True)), atol=1e-9
-        )
-    np.testing.assert_array_equal(found[..., RATES, RATES], full[..., RATES, RATES])
-    assert np.linalg.eigvalsh(found).min() > 0.0
-    assert 0.15 < ROUND_SHARE < 0.45
 
 
 def test_each_horizon_has_a_covariance(case) -> None:

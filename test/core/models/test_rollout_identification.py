@@ -13,10 +13,11 @@ from quadpi_core.models.physical_fit import PhysicalFit
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_calibration import HORIZONS_S, error_norms, tube_scores
+from quadpi_core.models.rollout_calibration import HORIZONS_S, error_norms
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.models.tube_shape import tube_scores
 from quadpi_core.rotations import inverses, products, to_rotation_vectors
 from test.core.models.flights_ahead import with_attitude
 from test.core.models.physical_flights import VEHICLE, flown, known_parameters, samples_of
@@ -65,7 +66,8 @@ def test_tubes_hold_a_flight_that_was_not_seen(model: RolloutModel) -> None:
     horizons = horizon_steps(HORIZONS_S, flight.step)
     rolled = model.roll(flight, flight.starts(int(horizons[-1]), 10), horizons)
     assert model.calibration is not None
-    inside = tube_scores(rolled.errors, rolled.covariance) <= model.calibration.factors(HORIZONS_S, 0.95)
+    shaped = model.calibration.shape.shaped(rolled.covariance)
+    inside = tube_scores(rolled.errors, shaped) <= model.calibration.factors(HORIZONS_S, 0.95)
     assert 0.8 < np.mean(inside) <= 1.0
     assert np.median(error_norms(rolled.errors)[:, -2, 2]) < 0.1
 

@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.frames import Array
+from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
+from quadpi_core.models.tube_shape import (
+    EARLIER,
+    QUANTITIES,
+    Following,
+    TubeShape,
+    chosen_shape,
+    tracked_factors,
+    tube_radii,
+)
+
+FOLLOWING = Following([1], 0.05, 0.4)
+
+
+def everywhere(share: float, power: float) -> TubeShape:
+    return TubeShape(np.full(4, share), np.full(4, power))
+
+
+def covariances(seed: int, *, spread: float, flat: float) -> Array:
+    """Covariances (400, 1, 12, 12) whose size varies from start to start, and whose axes are unlike."""
+    rng = np.random.default_rng(seed)
+    sizes = np.exp(spread * rng.normal(size=(400, 1, 1)))
+    return np.square(sizes * np.tile([1.0, 1.0, flat], 4))[..., np.newaxis] * np.eye(12)
+
+
+def errors_of(covariance: Array, seed: int) -> Array:
+    normal = np.random.default_rng(seed).normal(size=covariance.shape[:-1])
+    return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)) * normal
+
+
+def test_a_radius_is_that_of_the_ball_of_equal_volume() -> None:
+    covariance = np.diag([1.0, 4.0, 16.0, *np.ones(9)])[np.newaxis, np.newaxis]
+    np.testing.assert_allclose(tube_radii(covariance), [[[2.0, 1.0, 1.0, 1.0]]])
+
+
+def test_a_whole_share_without_power_is_a_ball_of_one_size() -> None:
+    shaped = everywhere(1.0, 0.0).shaped(covariances(1, spread=0.5, flat=0.1))
+    np.testing.assert_allclose(tube_radii(shaped), 1.0)
+    np.testing.assert_allclose(shaped[..., VELOCITY, VELOCITY], np.broadcast_to(np.eye(3), (400, 1, 3, 3)))
+
+
+def test_no_share_and_full_power_is_the_covariance_itself() -> None:
+    factor = np.random.default_rng(1).normal(size=(2, 1, 12, 12))
+    full = factor @ factor.transpose(0, 1, 3, 2)
+    shaped = everywhere(0.0, 1.0).shaped(full)
+    for part in QUANTITIES.values():
+        np.testing.assert_allclose(shaped[..., part, part], full[..., part, part])
+
+
+def test_a_power_of_half_grows_with_the_root_of_the_size() -> None:
+    covariance = covariances(1, spread=0.5, flat=0.1)
+    for power in (1.0, 0.5):
+        radii = tube_radii(everywhere(0.3, power).shaped(covariance))
+        larger = tube_radii(everywhere(0.3, power).shaped(4.0 * covariance))
+        np.testing.assert_allclose(larger / radii, 2.0**power)
+
+
+def test_position_and_velocity_of_earlier_models_are_rounded() -> None:
+    factor = np.random.default_rng(1).normal(size=(2, 12, 12))
+    full = factor @ factor.transpose(0, 2, 1)
+    found = EARLIER.shaped(full)
+    for part in (POSITION, VELOCITY):
+        before, after = np.linalg.eigvalsh(full[..., part, part]), np.linalg.eigvalsh(found[..., part, part])
+        np.testing.assert_allclose(after.sum(axis=-1), before.sum(axis=-1))
+        apart = after - after.mean(axis=-1, keepdims=True)
+        np.testing.assert_allclose(apart, 0.7 * (before - before.mean(axis=-1, keepdims=True)), atol=1e-9)
+    for part in (ATTITUDE, RATES):
+        np.testing.assert_allclose(found[..., part, part], full[..., part, part])
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_physics_are_followed_as_far_as_they_tell(known: bool) -> None:
+    """Covariances of the errors themselves give an ellipsoid, ones that say nothing of them a ball."""
+    told = [covariances(seed, spread=0.6, flat=0.2) for seed in (1, 2, 3)]
+    flew = told if known else [np.broadcast_to(np.eye(12), own.shape) for own in told]
+    errors = [errors_of(own, 10 + k) for k, own in enumerate(flew)]
+    shape = chosen_shape(errors, told, FOLLOWING)
+    if known:
+        assert np.all(shape.round_share == 0.0)
+        assert np.all(shape.size_power >= 0.75)
+    else:
+        assert np.all(shape.round_share == 1.0)
+        assert np.all(shape.size_power == 0.0)
+
+
+def test_one_flight_chooses_no_shape() -> None:
+    told = covariances(1, spread=0.6, flat=0.2)
+    assert chosen_shape([errors_of(told, 1)], [told], FOLLOWING) is EARLIER
+
+
+@pytest.mark.parametrize("size", [0.5, 1.0, 2.5])
+def test_tubes_that_follow_a_flight_cover_it_whatever_its_errors(size: float) -> None:
+    rng = np.random.default_rng(1)
+    scores = size * np.linalg.norm(rng.normal(size=(400, 2, 4, 3)), axis=-1)
+    factors = tracked_factors(scores, np.full((2, 4), 2.7955), Following([1, 5], 0.05, 0.4))
+    coverage = np.mean(scores <= factors, axis=0)
+    assert np.all(np.abs(coverage - 0.95) < 0.03)
+
+
+def test_a_tube_knows_no_error_before_its_roll_out_has_ended() -> None:
+    scores = np.ones((20, 1, 4))
+    changed = scores.copy()
+    changed[10:] = 1e6
+    first, second = (
+        tracked_factors(own, np.full((1, 4), 2.0), Following([5], 0.05, 0.4)) for own in (scores, changed)
+    )
+    np.testing.assert_array_equal(first[:15], second[:15])
+    assert np.all(second[15:] > first[15:])
