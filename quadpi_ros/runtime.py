@@ -213,6 +213,11 @@ def run(work: Callable[[], None]) -> int:
         work()
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
+    except RCLError:
+        # A signal ends ROS in the middle of whatever goes on, such as the publication of a message.
+        if rclpy.ok():
+            raise
+        return 0
     except QuadpiError as error:
         print(f"quadpi: {error}", file=sys.stderr)
         return 2

@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
+from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
 from quadpi_ros import runtime
@@ -175,3 +177,25 @@ def test_the_exit_status_tells_what_a_user_can_correct(
     assert runtime.run(work) == status
     assert capfd.readouterr().err == said
     assert not rclpy.ok()
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_a_message_in_the_moment_of_a_signal_is_no_error(
+    ended: bool, ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del ros_domain
+    monkeypatch.setattr(sys, "argv", ["program"])
+
+    def work() -> None:
+        node = rclpy.create_node("talks")
+        publisher = node.create_publisher(String, "said", 1)
+        if ended:
+            rclpy.shutdown()
+            publisher.publish(String(data="too late"))
+        raise RCLError("not by a signal")
+
+    if ended:
+        assert runtime.run(work) == 0
+    else:
+        with pytest.raises(RCLError, match="not by a signal"):
+            runtime.run(work)
