@@ -1,242 +1,266 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Renew docs/discovery-real.md: simulations from first principles beside real flights, searched."""
+"""Renew docs/discovery-real.md: searches of physical models beside real flights they were not identified on.
+
+Everything is done by the commands that a user has, so that what accepts a result here is what accepts it
+there. Results are kept by the content of code and configuration: an interrupted run goes on where it was.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "discovery-real.md"
-sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "examples")]
+sys.path.append(str(ROOT / "tools"))
 
-from page_tables import stamp  # noqa: E402
+from discovery import fingerprint  # noqa: E402
+from page_tables import renew, stamp  # noqa: E402
 
-from quadpi_core.discrepancy import (  # noqa: E402
-    AugmentedSimulation,
-    CallableSimulation,
-    Discovery,
-    Simulation,
-    Tolerances,
-    discover,
-    load_simulation,
+from quadpi_core.flight import AXES  # noqa: E402
+from quadpi_core.paths import data_directory  # noqa: E402
+from quadpi_core.report.table import Column, Row, Table, markdown_table  # noqa: E402
+
+# Rounds of the search: of the simulation, then of the simulation with what was added.
+ROUNDS = 2
+# Candidates that the page shows beside those of the result.
+_REFUSED_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class Logs:
+    """Some logs in the folder of real flights: a folder, and the names in it."""
+
+    folder: str
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, folder: str, pattern: str, *numbers: str) -> Logs:
+        """Logs whose names differ in a number alone."""
+        return cls(folder, tuple(pattern.format(number) for number in numbers))
+
+    @property
+    def paths(self) -> list[str]:
+        """Their paths."""
+        return [str(data_directory() / self.folder / name) for name in self.names]
+
+
+CRAZYFLIE = Logs.of(
+    "imrc_brushless", "eckart{}", *("00", "02", "04", "07", "09", "12", "14", "16", "18", "20")
 )
-from quadpi_core.discrepancy.augmented_simulation import augmented  # noqa: E402
-from quadpi_core.discrepancy.reflight import rollouts  # noqa: E402
-from quadpi_core.errors import DiscrepancyError  # noqa: E402
-from quadpi_core.estimator.fusion import fuse_airborne  # noqa: E402
-from quadpi_core.flight import AXES, Flight  # noqa: E402
-from quadpi_core.logs import read_recording  # noqa: E402
-from quadpi_core.models.model_kind import CUTOFF_HZ  # noqa: E402
-from quadpi_core.paths import data_directory, whole_output  # noqa: E402
-from quadpi_core.report.table import Column, Table, markdown_table  # noqa: E402
-from quadpi_core.vehicle import Vehicle  # noqa: E402
-
-# A simulation of a few numbers knows them less well than one that was identified.
-TOLERANCES = Tolerances(thrust=0.03, coefficient=0.3, inertia=0.1, cg_m=0.002)
-_ROUNDS = 2
-# Tolerances: more than chance moves a coefficient by.
-_FAR = 3.0
+NEUROBEM = Logs.of("neurobem", "bemnn20210218{}.mat", "170320seg2", "172600seg1")
+INDIFLIGHT = Logs.of("indiflight", "LOG00{}.BFL", *("230", "257", "259", "264", "269", "276", "279"))
 
 
 @dataclass(frozen=True)
 class Case:
-    """One vehicle, its flights, and how the page speaks of them.
+    """A physical model of some flights, searched with others.
 
     Attributes:
-        function: in examples/first_principles.py.
+        name: of its folder of results, and of its table on the page.
         vehicle: its file.
-        pattern: of the logs in the folder of real flights.
-        every: stride over them.
-        bands_hz: that searches look up to; further rounds are those of the first.
-        published: RMSE per axis of the data set's own model, [N, Nm]; empty where there is none.
-        source: of that, in words.
+        identified: logs of the model.
+        searched: other logs.
     """
 
-    title: str
-    function: str
+    name: str
     vehicle: str
-    pattern: str
-    every: int
-    bands_hz: tuple[float, ...]
-    published: tuple[float, ...]
-    source: str
+    identified: Logs
+    searched: Logs
 
 
 CASES = (
     Case(
-        *("NeuroBEM", "neurobem", "neurobem", "neurobem/*.mat", 1, (5.0, 20.0)),
-        (0.187, 0.193, 0.612, 0.0097, 0.0105, 0.0053),
-        "the authors' hybrid of blade elements and a network, on all 13 published test flights",
+        "neurobem",
+        "neurobem",
+        NEUROBEM,
+        Logs("neurobem", ("bemnn20210218171908seg2.mat", "bemnn20210223104803seg2.mat")),
     ),
-    Case("Crazyflie", "crazyflie", "crazyflie_rpm", "imrc_brushless/*", 3, (20.0,), (), ""),
+    Case(
+        "crazyflie",
+        "crazyflie_rpm",
+        CRAZYFLIE,
+        Logs.of("imrc_brushless", "eckart{}", "01", "06", "11", "15", "19"),
+    ),
+    Case(
+        "brushed",
+        "crazyflie_rpm",
+        CRAZYFLIE,
+        Logs.of("imrc_brushed", "jana{}", "00", "02", "03", "10"),
+    ),
+    Case(
+        "brushed-drop-outs",
+        "crazyflie_rpm",
+        CRAZYFLIE,
+        Logs.of("imrc_brushed", "jana{}", "20", "23", "24", "27"),
+    ),
+    Case(
+        "slung-load",
+        "crazyflie_rpm",
+        CRAZYFLIE,
+        Logs.of("imrc_payload", "eckart{}", "14", "18", "20", "24", "46", "61", "68", "73"),
+    ),
+    Case(
+        "indiflight",
+        "indiflight",
+        INDIFLIGHT,
+        Logs.of("indiflight", "LOG00{}.BFL", "231", "273", "277"),
+    ),
 )
 
-_HEAD = """# The search on real flights
 
-Renewed by `make discovery-real` from flights that are not part of quadpi: {stamp}.
-
-A [simulation from first principles](../examples/first_principles.py) knows thrust and torque of the rotors,
-each with the square of its speed, and nothing else. Its tolerances: thrust {thrust:.0%}, every other
-coefficient {other:.0%}, inertia {inertia:.0%}, centre of gravity {cg:.0f} mm. `before` and `after` are RMSE
-between measured and simulated wrench up to the band of the search, each flight with what was found on all
-others. `floor` is what the search takes for noise: all that neither effects nor tolerances explain, however
-many are free. On real flights it is no noise of sensors, for it holds whatever the library has no function
-for. A second round looks at the simulation with the effects of the first.
-
-Real flights have no truth to score names by. What tells is whether the gap closes on flights left out,
-whether roll-outs improve, and whether sizes are those of the literature.
-"""
-
-# By a person; to be read again beside other figures.
-_READING = """## What these figures say
-
-- Both vehicles lack drag of the rotors first, the fast one drag of its body too. On NeuroBEM flights left
-  out, Fx falls to a quarter and Fy to a sixth. Beside the authors' hybrid, trained on flights of the same
-  set, Fx and Fz are 30 % worse after one round and the rest 20 % and more better; after two rounds no
-  axis is worse. Its second round improves no roll-out: a closer fit, no findings.
-- Moments close in another way: the search takes those of the simulation away (-3.3 of a tolerance of 30 %
-  is all of them). Below 1 Hz a vehicle hardly turns faster or slower, so the measured moment is nearly
-  nothing, while the simulated one balances moments of the air that the simulation lacks. They can be
-  seen: of the Crazyflie's measured Mx from 0.3 to 10 Hz, 15 % go with the simulated moment alone and 70 %
-  with it and the velocity (NeuroBEM's My: 42 and 71 %). But no law of the library is exact to the little
-  that is left at low frequencies, as no moments at all are. Roll-outs need the moments: half a second
-  goes off by 31° and 19°.
-- The share of the removable gap says little here: the floor holds all that no function of the library
-  explains. Of what can be predicted, too much has no name: in an axis of NeuroBEM, and 6 % on the
-  Crazyflie. Hence `unknown`.
-- Up to 20 Hz the search on NeuroBEM is misled: most of the thrust lost, beside a coefficient of it 26
-  tolerances off, and roll-outs no better. From 5 to 20 Hz measured Mx and My go with the simulated ones
-  (correlation 0.9) at 0.7 of their size, Mz hardly does (0.5 to 0.2): the gyro lags the attitude by 5 to
-  7 ms. The verdict should be `unknown`.
-- The second round on the Crazyflie names what closes little, beside coefficients of moments that make
-  roll-outs much worse: to distrust. Roll-outs test what one-step errors do not.
-"""
+def quadpi(*arguments: str) -> None:
+    """Run a command; SystemExit with what it said where it fails."""
+    command = [sys.executable, "-m", "quadpi_core.cli", *arguments]
+    ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if ran.returncode:
+        raise SystemExit(f"quadpi {arguments[0]}: {ran.stderr.strip() or ran.stdout.strip()}")
 
 
-def read_flights(case: Case) -> list[Flight]:
-    """Flights in the air, as `quadpi discrepancy` prepares them."""
-    vehicle = Vehicle.load(case.vehicle)
-    paths = sorted(data_directory().glob(case.pattern))[:: case.every]
-    if not paths:
-        raise SystemExit(f"no flights {case.pattern} in {data_directory()}: set QUADPI_DATA")
-    return [fuse_airborne(read_recording(path, vehicle), vehicle, CUTOFF_HZ["default"]) for path in paths]
+def rounds(case: Case, work: Path) -> list[dict[str, Any]]:
+    """What `discrepancy` says of each round: the JSON that it wrote, now or earlier."""
+    missing = [path for path in (*case.identified.paths, *case.searched.paths) if not Path(path).exists()]
+    if missing:
+        raise SystemExit(f"no flight {missing[0]}: set QUADPI_DATA")
+    simulation = work / "models" / case.identified.folder
+    if not simulation.exists():
+        options = ("--vehicle", case.vehicle, "--method", "physical", "--workers", "1")
+        simulation.parent.mkdir(parents=True, exist_ok=True)
+        quadpi("identify", *case.identified.paths, *options, "-o", str(simulation))
+    found: list[dict[str, Any]] = []
+    for number in range(1, ROUNDS + 1):
+        folder = work / f"{case.name}-{number}"
+        if not folder.exists():
+            quadpi("discrepancy", str(simulation), *case.searched.paths, "--workers", "1", "-o", str(folder))
+            print(f"{case.name}: round {number}", flush=True)
+        found.append(json.loads((folder / "discrepancy.json").read_text(encoding="utf-8")))
+        simulation = folder / f"{case.vehicle}.yaml"
+        if simulation.name not in found[-1]["files"]:
+            break
+    return found
 
 
-def section(case: Case) -> str:
-    """The part of the page on one vehicle."""
-    flights = read_flights(case)
-    simulation = load_simulation(f"first_principles:{case.function}", case.vehicle)
-    assert isinstance(simulation, CallableSimulation)
-    first = replace(simulation, tolerances=TOLERANCES)
-    seconds = sum(flight.time[-1] - flight.time[0] for flight in flights)
-    parts = [f"## {case.title}: {len(flights)} flights, {seconds:.0f} s"]
-    for band_hz in case.bands_hz:
-        rounds = _ROUNDS if band_hz == case.bands_hz[0] else 1
-        parts += [f"### Up to {band_hz:g} Hz", *searches(case, first, flights, rounds, band_hz)]
-    return "\n\n".join(parts)
-
-
-def searches(
-    case: Case, simulation: Simulation, flights: Sequence[Flight], rounds: int, band_hz: float
-) -> Iterator[str]:
-    """Sections of the page, one per round, until a round finds nothing or its effects cannot be added."""
-    for number in range(1, rounds + 1):
-        begin = perf_counter()
-        found = discover(simulation, flights, highest_hz=band_hz)
-        print(f"{case.title}: round {number}: {found.verdict}, {perf_counter() - begin:.0f} s", flush=True)
-        yield findings(case, number, found)
-        if not found.effects:
-            return
-        try:
-            left_out = [augmented(found, without=place) for place in range(len(flights))]
-            yield rolled_out(flights, simulation, left_out)
-            simulation = augmented(found)
-            yield stretched(simulation)
-        except DiscrepancyError as error:
-            yield f"No further round: {error}."
-            return
-
-
-def findings(case: Case, number: int, found: Discovery) -> str:
-    """Verdict, effects and gap of one search."""
-    lines = [
-        f"Round {number}: verdict `{found.verdict}`; {found.gap.reduction:.0%} of the removable gap closed, "
+def section(case: Case, found: Sequence[Mapping[str, Any]]) -> str:
+    """Tables of the page on one case."""
+    seconds = sum(flight["duration_s"] for flight in found[0]["flights"].values())
+    parts = [
+        f"Identified on {', '.join(case.identified.names)}; searched with {', '.join(case.searched.names)}, "
+        f"{seconds:.0f} s in the air."
     ]
-    lines[0] += f"{found.unexplained:.0%} of what can be predicted has no name."
-    rows: list[tuple[str, ...]] = [
-        (effect.name if not place else "", p.name, f"{p.value:.3g}", f"{p.lower:.3g} … {p.upper:.3g}", p.unit)
-        for effect in found.effects
-        for place, p in enumerate(effect.parameters)
-    ]
-    if rows:
-        name, parameter, unit = (Column(heading, is_text=True) for heading in ("effect", "parameter", ""))
-        columns = [name, parameter, Column("value"), Column("95 %"), unit]
-        lines.append(markdown_table(Table(columns, rows)))
-    for effect in found.effects:
-        if effect.rivals:
-            lines.append(f"`{effect.name}` cannot be told from {', '.join(f'`{r}`' for r in effect.rivals)}.")
-    published = [f"{value:.3g}" for value in case.published]
-    rows = [
-        (axis, *(f"{values[i]:.3g}" for values in found.gap[:3]), *([published[i]] if published else []))
-        for i, axis in enumerate(AXES)
-    ]
-    headings = ("axis [N, Nm]", "before", "after", "floor", *(["published"] if published else []))
-    lines.append(markdown_table(Table([Column(headings[0], is_text=True), *map(Column, headings[1:])], rows)))
-    if published and number == 1:
-        lines.append(f"Published: {case.source}, over all frequencies.")
-    return "\n\n".join(lines)
-
-
-def stretched(simulation: AugmentedSimulation) -> str:
-    """Which coefficients a simulation has far off, as a sentence."""
-    far = {name: value for name, value in simulation.adjusted.items() if abs(value) > _FAR}
-    if not far:
-        return f"No coefficient moved by more than {_FAR:g} of its tolerances."
-    moved = ", ".join(f"{name} {value:+.1f}" for name, value in sorted(far.items()))
-    return f"Coefficients that moved by more than {_FAR:g} of their tolerances: {moved}."
-
-
-def rolled_out(flights: Sequence[Flight], before: Simulation, after: Sequence[Simulation]) -> str:
-    """Roll-outs of flights left out, as a sentence."""
-    found = rollouts(flights, [before] * len(flights), after)
-    numbers = [
-        f"{what} {found.errors[key].before:.3g} to {found.errors[key].after:.3g} {unit} "
-        f"(measured wrench {found.errors[key].floor:.2g})"
-        for what, key, unit in (
-            ("velocity", "velocity_m_s", "m/s"),
-            ("attitude", "attitude_deg", "°"),
-            ("rates", "rates_rad_s", "rad/s"),
+    for number, result in enumerate(found, start=1):
+        added = any(name.endswith(".yaml") for name in result["files"])
+        verdict = (
+            f"Round {number}: verdict `{result['verdict']}`; {'added' if added else 'nothing is added'}."
         )
-    ]
-    return f"Errors after {found.horizon_s:g} s of roll-out: {', '.join(numbers)}; {found.starts} starts."
+        doubts = f" Because {'; '.join(result['doubts'])}." if result["doubts"] else ""
+        parts += [f"{verdict}{doubts}", candidates_table(result), errors_table(result)]
+    return "\n\n".join(part for part in parts if part)
+
+
+def candidates_table(result: Mapping[str, Any]) -> str:
+    """The named effects with their parameters, and the refused candidates with most evidence."""
+    parameters = {
+        effect["name"]: ", ".join(
+            f"{name} {p['value']:.3g} ({p['lower']:.3g} … {p['upper']:.3g})"
+            if p["upper"] > p["lower"]
+            else f"{name} {p['value']:.3g}"
+            for name, p in effect["parameters"].items()
+        )
+        for effect in result["effects"]
+    }
+    named = [own for own in result["candidates"] if own["named"]]
+    refused = [own for own in result["candidates"] if not own["named"] and own["needed_nat"]]
+    rows: list[Row] = []
+    for own in (*named, *refused[:_REFUSED_SHOWN]):
+        closes = ", ".join(
+            f"{axis} {100.0 * share:.0f}" for axis, share in own["closes"].items() if abs(share) >= 0.01
+        )
+        told = parameters[own["name"]] if own["named"] else f"refused: {own['reason']}"
+        evidence = f"{own['evidence_nat']:.0f} of {own['needed_nat']:.0f}"
+        rows.append([f"`{own['label']}`", evidence, closes or "–", told])
+    headings = (
+        "effect",
+        "evidence, of what is needed [nat]",
+        "closes of the gap [%]",
+        "95 %, or why refused",
+    )
+    return (
+        markdown_table(Table([Column(heading, is_text=True) for heading in headings], rows)) if rows else ""
+    )
+
+
+def errors_table(result: Mapping[str, Any]) -> str:
+    """Errors one step ahead, of roll-outs, and coverage of intervals, before and after."""
+    rows: list[Row] = [_errors(f"{axis}, RMSE", result["gap"][axis]) for axis in AXES]
+    if "rollout" in result:
+        rollout = result["rollout"]
+        for name, unit in {"velocity_m_s": "m/s", "attitude_deg": "°", "rates_rad_s": "rad/s"}.items():
+            if name in rollout:
+                words = f"roll-out of {rollout['horizon_s']:g} s, {name.split('_')[0]} [{unit}]"
+                rows.append(_errors(words, rollout[name]))
+        if lost := rollout.get("lost"):
+            rows.append(
+                ["roll-outs that diverge", *(str(lost[when]) for when in ("before", "after", "floor"))]
+            )
+    for axis, share in result.get("coverage", {}).items():
+        shares = [f"{100.0 * share[when]:.1f} %" for when in ("before", "after")]
+        rows.append([f"{axis}, inside the intervals", *shares, "–"])
+    columns = [Column("flights left out [N, Nm]", is_text=True), *map(Column, ("before", "after", "floor"))]
+    return markdown_table(Table(columns, rows))
+
+
+def _errors(name: str, error: Mapping[str, float]) -> Row:
+    return [name, *(f"{error[when]:.3g}" for when in ("before", "after", "floor"))]
+
+
+def summary(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    """One row per case and round: what comes closest, whether it is added, and roll-outs."""
+    rows: list[Row] = []
+    for name, results in found.items():
+        for number, result in enumerate(results, start=1):
+            effects = ", ".join(f"`{effect['name']}`" for effect in result["effects"]) or "–"
+            added = any(file.endswith(".yaml") for file in result["files"])
+            rollout = result.get("rollout", {})
+            moved = [
+                f"{rollout[key]['before']:.3g} → {rollout[key]['after']:.3g}" if key in rollout else "–"
+                for key in ("velocity_m_s", "attitude_deg", "rates_rad_s")
+            ]
+            closed = f"{100.0 * result['gap']['reduction']:.0f} %" if result["effects"] else "–"
+            rows.append([name, str(number), f"`{result['verdict']}`", effects, closed, *moved, _said(added)])
+    words = ("flights", "round", "verdict", "closest")
+    numbers = ("gap closed", "velocity [m/s]", "attitude [°]", "rates [rad/s]", "added")
+    return markdown_table(
+        Table([*(Column(word, is_text=True) for word in words), *map(Column, numbers)], rows)
+    )
+
+
+def _said(added: bool) -> str:
+    return "yes" if added else "no"
 
 
 def main() -> None:
-    """Search every vehicle and write the page."""
+    """Identify, search, and renew the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--only", choices=[case.function for case in CASES], help="print this one, write nothing"
-    )
-    only = parser.parse_args().only
-    if only:
-        print(section(next(case for case in CASES if case.function == only)))
+    names = [case.name for case in CASES]
+    parser.add_argument("--only", choices=names, nargs="+", help="print these, write nothing")
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "discovery-real", help="for results")
+    options = parser.parse_args()
+    cases = [case for case in CASES if case.name in (options.only or names)]
+    found = {case.name: rounds(case, options.work / fingerprint()) for case in cases}
+    tables = {case.name: section(case, found[case.name]) for case in cases}
+    tables["summary"] = summary(found)
+    if options.only:
+        print("\n\n".join(tables.values()))
         return
-    head = _HEAD.format(
-        stamp=stamp(),
-        thrust=TOLERANCES.thrust,
-        other=TOLERANCES.coefficient,
-        inertia=TOLERANCES.inertia,
-        cg=1e3 * TOLERANCES.cg_m,
-    )
-    page = "\n".join([head, *(section(case) + "\n" for case in CASES), _READING])
-    with whole_output(PAGE) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    tables["summary"] += f"\n\n*{stamp()}*"
+    renew(PAGE, tables)
 
 
 if __name__ == "__main__":

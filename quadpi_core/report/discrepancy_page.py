@@ -18,7 +18,7 @@ from latex2mathml.converter import convert as mathml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from quadpi_core.discrepancy.acceptance import Judgement
+from quadpi_core.discrepancy.acceptance import CLOSED, Judgement
 from quadpi_core.discrepancy.discrepancy_result import (
     ERROR_NAMES,
     Discovery,
@@ -331,11 +331,19 @@ def _verdict(study: Study) -> str:
             f"{_action(discovery)}: {simulation} lacks {named}. On flights left out, adding it closes "
             f"{closed} of the gap that noise does not explain."
         )
-    unknown = f"Add nothing yet: {simulation} lacks something that no effect of the library explains"
+    unknown = f"{simulation} lacks something that no effect of the library explains"
     doubts = "; ".join(discovery.doubts)
     if not discovery.effects:
-        return f"{unknown}: {doubts}."
-    return f"{unknown}. {named.capitalize()} comes closest, but {doubts}."
+        return f"Add nothing yet: {unknown}: {doubts}."
+    comes = "come" if len(discovery.effects) > 1 else "comes"
+    closest = f"{named[:1].upper()}{named[1:]} {comes} closest"
+    if study.flown_again is None or discovery.rejected or discovery.gap.reduction < CLOSED.value:
+        return f"Add nothing yet: {unknown}. {closest}, but {doubts}."
+    # Such an addition is written: flights left out and roll-outs of them are simulated better with it.
+    gain = (
+        f"{closest}: it closes {percent(discovery.gap.reduction)} of the gap of flights left out and makes no"
+    )
+    return f"Add with care, and look further: {unknown}. {gain} roll-out of them worse, but {doubts}."
 
 
 def _action(discovery: Discovery) -> str:

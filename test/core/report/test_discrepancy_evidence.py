@@ -72,6 +72,11 @@ def test_evidence_is_told_beside_what_is_needed(gain, needed, words):
 def test_axes_that_get_better_and_worse_are_told_apart():
     assert closes(REFUSED) == "Fx 93 %; makes Mz by 80 % worse"
     assert closes(replace(REFUSED, closes={"Fy": 0.004})) == "nothing"
+    balanced = {"Fx": 0.5, "Mx": 14.9, "My": 30.5}
+    assert (
+        closes(replace(REFUSED, closes=balanced))
+        == "Fx 50 %; more than all of Mx and My, as coefficients move against it"
+    )
     assert closes(replace(REFUSED, closes={})) == ""
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from quadpi_core.discrepancy.acceptance import judge_closed
+from quadpi_core.discrepancy.acceptance import judge_unexplained
 from quadpi_core.discrepancy.discrepancy_result import study_json
 from quadpi_core.discrepancy.external_simulations import CallableSimulation
 from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
@@ -47,12 +47,19 @@ def test_everything_stands_on_it(page_file, read_page, found):
     ("changes", "first"),
     [
         ({"verdict": "none", "effects": ()}, "Keep the simulation. No missing effect was found"),
-        ({"verdict": "unknown", "checks": (judge_closed(0.2),)}, "Add nothing yet: bebop2 lacks something"),
+        ({"verdict": "unknown", "effects": ()}, "Add nothing yet: bebop2 lacks something"),
+        ({"verdict": "unknown", "rejected": True}, "Add nothing yet: bebop2 lacks something"),
+        ({"verdict": "unknown", "gap": 0.2}, "Add nothing yet: bebop2 lacks something"),
+        ({"verdict": "unknown"}, "Add with care, and look further: bebop2 lacks something"),
         ({"rivals": ("wind",)}, "Fly forward flight to decide: bebop2 lacks body drag (or wind)"),
     ],
 )
 def test_the_first_words_say_what_to_do(found, rendered, changes, first):
     (drag,) = found.discovery.effects
+    if changes.get("verdict") == "unknown":
+        changes = {**changes, "checks": (judge_unexplained(0.5),)}
+    if "gap" in changes:
+        changes = {**changes, "gap": found.discovery.gap._replace(reduction=changes["gap"])}
     if "rivals" in changes:
         changes = {"effects": (replace(drag, **changes, shown_by=("forward flight",)),)}
     summary = rendered(discrepancy_summary(replace(found, discovery=replace(found.discovery, **changes))))
