@@ -241,7 +241,12 @@ def _percent(share: float) -> str:
 
 
 def evidence_threshold(gains: Array) -> float:
-    """Evidence that a first effect has to gain, from the largest gains (D,) of draws without any effect."""
+    """Evidence that a first effect has to gain, from the largest gains (D,) of draws without any effect.
+
+    They are minus infinity where no candidate is linear, for which alone there are draws.
+    """
+    if not np.isfinite(gains).any():
+        return LEAST_EVIDENCE.value
     return max(float(np.quantile(gains, 1.0 - FALSE_ALARMS.value)), LEAST_EVIDENCE.value)
 
 

@@ -40,8 +40,6 @@ TRIED_LENGTHS = Threshold(
     "the period of one is 1.2 times that of the one before, and the search converges from a swing away",
     CONVENTION,
 )
-# Half the step of a difference quotient, in prior standard deviations. Wind reverses the airspeed of a hover:
-# a small step would see only the cusp at rest.
 _STEP, _WIDE_STEP = 1e-3, 0.2
 
 
@@ -85,6 +83,13 @@ class Candidate:
         """Share by which the contribution of the effect may differ from the computed one."""
         # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
         return AERODYNAMIC if self.effect.kind == "wind" else self.effect.form
+
+    @property
+    def step(self) -> float:
+        """Half the step of a difference quotient, in prior standard deviations."""
+        # Wind reverses the airspeed of a hover: a small step would see only the cusp at rest. What has a
+        # state of its own is smooth, and its phase turns over a wide one.
+        return _STEP if self.linear or self.effect.at_rest else _WIDE_STEP
 
     def excludes(self, other: Candidate) -> bool:
         """Whether no set contains both: one effect twice, or two of a group on one rotor."""
@@ -210,13 +215,9 @@ def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> l
     for flight in flights:
         here = flight.added(candidate.effect, candidate.values(at))
         columns = np.empty((*here.shape, len(at)))
-        step = _STEP if candidate.linear or candidate.effect.at_rest else _WIDE_STEP
-        for index, scale in enumerate(candidate.scale):
-            ahead, behind = at.copy(), at.copy()
-            ahead[index] += step * scale
-            behind[index] -= step * scale
-            difference = flight.added(candidate.effect, candidate.values(ahead))
-            difference -= flight.added(candidate.effect, candidate.values(behind))
-            columns[:, :, index] = difference / (2.0 * step)
+        for index, step in enumerate(np.diag(candidate.step * candidate.scale)):
+            difference = flight.added(candidate.effect, candidate.values(at + step))
+            difference -= flight.added(candidate.effect, candidate.values(at - step))
+            columns[:, :, index] = difference / (2.0 * candidate.step)
         result.append((here, columns))
     return result

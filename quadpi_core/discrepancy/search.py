@@ -11,7 +11,6 @@ from functools import cache
 import numpy as np
 
 from quadpi_core.discrepancy.acceptance import (
-    LEAST_EVIDENCE,
     NAMED_ALONE,
     Judgement,
     evidence_beside,
@@ -196,8 +195,6 @@ def _replaced(
 def _calibrated_threshold(regression: Regression, seed: int) -> float:
     """Evidence that a first effect has to gain, calibrated on draws without any effect."""
     linear = [block for block in regression.columns.blocks if block.offset is None]
-    if not linear:
-        return LEAST_EVIDENCE.value
     rng = np.random.default_rng(seed)
     gains = null_gains(regression.gram, regression.columns.tolerances, linear, CALIBRATION_DRAWS.value, rng)
     return evidence_threshold(gains)

@@ -198,11 +198,18 @@ def discover(
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
     compared = Compared.together(flights, simulation, highest_hz)
+    held = within_intervals(compared)
+    # What acts only where the simulation's own intervals hold is nothing that it lacks.
+    sought = [
+        candidate
+        for candidate in candidates(simulation.vehicle, names)
+        if not all(held[AXES.index(axis)] for axis in candidate.effect.axes)
+    ]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
-        found = search(compared, candidates(simulation.vehicle, names), seed)
+        found = search(compared, sought, seed)
     rows = sum(len(band) for band in found.regression.columns.bands)
-    left = np.where(within_intervals(compared), 0.0, predictable(found.left.gain, rows))
+    left = np.where(held, 0.0, predictable(found.left.gain, rows))
     named = np.maximum(found.named, 0.0)
     share, worst = unexplained_share(left, named, rows), unexplained_axis(left, named, rows)
     law, whole = found.closing.fits()

@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.discrepancy.acceptance import (
+    LEAST_EVIDENCE,
+    evidence_threshold,
     judge_closed,
     judge_coefficients,
     judge_colour,
@@ -58,3 +60,9 @@ def test_sentences_of_tests_that_hold_are_true():
         "roll-outs of flights left out do not get worse"
     )
     assert judge_closed(-4.35).sentence == "the gap of flights left out grows by 435 %"
+
+
+def test_candidates_without_draws_need_the_least_evidence():
+    """Of wind alone, which is not linear, there are none."""
+    assert evidence_threshold(np.full(9, -np.inf)) == LEAST_EVIDENCE.value
+    assert evidence_threshold(np.full(9, 50.0)) == 50.0
