@@ -20,6 +20,7 @@ from quadpi_core.discrepancy.reflight import (
     rollout_floor,
     rollouts,
 )
+from quadpi_core.discrepancy.simulations import Margins
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.logs import read_recording
@@ -150,7 +151,8 @@ def test_coverage_before_and_after(truth):
             return good.recorded(flight, wrench)
 
         def margins(self, flight):
-            return np.full((len(flight), 6), -0.1), np.full((len(flight), 6), 0.1)
+            bounds = np.full((len(flight), 6), 0.1)
+            return Margins(-bounds, bounds, 0.95)
 
         vehicle = good.vehicle
 
