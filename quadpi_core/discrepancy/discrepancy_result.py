@@ -75,6 +75,8 @@ class Discovery:
         found: result of the search.
         without_trace: effects that cannot be found: with them, these flights would hardly differ from this
             simulation.
+        within_intervals: effects that were not looked for, as they act on axes alone that the intervals of an
+            identified model hold.
         checks: tests of the whole result, passed or not.
         candidates: every candidate with its evidence, best first.
         adjusted: whether coefficients are moved with the effects, where flights left out are simulated better
@@ -89,6 +91,7 @@ class Discovery:
     gap: Gap
     found: Found
     without_trace: tuple[str, ...] = ()
+    within_intervals: tuple[str, ...] = ()
     checks: tuple[Verdict, ...] = ()
     candidates: tuple[RankedCandidate, ...] = ()
     adjusted: bool = True
@@ -250,6 +253,7 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
             "reduction": gap.reduction,
         },
         "without_trace": list(discovery.without_trace),
+        "within_intervals": list(discovery.within_intervals),
         "doubts": list(discovery.doubts),
         "checks": [
             {"test": c.test, "passed": c.passed, "value": c.value, "limit": c.threshold, "text": c.sentence}

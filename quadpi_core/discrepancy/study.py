@@ -199,12 +199,10 @@ def discover(
             )
     compared = Compared.together(flights, simulation, highest_hz)
     held = within_intervals(compared)
+    known = candidates(simulation.vehicle, names)
     # What acts only where the simulation's own intervals hold is nothing that it lacks.
-    sought = [
-        candidate
-        for candidate in candidates(simulation.vehicle, names)
-        if not all(held[AXES.index(axis)] for axis in candidate.effect.axes)
-    ]
+    inside = {c.name for c in known if all(held[AXES.index(axis)] for axis in c.effect.axes)}
+    sought = [candidate for candidate in known if candidate.name not in inside]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, sought, seed)
@@ -232,6 +230,9 @@ def discover(
         checks=judged,
         candidates=ranked_candidates(found),
         without_trace=_without_trace(found),
+        within_intervals=tuple(
+            dict.fromkeys(c.name for c in known if c.name not in {s.name for s in sought})
+        ),
     )
 
 

@@ -176,6 +176,14 @@ def verdict_changes(study: Study) -> list[Change]:
                 "wrench from the flight: a vehicle file, a model or a function.",
             )
         )
+    if discovery.within_intervals:
+        changes.append(
+            Change(
+                "Not looked for, as the model's intervals hold the axes they act on: "
+                f"{', '.join(map(words, discovery.within_intervals))}.",
+                "A model with narrower intervals: identify it on more flights of the vehicle as it was.",
+            )
+        )
     if study.not_flown:
         changes.append(
             Change(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Rollouts,
     discovery_json,
 )
+from quadpi_core.discrepancy.simulations import Margins
 from quadpi_core.discrepancy.study import study
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.rotations import rotate_world_to_body
@@ -51,6 +53,23 @@ def test_what_no_effect_explains_is_unknown_and_named(simulation, dragged):
     assert {"Fx", "Fy"} <= set(found.unexplained_by)
     assert any("u" in function for function in found.unexplained_by["Fx"])
     assert (found.effects, found.gap.reduction) == ((), 0.0)
+
+
+def test_effects_on_axes_that_intervals_hold_are_not_looked_for(simulation, dragged):
+    """Of a model with wide intervals of the moments; drag is still named."""
+    half_width = np.array([1e-3, 1e-3, 1e-3, 10.0, 10.0, 10.0])
+
+    def margins(flight):
+        bounds = np.tile(half_width, (len(flight), 1))
+        return Margins(-bounds, bounds, 0.95)
+
+    sure = replace(simulation, intervals_of=SimpleNamespace(margins=margins))
+    found = discover(sure, dragged, names=["body_drag", "rate_damping"])
+    assert [effect.name for effect in found.effects] == ["body_drag"]
+    assert found.within_intervals == ("rate_damping",)
+    alone = discover(sure, dragged, names=["rate_damping"])
+    assert (alone.effects, alone.within_intervals) == ((), ("rate_damping",))
+    assert alone.verdict == "unknown"
 
 
 def test_a_draught_at_one_place_is_unknown(simulation, flights, pushed):
