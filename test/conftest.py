@@ -23,8 +23,12 @@ from quadpi_core import paths
 from quadpi_core.cli import main
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.paths import data_directory
+from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.paths import bags_directory, data_directory
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
@@ -242,3 +246,16 @@ def cluster() -> Iterator[str]:
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
     ) as local:
         yield local.scheduler_address
+
+
+@pytest.fixture(scope="session")
+def physical_folder(tmp_path_factory) -> Path:
+    """Folder of a physical model of the Bebop 2, identified on four bundled bags."""
+    vehicle = Vehicle.load("bebop2")
+    bags = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
+    model = identify(
+        prepare_flights(bags, vehicle), vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical")
+    )
+    folder = tmp_path_factory.mktemp("physical") / "flown"
+    model.save(folder)
+    return folder

@@ -66,19 +66,6 @@ def pushed_fixture() -> Callable[[Flight, Vehicle, Array], Flight]:
 
 
 @pytest.fixture(scope="session")
-def physical_folder(tmp_path_factory) -> Path:
-    """Folder of a physical model of the Bebop 2, identified on four bundled bags."""
-    vehicle = Vehicle.load("bebop2")
-    bags = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
-    model = identify(
-        prepare_flights(bags, vehicle), vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical")
-    )
-    folder = tmp_path_factory.mktemp("physical") / "flown"
-    model.save(folder)
-    return folder
-
-
-@pytest.fixture(scope="session")
 def dragged(simulation, flights) -> list[Flight]:
     """The flights with drag of the airframe that the simulation lacks."""
 

@@ -23,7 +23,7 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import MonitorSettings
 from quadpi_core.monitor.replay import replay
-from quadpi_core.paths import config_directory
+from quadpi_core.paths import bags_directory, config_directory
 from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import live_session
@@ -169,6 +169,17 @@ def test_live_equals_replay_with_velocities_alone(folder: Path, hover: Recording
     session = run_session(bag, folder / "model", vehicle=VEHICLE)
     assert session.dropped == 0
     assert_live_equals_replay(session, folder / "model", VEHICLE, bag)
+
+
+@pytest.mark.slow
+def test_live_equals_replay_with_a_physical_model(physical_folder: Path, tmp_path: Path) -> None:
+    """In a flight of 20 s at angles of up to 40 degrees; all six axes, and rotor accelerations."""
+    bag = tmp_path / "flight.mcap"
+    bag.write_bytes((bags_directory() / "interpolation.mcap").read_bytes())
+    session = run_session(bag, physical_folder, vehicle="bebop2")
+    assert session.dropped == 0
+    assert session.predictions.predicted.any(axis=0).all()
+    assert_live_equals_replay(session, physical_folder, "bebop2", bag)
 
 
 @pytest.mark.usefixtures("ros_domain")
