@@ -230,9 +230,7 @@ def discover(
         checks=judged,
         candidates=ranked_candidates(found),
         without_trace=_without_trace(found),
-        within_intervals=tuple(
-            dict.fromkeys(c.name for c in known if c.name not in {s.name for s in sought})
-        ),
+        within_intervals=tuple(sorted(inside)),
     )
 
 
