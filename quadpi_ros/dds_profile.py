@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
+from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -44,6 +45,10 @@ _POLL_S = 0.02
 _ANSWER_S = 1.0
 # Discovery is taken as finished when the known subscribers have not changed for this time.
 _SETTLE_S = 0.2
+# A node that subscribes may take this long to answer; one whose parameter services are not found in a second
+# has none, as a node announces them before its subscriptions.
+_ANSWERS_S = 10.0
+_SERVICES_S = 1.0
 
 
 def _profile(offered: qos.Qos) -> QoSProfile:
@@ -136,14 +141,20 @@ class DiscoveryError(QuadpiError):
 
 def await_listeners(
     node: Node, publishers: Sequence[Publisher], managed: Sequence[str], wait_s: float
-) -> None:
+) -> list[str]:
     """Wait until the managed nodes are active and every publisher is connected to all its subscribers.
+
+    Connected is a subscriber whose node has answered; a node that does not answer is waited for
+    :data:`_ANSWERS_S` at most.
 
     Args:
         node: owns the publishers; on no executor.
         publishers: each needs at least one subscriber.
         managed: names of lifecycle nodes, relative to the namespace of `node`.
         wait_s: timeout.
+
+    Returns:
+        Full names of subscribing nodes that did not answer: they may miss the first messages.
 
     Raises:
         DiscoveryError: on timeout, naming what is missing.
@@ -156,10 +167,11 @@ def await_listeners(
             client = node.create_client(GetState, f"{name}/get_state")
             _await_active(node, executor, client, name, deadline)
             node.destroy_client(client)
+        await_subscribers(node, publishers, deadline - time.monotonic())
+        return _await_answers(node, executor, publishers, deadline)
     finally:
         executor.remove_node(node)
         executor.shutdown()
-    await_subscribers(node, publishers, deadline - time.monotonic())
 
 
 def _await_active(node: Node, executor: EventsExecutor, client: Client, name: str, deadline: float) -> None:
@@ -173,6 +185,35 @@ def _await_active(node: Node, executor: EventsExecutor, client: Client, name: st
                 return
             client.remove_pending_request(answer)
         time.sleep(_POLL_S)
+
+
+def _await_answers(
+    node: Node, executor: EventsExecutor, publishers: Sequence[Publisher], deadline: float
+) -> list[str]:
+    """Ask every node that subscribes for no parameters, and give the names of those that do not answer."""
+    own = node.get_fully_qualified_name()
+    names = {
+        f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+        for publisher in publishers
+        for one in node.get_subscriptions_info_by_topic(publisher.topic_name)
+    }
+    clients = {name: node.create_client(GetParameters, f"{name}/get_parameters") for name in names - {own}}
+    begun_s, silent = time.monotonic(), sorted(clients)
+    while silent and node.context.ok() and time.monotonic() < min(deadline, begun_s + _ANSWERS_S):
+        ready = [name for name in silent if clients[name].service_is_ready()]
+        if not ready and time.monotonic() > begun_s + _SERVICES_S:
+            break
+        for name in ready:
+            # An answer is lost where the server does not know this client yet: then it is asked again.
+            answer = clients[name].call_async(GetParameters.Request())
+            executor.spin_until_future_complete(answer, timeout_sec=_ANSWER_S / len(ready))
+            clients[name].remove_pending_request(answer)
+            if answer.done():
+                silent.remove(name)
+        time.sleep(_POLL_S)
+    for client in clients.values():
+        node.destroy_client(client)
+    return silent
 
 
 def await_subscribers(node: Node, publishers: Sequence[Publisher], wait_s: float) -> None:

@@ -34,6 +34,7 @@ CLOCK_HZ = 40.0
 # Time for the last messages to be sent before the participant closes.
 _FLUSH_S = 0.2
 
+_MAY_MISS = "nodes that answer no parameter service, and so may miss the first messages"
 _TOPICS_HELP = (
     "standard topics, and messages of other packages by the name of their adapter; "
     "without it, the standard topics, and adapters where those are missing"
@@ -145,10 +146,13 @@ def _play(options: argparse.Namespace) -> None:
     controls = Controls(node, playback, playlist.start_ns, options.clock, keys)
     if options.wait > 0.0:
         try:
-            await_listeners(node, publishers, options.nodes, options.wait)
+            silent = await_listeners(node, publishers, options.nodes, options.wait)
         except DiscoveryError as error:
             advice = "choose topics with --topics, or start at once with --wait 0"
             raise PlayerError(f"{error} ({options.wait:g} s); {advice}") from error
+        if silent:
+            # Best effort: a publisher is not told who does not know it yet.
+            print(f"quadpi: {_MAY_MISS}: {', '.join(silent)}", file=sys.stderr, flush=True)
     playback.seek(start_ns)
     with controls:
         sent = playlist.play([one.publish for one in publishers], playback, start_ns, options.loop)
