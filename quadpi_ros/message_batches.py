@@ -63,6 +63,9 @@ class OutgoingBatch:
 
     def _note_listeners(self, matched: Any) -> None:
         self.heard = matched.current_count > 0
+        if not self.heard:
+            # Whoever comes next, an hour later perhaps, is not to begin with what the last one left.
+            self._waiting = {}
 
     def adding(self, topic: str, type_name: str) -> Callable[[bytes], None]:
         """A function that takes the serialized messages of a topic."""

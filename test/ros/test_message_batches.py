@@ -78,14 +78,30 @@ def test_nothing_is_sent_until_somebody_listens(node):
 
 
 def test_it_notes_who_comes_and_goes_without_being_asked(node):
+    """And keeps nothing of the last listener for the next."""
     batch = OutgoingBatch(node)
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     assert not batch.heard
     inbox = Inbox(node, UInt8MultiArray, "/uav/batching/batch", BATCH_QOS, raw=False)
     wait_until(lambda: batch.heard, lambda: executor.spin_once(timeout_sec=0.01))
+    add = batch.adding("/uav/prediction", "some/Type")
+    batch.send()
+    add(b"of the last listener")
     inbox.close(node)
     wait_until(lambda: not batch.heard, lambda: executor.spin_once(timeout_sec=0.01))
+    inbox, came = Inbox(node, UInt8MultiArray, "/uav/batching/batch", BATCH_QOS, raw=False), []
+    wait_until(lambda: batch.heard, lambda: executor.spin_once(timeout_sec=0.01))
+
+    def turn() -> None:
+        add(b"new")
+        batch.send()
+        for message in inbox.take():
+            came.extend(payload for part in parts_of(message) for payload in part.payloads)
+
+    wait_until(lambda: len(came) >= 2, turn)
+    assert set(came) == {b"new"}
+    inbox.close(node)
     executor.remove_node(node)
     executor.shutdown()
     batch.destroy()
