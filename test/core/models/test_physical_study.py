@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.physical_study import PhysicalStudy, delays_not_ruled_out
 from quadpi_core.models.physical_terms import TERM_INDEX
 from test.core.models.physical_flights import NOISE, VEHICLE, flown, swept
 
@@ -64,3 +64,18 @@ def test_a_group_that_harms_flights_left_out_leaves() -> None:
 def test_no_flights_are_refused() -> None:
     with pytest.raises(ModelError, match="no flights"):
         PhysicalStudy.of([], VEHICLE)
+
+
+def test_delays_of_nearly_the_greatest_likelihood_are_not_ruled_out() -> None:
+    """Twice the logarithm of the likelihood falls by 3 at a neighbour, and by 5 at the next."""
+    count = np.array([100.0, 1.0, 1.0])
+    fall = np.array([900.0, 400.0, 5.0, 0.0, 3.0, 5.0, 900.0])
+    squares = np.exp(np.column_stack((fall / 100.0, np.zeros(7), np.zeros(7))))
+    assert delays_not_ruled_out(squares, count, 3) == (0.0075, 0.01)
+
+
+def test_a_delay_that_is_used_against_the_likelihood_widens_the_range_up_to_itself() -> None:
+    """Two axes with few errors of their own prefer 2.5 ms, one with many 7.5 ms: 12.5 ms is ruled out."""
+    places = np.arange(7.0)
+    squares = 1.0 + 0.1 * np.abs(places[:, np.newaxis] - np.array([1.0, 1.0, 3.0]))
+    assert delays_not_ruled_out(squares, np.array([10.0, 10.0, 500.0]), 1) == (0.0025, 0.0075)
