@@ -302,9 +302,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
             monitor, error = self._load(self._permitted(request.path)), None
         except QuadpiError as caught:
             monitor, error = None, str(caught)
-        except (
-            Exception
-        ):  # of any kind: the caller is told that the model did not load, and the others fly on
+        except Exception:
+            # Of any kind: the caller is told that the model did not load, and the others fly on.
             self.get_logger().error(traceback.format_exc())
             monitor, error = None, f"{request.path}: cannot be loaded, see the log of the node"
 

@@ -46,8 +46,8 @@ MOST_FLIGHTS = 6
 FASTEST = 0.9
 # Share of the samples of a flight that may be faster than its speed.
 _FASTER = 0.001
-# Networks are trained on so many samples a second: on all samples a model
-# takes ten minutes of two cores, and each data set has up to seven of them.
+# Networks are trained on this many samples a second: on all samples a model takes ten minutes of two cores,
+# and each data set has up to seven of them.
 NETWORK_HZ = 20.0
 IN_TURN, FASTEST_OUT = "in turn", "the fastest"
 BOTH = (IN_TURN, FASTEST_OUT)

@@ -265,7 +265,7 @@ def _minimised(
 
 
 def _without(solution: _Solution, flight: int | None, objective: _Objective) -> tuple[Array, Array]:
-    """Parameters (P,) and covariance (n, n) of a objective without the roll-outs of a flight."""
+    """Parameters (P,) and covariance (n, n) of an objective without the roll-outs of a flight."""
     parts = [part for k, part in enumerate(solution.parts) if k != flight]
     values = objective.moved(solution.values, objective.step(solution.values, parts))
     return values, objective.covariance(parts)
