@@ -99,7 +99,9 @@ def _export_recording(
     command = f"quadpi export {bag} --format rerun -o {output}"
     parts = flight_parts(bag, models, the_vehicle, confidence, command)
     known = {model.identity: model.described() for model in models}
-    write_rerun_file(parts, output, known, RATE_HZ if rate is None else rate)
+    missing = write_rerun_file(parts, output, known, RATE_HZ if rate is None else rate)
+    for topic, what in missing:
+        open_console().print(f"{bag}: {topic}: {what}", soft_wrap=True)
     open_console().print(f"{output}: open it with: rerun {output}", soft_wrap=True)
 
 

@@ -27,6 +27,8 @@ from quadpi_core.view.trust import INPUT_WORDS, State, plain, states_of
 TIMELINE = "stamp"
 # Rows a second of each series: an hour takes 230 MB, and every sample at 500 Hz 1.6 GB.
 RATE_HZ = 50.0
+# Two stamps: at any higher rate every sample is kept.
+_SHORTEST_STRETCH_NS = 2
 # Of the line along which the vehicle flew: a point every 50 ms is as fine as one sees.
 _TRAIL_STEP_NS = 50_000_000
 # Colours that colour-blind people tell apart (Okabe and Ito).
@@ -53,6 +55,9 @@ class RerunRecording:
         known: models whose training ranges are known, by identity.
         rate_hz: rows a second of each series at most, see :func:`extremes`.
 
+    Attributes:
+        missing: topics that the flight lacks, with what is not recorded for that.
+
     Raises:
         LogError: naming the extra where Rerun is not installed.
     """
@@ -61,7 +66,8 @@ class RerunRecording:
         self._rr = require_library("rerun", "rerun")
         self._known = dict(known)
         # Two rows of each stretch: where it begins and where it ends.
-        self._stretch_ns = round(2e9 / rate_hz)
+        self._stretch_ns = max(_SHORTEST_STRETCH_NS, round(2e9 / rate_hz))
+        self.missing: list[tuple[str, str]] = []
         self._stream = self._rr.RecordingStream("quadpi")
         self._stream.save(path, default_blueprint=_blueprint(require_library("rerun.blueprint", "rerun")))
         self._named: set[str] = set()
@@ -160,7 +166,8 @@ class RerunRecording:
         self._text(texts)
 
     def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
-        """Nothing is recorded of what is missing."""
+        """Take topics that are missing, which the recording itself does not say."""
+        self.missing += topics
 
     def take_events(self, events: Sequence[AlarmEvent]) -> None:
         """Take alarms that were raised or cleared."""
@@ -243,7 +250,7 @@ def _last_of_stretches(time_ns: Stamps, stretch_ns: int) -> npt.NDArray[np.int64
 
 def write_rerun_file(
     parts: Iterable[Part], output: Path, known: Mapping[str, DescribedModel], rate_hz: float = RATE_HZ
-) -> None:
+) -> list[tuple[str, str]]:
     """Write a flight to a recording; the file appears whole or not at all.
 
     Args:
@@ -251,6 +258,9 @@ def write_rerun_file(
         output: a file that ends in .rrd.
         known: see :class:`RerunRecording`.
         rate_hz: see there.
+
+    Returns:
+        Topics that the flight lacks, with what is not recorded for that; of a bag that is cut off, itself.
 
     Raises:
         QuadpiError: for a bag that cannot be read, and where Rerun is not installed.
@@ -262,6 +272,7 @@ def write_rerun_file(
                 part(recording)
         finally:
             recording.close()
+    return recording.missing
 
 
 def _blueprint(rrb: Any) -> Any:

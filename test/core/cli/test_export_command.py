@@ -79,6 +79,15 @@ def test_without_rerun_the_extra_is_named(refused, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_bag_that_is_cut_off_is_exported_up_to_the_cut_which_is_said(quadpi, tmp_path):
+    pytest.importorskip("rerun", reason="Rerun is not installed: extra `rerun`")
+    bag, content = tmp_path / "flight.mcap", BAG.read_bytes()
+    bag.write_bytes(content[: len(content) // 2])
+    outcome = quadpi("export", bag, "--format", "rerun", "--model", GOLDEN, "-o", tmp_path / "flight.rrd")
+    assert outcome.status == 0
+    assert f"{bag}: bag: the file is cut off, what comes before is shown" in outcome.output
+
+
 def test_recorded_results_and_those_of_a_model_are_the_same_recording(quadpi, tmp_path):
     """As `quadpi replay` judges the flight and as the export does: the wrench and its bands are equal."""
     pytest.importorskip("rerun", reason="Rerun is not installed: extra `rerun`")

@@ -200,6 +200,23 @@ def test_few_samples_are_left_as_they_are() -> None:
     np.testing.assert_array_equal(rows, values)
 
 
+def test_what_the_flight_lacks_is_given_back(tmp_path: Path) -> None:
+    lacks = ("odometry", "flight, speed and height are not shown")
+
+    def lacking() -> Iterator[Part]:
+        yield from parts()
+        yield lambda view: view.take_missing([lacks])
+
+    assert write_rerun_file(lacking(), tmp_path / "flight.rrd", KNOWN) == [lacks]
+
+
+def test_no_rate_is_too_high(tmp_path: Path) -> None:
+    file = tmp_path / "flight.rrd"
+    write_rerun_file(parts(), file, KNOWN, float("inf"))
+    stamps, _ = Recording(file).series("wrench/Fx")
+    np.testing.assert_array_equal(stamps, STAMPS)
+
+
 def test_an_error_on_the_way_leaves_no_file(tmp_path: Path) -> None:
     def broken() -> Iterator[Part]:
         yield from parts()
