@@ -24,7 +24,8 @@ Bags = Annotated[list[Path], typer.Argument(help="Flights: MCAP bags, or any log
 ModelFolder = Annotated[Path, typer.Argument(help="Model folder, as written by `identify`.")]
 VehicleName = Annotated[str, typer.Option("--vehicle", help="Vehicle in config/vehicles, or a YAML file.")]
 OptionalVehicle = Annotated[
-    str | None, typer.Option("--vehicle", help="Vehicle; default: the one that the bag or model names.")
+    str | None,
+    typer.Option("--vehicle", help="Vehicle; default: the one that the model holds, or that the bag names."),
 ]
 Mapping = Annotated[
     str | None,

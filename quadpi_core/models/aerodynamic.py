@@ -117,17 +117,21 @@ class AerodynamicModel:
         return kind_named(self.method)
 
     def load_vehicle(self, given: str | Path | None = None) -> Vehicle:
-        """The vehicle that the model was identified for: of the file given, else of the name that it holds.
+        """The vehicle that the model was identified for: of the file given, else the one that it holds.
+
+        Folders of older versions hold its name alone, which then must be one of config/vehicles.
 
         Raises:
             VehicleError: if the file cannot be read; of the model's own name, naming the model too.
             ModelError: if it is another vehicle.
         """
-        if given is None:
+        if given is not None:
+            vehicle = Vehicle.load(given)
+        elif self.flown is not None:
+            vehicle = self.flown
+        else:
             with named_in(f"model {self.name}: its vehicle"):
                 vehicle = Vehicle.load(self.vehicle)
-        else:
-            vehicle = Vehicle.load(given)
         self.require(vehicle)
         return vehicle
 

@@ -122,13 +122,13 @@ def model_vehicle(folder: Path) -> Vehicle:
         ModelError, VehicleError: for a folder that is no model, or whose vehicle is not known.
     """
     model = AerodynamicModel.load(folder)
-    return model.flown or model.load_vehicle()
+    return model.load_vehicle()
 
 
 def _of_model(folder: Path) -> tuple[Vehicle, dict[str, Any]]:
     model = AerodynamicModel.load(folder)
     section = model.simulation_section()
-    vehicle = model.flown or model.load_vehicle()
+    vehicle = model.load_vehicle()
     known = _section_of_vehicle(vehicle)
     time_constant = known.get("motor_time_constant_s", MOTOR_TIME_CONSTANT.value)
     limits = IdentifiedRange(model.envelope.lower, model.envelope.upper)

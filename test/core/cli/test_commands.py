@@ -164,7 +164,7 @@ def test_a_cluster_reads_for_every_command(quadpi, bags, pool, cluster, tmp_path
 
 
 def test_vehicle_file_of_the_user(quadpi, bags, pool, tmp_path):
-    """A model names its vehicle only: where that is none of config/vehicles, --vehicle says where it is."""
+    """A model holds its vehicle; one of an older version names it only, and --vehicle says where it is."""
     mine = tmp_path / "mine.yaml"
     mine.write_text((config_directory() / "vehicles" / "neurobem.yaml").read_text())
     flights = [tmp_path / bag.name for bag in bags[:2]]
@@ -173,11 +173,15 @@ def test_vehicle_file_of_the_user(quadpi, bags, pool, tmp_path):
     model = tmp_path / "model"
     identified = quadpi("identify", *flights, "--vehicle", mine, "--candidates", pool, "-o", model)
     assert identified.status == 0, identified.errors
+    assert quadpi("evaluate", model, flights[0]).status == 0
+    assert quadpi("replay", model, flights[0], "-o", tmp_path / "out.mcap").status == 0
+    described = json.loads((model / "model.json").read_text())
+    del described["vehicle_file"]
+    (model / "model.json").write_text(json.dumps(described))
     without = quadpi("evaluate", model, flights[0])
     assert without.status == 2
     assert re.search(r"model \S+: its vehicle: .*mine.yaml: no such vehicle file", without.errors)
     assert quadpi("evaluate", model, flights[0], "--vehicle", mine).status == 0
-    assert quadpi("replay", model, flights[0], "--vehicle", mine, "-o", tmp_path / "out.mcap").status == 0
 
 
 @pytest.mark.parametrize(
