@@ -5,7 +5,7 @@
 The loop is what one writes for a single network, `torch.nn.Sequential`, `torch.optim.Adam`, mean square error
 and batches taken by index from shuffled samples, once per network. All its epochs cost the same: one of them
 is timed and multiplied. It gets one thread or PyTorch's usual number, whichever suits it better; training
-chooses for itself, and is timed as a whole, from plain arrays to trained networks.
+takes one, and is timed as a whole, from plain arrays to trained networks.
 
 The second rival is what PyTorch does by itself for all networks at once: one batch of matrix products, their
 gradients by autograd, and its fused Adam. Ours differs in gradients written by hand, in memory that is taken

@@ -39,6 +39,9 @@ class Loss(Protocol):
 
     outputs: ClassVar[int]
 
+    def of(self, tables: slice) -> Loss:
+        """That of some of the tables."""
+
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Output biases, broadcastable to (A, M, O), that training starts from."""
 
@@ -60,6 +63,10 @@ class SquaredError:
     """Half the mean of (y − ŷ)², one output; target y. Its interval is ŷ ± 1.96 root mean square."""
 
     outputs: ClassVar[int] = 1
+
+    def of(self, tables: slice) -> SquaredError:  # noqa: ARG002
+        """The same for all tables."""
+        return self
 
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Zero: the target is standardised."""
@@ -99,6 +106,10 @@ class GaussianNoise:
     def above(cls, floors: Floats, device: str) -> GaussianNoise:
         """With floors (A, M) on a device."""
         return cls(torch.from_numpy(floors.copy()).to(device))
+
+    def of(self, tables: slice) -> GaussianNoise:
+        """With the floors of some tables."""
+        return GaussianNoise(self.floor[tables])
 
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Start from constant noise, of the size of the errors."""
@@ -157,6 +168,10 @@ class QualityDriven:
     factor: float
     softening: float
     crossing: float
+
+    def of(self, tables: slice) -> QualityDriven:  # noqa: ARG002
+        """The same for all tables."""
+        return self
 
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Wide bounds: narrow ones cover nothing at first, and only samples near a bound have a gradient."""

@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="training needs PyTorch")
 from quadpi_core.errors import ModelError  # noqa: E402
 from quadpi_core.training import train as training_module  # noqa: E402
 from quadpi_core.training.losses import Loss, SquaredError  # noqa: E402
-from quadpi_core.training.train import Training, TrainingState, train  # noqa: E402
+from quadpi_core.training.train import Parts, Training, TrainingState, table_blocks, train  # noqa: E402
 
 from .small_trainings import (  # noqa: E402
     COUNT,
@@ -77,7 +77,7 @@ def test_one_batch_trains_each_network_as_a_loop_over_networks_would() -> None:
 def test_training_again_gives_the_same_numbers_on_any_number_of_threads(
     loss: Loss, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training_module, "_PER_THREAD", 1)
+    monkeypatch.setattr(training_module, "_THREADS", 3)
     threads = torch.get_num_threads()
     try:
         trained = []
@@ -90,7 +90,7 @@ def test_training_again_gives_the_same_numbers_on_any_number_of_threads(
     assert not torch.equal(train(samples_for(loss), loss, replace(SCHEDULE, seed=4)).parameters, trained[0])
 
 
-def test_few_networks_take_one_thread_and_leave_the_number_as_it_was() -> None:
+def test_training_takes_one_thread_and_leaves_the_number_as_it_was() -> None:
     threads, seen = torch.get_num_threads(), []
     try:
         torch.set_num_threads(3)
@@ -101,6 +101,24 @@ def test_few_networks_take_one_thread_and_leave_the_number_as_it_was() -> None:
         torch.set_num_threads(threads)
     assert seen == [1]
     assert after == 3
+
+
+@pytest.mark.parametrize("loss", [SquaredError(), gaussian(), quality_driven()], ids=str)
+def test_tables_one_by_one_are_trained_as_all_at_once(loss: Loss, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Whole vectors of a processor, as in default settings: PyTorch rounds what is left beyond them otherwise.
+    schedule = replace(SCHEDULE, batch=64)
+    at_once = train(samples_for(loss), loss, schedule)
+    monkeypatch.setattr(training_module, "_IN_CACHE", 1)
+    one_by_one = train(samples_for(loss), loss, schedule)
+    assert torch.equal(at_once.parameters, one_by_one.parameters)
+
+
+@pytest.mark.parametrize(("networks", "sizes"), [(70, [1] * 6), (20, [2, 2, 2]), (15, [3, 3]), (5, [6])])
+def test_as_few_tables_are_computed_together_as_fit_in_the_cache(networks: int, sizes: list[int]) -> None:
+    shapes = ((6, 13, networks, 20), (6, networks, 1, 20), (6, networks, 1))
+    blocks = table_blocks(Parts(*(torch.empty(shape) for shape in shapes)), 500)
+    assert [block.stop - block.start for block in blocks] == sizes
+    assert [table for block in blocks for table in range(block.start, block.stop)] == list(range(6))
 
 
 def interrupt(seen: list[int]) -> Callable[[TrainingState], None]:
