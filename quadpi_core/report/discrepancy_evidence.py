@@ -226,12 +226,16 @@ def _refused(discovery: Discovery) -> list[Change]:
             now = f"{words(own.label).capitalize()} has {amount(own)}, but is refused: {refusal(own)}."
             enough.append(Change(now, remedy))
         elif own.test == "evidence" and _NEAR <= ratio < 1.0:
-            then = f"{_more_flights(ratio)} would name it if it is there; best {EFFECTS[own.name].shown_by}."
+            then = f"{_more_flights(own, ratio)}; best {EFFECTS[own.name].shown_by}."
             near.append(Change(f"{words(own.label).capitalize()} has {amount(own)}.", then))
     return [*enough[:_MOST_NEAR], *near[:_MOST_NEAR]]
 
 
-def _more_flights(share: float) -> str:
-    """How many more flights would give all of the needed evidence, which grows with their number."""
+def _more_flights(candidate: RankedCandidate, share: float) -> str:
+    """Whether more flights would give all of the needed evidence: evidence grows with their number."""
+    if candidate.beside:
+        # So does what is needed beside other effects, see `acceptance.FURTHER_SHARE`.
+        others = listing(list(map(words, candidate.beside)))
+        return f"More such flights may not do: what it needs grows with the evidence of {others}"
     more = 1.0 / share - 1.0
-    return f"About {10 * math.ceil(10.0 * more)} % more such flights"
+    return f"About {10 * math.ceil(10.0 * more)} % more such flights should do if it is there"

@@ -339,11 +339,10 @@ def _verdict(study: Study) -> str:
     closest = f"{named[:1].upper()}{named[1:]} {comes} closest"
     if study.flown_again is None or discovery.rejected or discovery.gap.reduction < CLOSED.value:
         return f"Add nothing yet: {unknown}. {closest}, but {doubts}."
-    # Such an addition is written: flights left out and roll-outs of them are simulated better with it.
-    gain = (
-        f"{closest}: it closes {percent(discovery.gap.reduction)} of the gap of flights left out and makes no"
-    )
-    return f"Add with care, and look further: {unknown}. {gain} roll-out of them worse, but {doubts}."
+    # Such an addition is written: flights left out are simulated better with it, and roll-outs no worse.
+    gain = f"closes {percent(discovery.gap.reduction)} of the gap of flights left out"
+    rollouts = "their roll-outs get no worse on average"
+    return f"Add with care, and look further: {unknown}. {closest}: it {gain}, and {rollouts}, but {doubts}."
 
 
 def _action(discovery: Discovery) -> str:

@@ -106,6 +106,10 @@ def test_nearly_enough_evidence_tells_how_many_flights_would_do(found):
     assert "64 % of what is needed" in change.now
     assert "About 60 % more such flights" in change.then
     assert EFFECTS["wind"].shown_by in change.then
+    beside = replace(WEAK, beside=("body_drag",))
+    (change,) = verdict_changes(changed(found, candidates=(beside,)))[-1:]
+    assert "what it needs grows with the evidence of body drag" in change.then
+    assert "%" not in change.then
     far = replace(WEAK, gain=10.0)
     assert verdict_changes(changed(found, candidates=(far,))) == verdict_changes(
         changed(found, candidates=())
