@@ -44,6 +44,7 @@ from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.rotations import rotation_matrix
+from quadpi_core.screening.rotors_in_flight import STUCK_RAD_S
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -59,13 +60,6 @@ FLOWN_LOAD = Threshold(
     0.15,
     "extent of the sum of squared rotor speeds over its mean",
     _HALF_OF_GENTLE,
-    CONVENTION,
-)
-STUCK_RAD_S = Threshold(
-    "extent of a stuck rotor speed",
-    1e-3,
-    "rad/s",
-    "below the resolution of any sensor: a speed that changes no more is not measured",
     CONVENTION,
 )
 TAIL = Threshold(

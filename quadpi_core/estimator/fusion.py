@@ -15,6 +15,7 @@ from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.smoother import smooth
 from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, RotorSpeedStream, Stamps, Stream, WindStream
 from quadpi_core.frames import Array
+from quadpi_core.screening.rotors_in_flight import carrying
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.resample import (
     first_gap,
@@ -24,9 +25,6 @@ from quadpi_core.signals.resample import (
     uniform_stamps,
 )
 from quadpi_core.vehicle import Vehicle
-
-# Share of the weight above which the rotors carry the vehicle.
-_CARRYING_SHARE = 0.5
 
 
 class Estimate(NamedTuple):
@@ -138,19 +136,13 @@ def fuse_airborne(
 def airborne(flight: Flight, gravity: float) -> Flight:
     """The flight from lift-off to touch-down; on the ground the wrench is not aerodynamic.
 
-    The rotors carry the vehicle while k Σω² exceeds half of its weight. The coefficient k is fitted to the
-    specific force of the whole flight, so neither a hover before a fast flight nor a long time on the ground
-    shifts the threshold.
-
     Raises:
         LogError: naming the file, if the rotors never carry the vehicle.
     """
-    squares = np.square(flight.rotor_speeds).sum(axis=1)
-    thrust_m_s2 = -squares * (flight.specific_force[:, 2] @ squares) / max(squares @ squares, 1.0)
-    carrying = np.flatnonzero(thrust_m_s2 > _CARRYING_SHARE * gravity)
-    if len(carrying) == 0:
+    flying = np.flatnonzero(carrying(flight.rotor_speeds, -flight.specific_force[:, 2], gravity))
+    if len(flying) == 0:
         raise LogError(f"{flight.source}: topic rotor_speeds: the rotors never carry the vehicle")
-    return flight.slice(slice(int(carrying[0]), int(carrying[-1]) + 1))
+    return flight.slice(slice(int(flying[0]), int(flying[-1]) + 1))
 
 
 def _estimate(recording: Recording, vehicle: Vehicle, segments: Sequence[Segment] | None) -> Estimate:

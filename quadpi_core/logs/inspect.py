@@ -113,11 +113,16 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
             values[name].add(stream)
     recording = excerpting.finish()
     topics = tuple(replace(timings[name], not_finite=summaries[name].not_finite) for name in streams)
+    start_ns = int(streams["imu"].time_ns[0]) if len(streams["imu"].time_ns) else 0
     findings = (
         *(finding for topic in topics for finding in _timing_findings(topic)),
         *implausibilities(recording, vehicle, {stream.topic: stream.found for stream in streams.values()}),
         *(f"{samples}; `import` and `identify` do" for samples in samples_left_out(streams)),
-        *(finding for name in streams for finding in _frozen_findings(streams[name], summaries[name])),
+        *(
+            finding
+            for name in streams
+            for finding in _frozen_findings(streams[name], summaries[name], start_ns)
+        ),
         *_rotor_findings(recording, vehicle, summaries),
         *_inconsistencies(excerpting.without(recording, streams), vehicle, streams, values),
         *_battery_findings(recording),
@@ -268,15 +273,18 @@ def _timing_findings(topic: TopicReport) -> Iterator[str]:
         yield f"{where} stamps jitter by ±{topic.jitter_ms:.1f} ms: times of arrival, not of measurement?"
 
 
-def _frozen_findings(stream: StreamSurvey, summary: _Summary) -> Iterator[str]:
-    """Findings on quantities that stay the same for longer than FROZEN_S."""
+def _frozen_findings(stream: StreamSurvey, summary: _Summary, start_ns: int) -> Iterator[str]:
+    """Findings on quantities that stay the same for longer than FROZEN_S, by the time since `start_ns`."""
     if len(stream.time_ns) == 0:
         return
     for name, run in summary.runs.items():
         first, last = run.longest()
-        seconds = float(stream.time_ns[last] - stream.time_ns[first]) * 1e-9
+        since, seconds = (float(ns) * 1e-9 for ns in np.diff(stream.time_ns[[first, last]], prepend=start_ns))
         if seconds > FROZEN_S:
-            yield f"topic {stream.topic}: sample {first}: {name} stays the same for {seconds:.2f} s: frozen?"
+            yield (
+                f"topic {stream.topic}: sample {first}: {name} stays the same for {seconds:.2f} s, "
+                f"from {since:.2f} s on: frozen?"
+            )
 
 
 def _rotor_findings(

@@ -20,6 +20,7 @@ from quadpi_core.screening.innovations import Innovation, cost, innovation
 from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses
 from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
 from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidence
+from quadpi_core.screening.rotors_in_flight import stuck_rotors
 from quadpi_core.screening.wild_samples import Beyond
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -63,7 +64,7 @@ def checked(
         LogError: naming file and topic, for units and axes that cannot be right, and certain mistakes.
     """
     check_plausible(recording, vehicle, beyond)
-    found = tuple(findings(recording, vehicle))
+    found = (*findings(recording, vehicle), *stuck_rotors(recording, vehicle.gravity_m_s2))
     for finding in found:
         if finding.certain:
             raise LogError(f"{recording.source}: {finding}")

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from quadpi_core import discrepancy, simulation
+from quadpi_core import discrepancy, screening, simulation
 from quadpi_core.discrepancy import acceptance, residual_bins, study, unexplained, whitening
 from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, judge_loudness, judge_size
 from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
@@ -31,7 +31,8 @@ from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
 from quadpi_core.errors import DiscrepancyError, SimulationError
-from quadpi_core.flight import AXES, Flight
+from quadpi_core.flight import AXES, Flight, ImuStream, Recording, RotorSpeedStream
+from quadpi_core.screening.rotors_in_flight import stuck_rotors
 from quadpi_core.simulation.controller import Controls, Demand, control
 from quadpi_core.simulation.dynamics import MOTION, is_lost
 from quadpi_core.simulation.effect_definition import shaped
@@ -73,6 +74,16 @@ def refused(error: type[Exception], action: Callable[[], Any]) -> bool:
     except error:
         return True
     return False
+
+
+def stuck_for(seconds: float) -> bool:
+    """Whether a rotor is named that reads 0 for so long, of a hover."""
+    time_ns = np.arange(0, 5_000_000_000, 1_000_000)
+    speeds = np.random.default_rng(0).normal(600.0, 1.0, (5000, 4))
+    speeds[1000 : 1001 + round(1000.0 * seconds), 1] = 0.0
+    imu = ImuStream(time_ns, np.zeros((5000, 3)), np.full((5000, 3), [0.0, 0.0, -9.81]))
+    recording = Recording("hover", "hover", "", imu, RotorSpeedStream(time_ns, speeds))
+    return any(stuck_rotors(recording, 9.81))
 
 
 def hover(seconds=10.0, rate_hz=100.0, **columns) -> Flight:
@@ -439,6 +450,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
             lambda: flown("climb and descent", rotor_speeds=600.0 + np.linspace([0.0] * 4, [x] * 4, 1000)),
         ),
     ),
+    "STUCK_S": (0.5, stuck_for),
     "FEWEST_FLIGHTS": (2, lambda x: refused(DiscrepancyError, lambda: study.require_flights(x))),
     "SPACING": (7.0, lambda x: seen_at_origin(x / 7.0)),
     "STAY_S": (0.25, lambda x: len(known_points(x)[0]) > 0),
@@ -482,9 +494,9 @@ ALONE = {
 
 
 def thresholds() -> dict[str, Threshold]:
-    """All thresholds of the two rooms by the names that their modules give them."""
+    """All thresholds of three rooms by the names that their modules give them."""
     found = {}
-    for room in (simulation, discrepancy):
+    for room in (screening, simulation, discrepancy):
         for module in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
             for name, value in vars(importlib.import_module(module.name)).items():
                 if isinstance(value, Threshold):

@@ -131,7 +131,9 @@ def test_frozen_rotor_and_frozen_pose(hover: Recording, vehicle: Vehicle):
         with_speeds(hover, freeze), pose=replace(hover.pose, position=position, attitude=attitude)
     )
     found = findings(spoilt, vehicle)
-    assert "topic rotor_speeds: sample 400: rotor 2 stays the same for 0.40 s" in found
+    assert (
+        "topic rotor_speeds: sample 400: rotor 2 stays the same for 0.40 s, from 0.80 s on: frozen?" in found
+    )
     assert "topic mocap/pose: sample 100: position stays the same for 0.49 s" in found
 
 
