@@ -253,7 +253,9 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "discovery-real", help="for results")
     options = parser.parse_args()
     cases = [case for case in CASES if case.name in (options.only or names)]
-    found = {case.name: rounds(case, options.work / fingerprint()) for case in cases}
+    # Commands run in the root of the repository, wherever this does.
+    work = options.work.resolve() / fingerprint()
+    found = {case.name: rounds(case, work) for case in cases}
     tables = {case.name: section(case, found[case.name]) for case in cases}
     tables["summary"] = summary(found)
     if options.only:

@@ -78,6 +78,8 @@ def test_axes_that_get_better_and_worse_are_told_apart():
         == "Fx 50 %; more than all of Mx and My, as coefficients move against it"
     )
     assert closes(replace(REFUSED, closes={})) == ""
+    assert closes(replace(REFUSED, closes={"Fx": 2.0})).startswith("more than all of Fx")
+    assert closes(replace(REFUSED, closes={"Fx": 0.016, "Fy": -0.016})) == "Fx 2 %; makes Fy by 2 % worse"
 
 
 def test_every_test_of_a_candidate_has_plain_words():
@@ -114,6 +116,12 @@ def test_nearly_enough_evidence_tells_how_many_flights_would_do(found):
     assert verdict_changes(changed(found, candidates=(far,))) == verdict_changes(
         changed(found, candidates=())
     )
+
+
+def test_the_three_that_come_nearest_are_told_from_a_third_of_the_evidence_on(found):
+    near = tuple(replace(WEAK, label=f"wind_{k}", gain=40.0 - k) for k in range(5))
+    told = [own.now for own in verdict_changes(changed(found, candidates=near)) if own.now.startswith("Wind")]
+    assert [words.split(" has")[0] for words in told] == ["Wind 0", "Wind 1", "Wind 2"]
 
 
 @pytest.mark.parametrize(
