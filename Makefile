@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-independent discovery-real models nanodrone pictures golden fuzz environment clean
+.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-independent discovery-real models rollouts nanodrone pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -67,6 +67,9 @@ discovery-real: environment ## renew docs/discovery-real.md: searches on real fl
 models: ## renew docs/models.md: kinds of model on real flights left out (MODELS_ARGS="--methods polynomial,physical")
 	@sh tools/bootstrap.sh --train
 	@$(BIN)/python tools/model_methods.py $(MODELS_ARGS)
+
+rollouts: environment ## renew the table of docs/rollouts.md: real flights predicted ahead (ROLLOUTS_ARGS="--only NeuroBEM")
+	@$(BIN)/python tools/rollout_tables.py $(ROLLOUTS_ARGS)
 
 alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 2 --data FOLDER")
 	@sh tools/bootstrap.sh --train

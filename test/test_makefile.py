@@ -25,6 +25,7 @@ SHORT = {
     "golden": ("GOLDEN_ARGS=--help", "--model"),
     "models": ("MODELS_ARGS=--help", "--methods"),
     "nanodrone": ("NANODRONE_TEST=--help", "--without"),
+    "rollouts": ("ROLLOUTS_ARGS=--help", "--only"),
     "tables": ("TABLES_ARGS=--help", "--only"),
 }
 # What they do, in a short form of its own; all but discovery-real, which takes minutes on real flights.
@@ -39,6 +40,7 @@ SHORT_FORMS = {
     "models": "test/test_model_methods.py",
     "nanodrone": "test/test_nanodrone.py",
     "pictures": "test/core/view/test_view_page.py",
+    "rollouts": "test/test_rollout_tables.py",
     "tables": "test/test_paper_tables.py",
 }
 HERE = {*SHORT, "bench", "clean", "demo", "help", "pictures"}

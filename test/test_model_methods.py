@@ -14,6 +14,8 @@ import pytest
 
 from quadpi_core.flight import AXES
 from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.logs import read_recording
+from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 
@@ -76,6 +78,18 @@ def test_flights_are_judged_by_models_of_others_and_results_kept(tool, job, fold
     # What is kept is not computed where a part of it is missing.
     next((folder / "work" / "results").iterdir()).unlink()
     assert "- physical, " in tool.tables(replace(job, kept=(METHOD,)))["sets"]
+
+
+def test_a_flight_whose_rotor_sensor_fails_is_left_out_and_said(tool, job, folder):
+    vehicle = Vehicle.load("bebop2")
+    recording = read_recording(bags_directory() / BAGS[0], vehicle)
+    speeds = recording.rotor_speeds.speeds.copy()
+    speeds[5000:6000, 1] = 0.0
+    failing = replace(recording, rotor_speeds=replace(recording.rotor_speeds, speeds=speeds))
+    write_bag(folder / "data" / "bundled" / "failing.mcap", failing)
+    flights, _, remarks = tool.read(job, job.sets[0])
+    assert sorted(flight.name for flight in flights) == [Path(name).stem for name in BAGS]
+    assert remarks == ["failing: a rotor reads the same for long in flight"]
 
 
 def test_a_model_that_cannot_be_identified_is_a_remark(tool, job, monkeypatch):

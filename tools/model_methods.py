@@ -52,6 +52,8 @@ NETWORK_HZ = 20.0
 IN_TURN, FASTEST_OUT = "in turn", "the fastest"
 BOTH = (IN_TURN, FASTEST_OUT)
 REFERENCE = "polynomial"
+# What `identify` finds in flights whose rotor speeds are wrong: they would judge the sensor.
+SPOILED, SPOILED_WORDS = "stuck rotor", "a rotor reads the same for long in flight"
 # A method whose intervals cover less is no default, however small its errors.
 LEAST_COVERAGE = 0.90
 
@@ -142,6 +144,11 @@ class Job:
     most_flights: int = MOST_FLIGHTS
     sets: tuple[DataSet, ...] = DATA_SETS
     kept: tuple[str, ...] = ()
+
+
+def is_spoiled(flight: PreparedFlight) -> bool:
+    """Whether the rotor speeds of a flight are wrong."""
+    return any(finding.mistake == SPOILED for finding in flight.quality.findings)
 
 
 def speed(flight: PreparedFlight) -> float:
@@ -326,7 +333,7 @@ def read(job: Job, data_set: DataSet) -> tuple[list[PreparedFlight], Vehicle, li
     """Flights of a data set, its vehicle, and what could not be read."""
     changes: dict[str, Any] = dict(data_set.changes)
     vehicle = replace(Vehicle.load(data_set.vehicle), **changes)
-    flights, remarks = [], dict[str, list[str]]()
+    flights, remarks = list[PreparedFlight](), dict[str, list[str]]()
     for log in sorted(job.data.glob(data_set.pattern)):
         try:
             path = log
@@ -334,10 +341,15 @@ def read(job: Job, data_set: DataSet) -> tuple[list[PreparedFlight], Vehicle, li
                 bags = job.work / "bags" / data_set.vehicle
                 bags.mkdir(parents=True, exist_ok=True)
                 path = import_logs([log], vehicle, bags, data_set.mapping, workers=Workers(1))[0].bag
-            flights += prepare_flights([path], vehicle, workers=Workers(1))
+            (flight,) = prepare_flights([path], vehicle, workers=Workers(1))
         except QuadpiError as error:
             why = one_line(error).replace(str(log), "").removeprefix(": ")
             remarks.setdefault(why, []).append(log.stem)
+            continue
+        if is_spoiled(flight):
+            remarks.setdefault(SPOILED_WORDS, []).append(log.stem)
+        else:
+            flights.append(flight)
     sentences = [f"{', '.join(names)}: {why}" for why, names in remarks.items()]
     if not flights and not remarks:
         sentences.append(f"no flights in {data_set.pattern} of the folder of real flights")

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from model_methods import DATA_SETS, DataSet, speed, spread_over_speeds
+from model_methods import DATA_SETS, SPOILED_WORDS, DataSet, is_spoiled, speed, spread_over_speeds
 from page_tables import ROOT, renew, stamp
 
 from quadpi_core.errors import QuadpiError, one_line
@@ -53,10 +53,15 @@ def read(
                 bags = work / data_set.vehicle
                 bags.mkdir(parents=True, exist_ok=True)
                 path = import_logs([log], vehicle, bags, data_set.mapping, workers=Workers(1))[0].bag
-            (flights[path],) = prepare_flights([path], vehicle, workers=Workers(1))
+            (flight,) = prepare_flights([path], vehicle, workers=Workers(1))
         except QuadpiError as error:
             why = one_line(error).replace(str(log), "").removeprefix(": ")
             remarks.setdefault(why, []).append(log.stem)
+            continue
+        if is_spoiled(flight):
+            remarks.setdefault(SPOILED_WORDS, []).append(log.stem)
+        else:
+            flights[path] = flight
     return flights, vehicle, remarks
 
 

@@ -142,9 +142,8 @@ def _require_samples(flights: Sequence[PreparedFlight], settings: Settings) -> N
     """
     if settings == "default" and len(flights) < _FEWEST_FLIGHTS:
         raise ModelError(
-            f"too few flights: {len(flights)} given, {_FEWEST_FLIGHTS} or more needed, each of which is left "
-            "out in turn to calibrate the intervals; give more, or take settings paper, which need one and "
-            "do not calibrate"
+            f"too few flights: {len(flights)} given, {_FEWEST_FLIGHTS} or more needed to calibrate; "
+            "--settings paper takes one, uncalibrated"
         )
     if not flights:
         raise ModelError("no flights to identify on: at least one is needed")

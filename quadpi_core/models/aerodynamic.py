@@ -190,10 +190,7 @@ class AerodynamicModel:
         """A sentence that says how the width of the intervals was calibrated."""
         rule = next(iter(self.fitted.values())).rule
         if not isinstance(rule, HeldOutRule):
-            return (
-                f"intervals by the {rule.kind} rule, as in the paper, not calibrated on held-out flights: "
-                f"expect less coverage on new flights"
-            )
+            return f"intervals as in the paper ({rule.kind} rule), uncalibrated: expect less on new flights"
         total, inside = len(rule.flight_factors), rule.flights_inside
         if inside == 0:
             return (

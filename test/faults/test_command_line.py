@@ -298,7 +298,7 @@ class TestFlightsThatDoNotExciteTheModel:
 
     def test_one_flight_cannot_calibrate(self, refused, bags, tmp_path):
         refused(
-            "too few flights: 1 given, 2 or more needed.*settings paper, which need one",
+            "too few flights: 1 given, 2 or more needed to calibrate; --settings paper takes one",
             "identify",
             bags[0],
             "--vehicle",

@@ -56,7 +56,7 @@ def unread(tmp_path):
 
 def test_one_flight_is_too_few_to_calibrate(refused, bags, tmp_path, method):
     message = (
-        "too few flights: 1 given, 2 or more needed, .*; give more, or take settings paper, which need one"
+        "too few flights: 1 given, 2 or more needed to calibrate; --settings paper takes one, uncalibrated"
     )
     options = ("--vehicle", "neurobem", "--method", method, "-o", tmp_path / "model")
     refused(message, "identify", bags[0], *options)
