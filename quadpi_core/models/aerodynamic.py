@@ -190,7 +190,7 @@ class AerodynamicModel:
         """A sentence that says how the width of the intervals was calibrated."""
         rule = next(iter(self.fitted.values())).rule
         if not isinstance(rule, HeldOutRule):
-            return f"intervals as in the paper ({rule.kind} rule), uncalibrated: expect less on new flights"
+            return f"intervals by the paper's {rule.kind} rule, uncalibrated: they cover less of new flights"
         total, inside = len(rule.flight_factors), rule.flights_inside
         if inside == 0:
             return (
