@@ -169,6 +169,11 @@ def known_points(seconds, position=(0.0, 0.0), flights=2):
     return unexplained.functions_of_place([flight] * flights)
 
 
+def held(shares):
+    """Whether intervals of 95 % hold as much as they say, by their coverage of flights."""
+    return unexplained.as_many_as_stated(np.array(shares)[:, None], 0.95).all()
+
+
 def points_along(count):
     """Number of points that are known where flights stayed at so many of them."""
     names, _ = known_points(0.3, [(float(k), 0.0) for k in range(1, count + 1)])
@@ -454,6 +459,8 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "FEWEST_FLIGHTS": (2, lambda x: refused(DiscrepancyError, lambda: study.require_flights(x))),
     "SPACING": (7.0, lambda x: seen_at_origin(x / 7.0)),
     "STAY_S": (0.25, lambda x: len(known_points(x)[0]) > 0),
+    "SHORT_OF": (2.0, lambda x: held([0.94 - 0.01 * x, 0.96 - 0.01 * x])),
+    "MISSED": (4.0, lambda x: held([1.0 - 0.05 * x, 1.0])),
     "MOST_POINTS": (60, lambda x: points_along(int(np.ceil(x))) == np.ceil(x)),
     "BAND_HZ": (20.0, lambda x: tone(x) > 0.5),
     "TAPER_S": (0.5, lambda x: whitening.taper(9000, 1000.0)[int(1000.0 * x)] < 1.0),

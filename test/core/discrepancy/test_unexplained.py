@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from quadpi_core.discrepancy.effect_response import Compared, residual
 from quadpi_core.discrepancy.simulations import Margins
 from quadpi_core.discrepancy.unexplained import (
+    as_many_as_stated,
     functions_of_course,
     functions_of_place,
     left_out_gain,
@@ -125,3 +126,11 @@ def test_an_axis_is_explained_where_intervals_hold_as_much_as_they_say(simulatio
     stated = within_intervals([Compared(flight, model) for flight in flights[:2]])
     np.testing.assert_array_equal(stated, [held, True, False, False, False, False])
     assert not within_intervals(left).any()
+
+
+def test_a_flight_far_outside_is_noticed_among_many():
+    """Of 20 flights; flights that differ a little around what is stated are none."""
+    shares = np.full((20, 2), 0.97)
+    shares[7, 0] = 0.6
+    shares[::4, 1] = 0.84
+    np.testing.assert_array_equal(as_many_as_stated(shares, 0.95), [False, True])
