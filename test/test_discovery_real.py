@@ -29,6 +29,7 @@ def result(*, added: bool) -> dict:
         "evidence_nat": 50.0,
         "needed_nat": 5.0,
         "closes": {"Fx": 0.93, "Fy": 0.001},
+        "cancels": ["Mx"],
         "reason": "gains 50.0 nat, 5.0 needed",
     }
     refused = {

@@ -182,6 +182,8 @@ def candidates_table(result: Mapping[str, Any]) -> str:
         closes = ", ".join(
             f"{axis} {100.0 * share:.0f}" for axis, share in own["closes"].items() if abs(share) >= 0.01
         )
+        if own["cancels"]:
+            closes += f"; only against coefficients: {', '.join(own['cancels'])}"
         told = parameters[own["name"]] if own["named"] else f"refused: {own['reason']}"
         evidence = f"{own['evidence_nat']:.0f} of {own['needed_nat']:.0f}"
         rows.append([f"`{own['label']}`", evidence, closes or "–", told])

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.discrepancy.acceptance import (
     FAR_COEFFICIENT,
@@ -28,7 +29,6 @@ from quadpi_core.discrepancy.acceptance import (
 )
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.discrepancy_result import ERROR_NAMES, Discovery, FoundEffect, Rollouts
-from quadpi_core.discrepancy.evidence import residual_weights
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.unexplained import slow_state_noise
 from quadpi_core.flight import AXES
@@ -37,7 +37,12 @@ from quadpi_core.simulation.effect_registry import EFFECTS
 
 
 def checks(
-    found: Found, effects: Sequence[FoundEffect], unexplained: float, gap: Gap, axis: str = ""
+    found: Found,
+    effects: Sequence[FoundEffect],
+    unexplained: float,
+    gap: Gap,
+    held: npt.NDArray[np.bool_],
+    axis: str = "",
 ) -> tuple[Verdict, ...]:
     """Tests of the whole result of a search, passed or not.
 
@@ -46,9 +51,12 @@ def checks(
         effects: named effects.
         unexplained: see :class:`Discovery`.
         gap: gap on flights left out.
+        held: axes (6,) of which the simulation's own intervals hold what they say: no coefficient and no
+            noise in them is doubted.
         axis: the axis that `unexplained` is of; empty for all together.
     """
     sensors = found.left.noise[:, -1] + slow_state_noise(found.regression.flights)
+    sensors[held] = np.inf
     named = _named(found, sensors)
     verdicts = [
         judge_unexplained(unexplained, axis),
@@ -106,7 +114,10 @@ def _coefficients(found: Found, sensors: Array, named: float) -> Verdict:
 
 
 def _noise(found: Found, sensors: Array, named: float) -> Verdict:
-    """Whether the noise of each axis can be that of sensors, or is little beside the named effects."""
+    """Whether the noise of each axis can be that of sensors, or is little beside the named effects.
+
+    The noise (6,) of sensors is infinite in an axis that is not judged.
+    """
     noise = found.left.noise
     rows = sum(np.bincount(band, minlength=noise.shape[1]) for band in found.regression.columns.bands)
     more = np.maximum(noise / sensors[:, None] - 1.0, 0.0) @ rows
@@ -115,10 +126,6 @@ def _noise(found: Found, sensors: Array, named: float) -> Verdict:
 
 
 def _named(found: Found, sensors: Array) -> float:
-    """Squares by which the effects reduce the residual beside the tolerances, in variances of the sensors."""
-    columns = found.regression.columns
-    tolerances = columns.tolerances
-    without = residual_weights(len(found.fit.left), ())
-    without[tolerances] = found.fit.left[tolerances]
-    reduced = columns.squares(without) - columns.squares(found.fit.left)
-    return max(0.0, float(np.sum(reduced / sensors)))
+    """Squares that are credited to the effects, in variances of the sensors."""
+    reduction = found.regression.reduction(found.chosen, found.fit)
+    return max(0.0, float(np.sum(reduction.credited / sensors)))

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,23 @@ STEP_LOSS = Threshold(
     "odds of about 150: a step of a curved effect that loses more overshoots, and is halved",
     CONVENTION,
 )
+
+
+class Reduction(NamedTuple):
+    """Squares by which effects reduce the residual, axis by axis.
+
+    Attributes:
+        fitted, stated: (6,) with the coefficients of the simulation as fitted, and as stated.
+    """
+
+    fitted: Array
+    stated: Array
+
+    @property
+    def credited(self) -> Array:
+        """Squares (6,) that speak for the effects: where coefficients undo what they add, not the whole."""
+        smaller: Array = np.minimum(self.fitted, self.stated)
+        return smaller
 
 
 @dataclass(frozen=True)
@@ -198,6 +216,34 @@ class Regression:
         for place, band in enumerate(self.columns.bands):
             squares += float(np.sum(np.square(self._added(place, chosen, found)) / self.noise[:, band]))
         return 0.5 * squares
+
+    def reduction(self, chosen: Sequence[int], found: Fit, noise: Array | None = None) -> Reduction:
+        """Squares by which candidates in a fit reduce the residual of all flights.
+
+        Args:
+            chosen: indices of the candidates.
+            found: fit of them, and of others.
+            noise: (6, C) variance to count the squares in; unless given, they are in units of the wrench.
+        """
+        stated = found.left.copy()
+        stated[self.columns.tolerances] = 0.0
+        reduced = []
+        for left in (found.left, stated):
+            without = left.copy()
+            for block in map(self.block, chosen):
+                without[block.parameters] = without[block.form] = 0.0
+                if block.offset is not None:
+                    without[block.offset] = 0.0
+            reduced.append(self._squares(without, noise) - self._squares(left, noise))
+        return Reduction(*reduced)
+
+    def _squares(self, weights: Array, noise: Array | None) -> Array:
+        """Squares (6,) of weighted columns, see :meth:`reduction`."""
+        squares = np.zeros(len(AXES))
+        for place, band in enumerate(self.columns.bands):
+            rows = np.square(self.columns.combined(place, weights))
+            squares += np.sum(rows if noise is None else rows / noise[:, band], axis=1)
+        return squares
 
     def _added(self, place: int, chosen: Sequence[int], found: Fit) -> Array:
         """Rows (6, B) of the contribution of candidates to a flight in a fit."""

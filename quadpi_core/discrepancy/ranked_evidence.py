@@ -33,9 +33,11 @@ class RankedCandidate:
         needed: evidence that it needed there [nat].
         test: name of the test that decided.
         reason: sentence of that test.
-        closes: by axis, the share of the gap above the floor that its contribution closes, fitted beside the
-            named effects and the tolerances; negative where the axis gets worse. Axes without a gap are left
-            out; empty for a candidate that was not fitted.
+        closes: by axis, the share of the gap above the floor that is credited to its contribution, fitted
+            beside the named effects and the tolerances, see :class:`Reduction`; negative where the axis gets
+            worse. Axes without a gap are left out; empty for a candidate that was not fitted.
+        cancels: those of the axes that it makes worse with the coefficients as stated, and better only with
+            coefficients that move against it.
         rivals: labels of candidates that do about as well in its place, with their odds against it.
     """
 
@@ -48,6 +50,7 @@ class RankedCandidate:
     test: str
     reason: str
     closes: Mapping[str, float]
+    cancels: tuple[str, ...]
     rivals: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
@@ -62,6 +65,7 @@ class RankedCandidate:
             "test": self.test,
             "reason": self.reason,
             "closes": dict(self.closes),
+            "cancels": list(self.cancels),
             "rivals": dict(self.rivals),
         }
 
@@ -88,6 +92,7 @@ def _over_need(candidate: RankedCandidate) -> float:
 def _ranked(found: Found, judgement: Judgement, index: int, closed: _Closed) -> RankedCandidate:
     evidence = next((verdict for verdict in judgement.verdicts if verdict.test == "evidence"), None)
     candidates = found.regression.candidates
+    closes, cancels = closed.shares(index) if evidence else ({}, ())
     return RankedCandidate(
         name=judgement.effect,
         label=judgement.label,
@@ -97,7 +102,8 @@ def _ranked(found: Found, judgement: Judgement, index: int, closed: _Closed) -> 
         needed=evidence.threshold if evidence else None,
         test=judgement.reason.test,
         reason=judgement.reason.sentence,
-        closes=closed.shares(index) if evidence else {},
+        closes=closes,
+        cancels=cancels,
         rivals={candidates[rival].label: odds for rival, odds in found.rivals.get(index, ())},
     )
 
@@ -123,19 +129,14 @@ class _Closed:
         share = np.divide(above, np.square(gap.before), out=np.zeros(len(AXES)), where=is_gap)
         return cls(found, share * squares)
 
-    def shares(self, index: int) -> dict[str, float]:
-        """Share of the gap of each axis that the contribution of a candidate closes."""
+    def shares(self, index: int) -> tuple[dict[str, float], tuple[str, ...]]:
+        """Share of the gap of each axis that a candidate closes, and axes that it cancels coefficients in."""
         chosen, regression = self.found.chosen, self.found.regression
         fit = self.found.fit if index in chosen else regression.fit(tuple(sorted((*chosen, index))))
         if fit is None:
-            return {}
-        block, without = regression.block(index), fit.left.copy()
-        without[block.parameters] = without[block.form] = 0.0
-        if block.offset is not None:
-            without[block.offset] = 0.0
-        less = regression.columns.squares(without) - regression.columns.squares(fit.left)
-        return {
-            axis: float(own / removable)
-            for axis, own, removable in zip(AXES, less, self.removable, strict=True)
-            if removable > 0.0
-        }
+            return {}, ()
+        reduction = regression.reduction((index,), fit)
+        gaps = [axis for axis, own in enumerate(self.removable) if own > 0.0]
+        closes = {AXES[axis]: float(reduction.credited[axis] / self.removable[axis]) for axis in gaps}
+        cancels = [AXES[axis] for axis in gaps if reduction.stated[axis] < 0.0 < reduction.fitted[axis]]
+        return closes, tuple(cancels)

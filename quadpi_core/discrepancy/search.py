@@ -24,10 +24,9 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Fit, null_gains, residual_weights
+from quadpi_core.discrepancy.evidence import Fit, null_gains
 from quadpi_core.discrepancy.trial import Trial
 from quadpi_core.discrepancy.unexplained import Left, generic_spectra, predicted
-from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
 
@@ -64,7 +63,8 @@ class Found:
         rivals: for each chosen candidate others that do about as well in its place, best first, with their
             odds against it.
         left: prediction of the residual after the set by generic functions.
-        named: (6,) squares by which the effects reduce the residual, in variances of the noise of `left`.
+        named: (6,) squares that are credited to the effects, in variances of the noise of `left`; see
+            :attr:`Reduction.credited`.
         judgements: one of every candidate in every round, best first.
         disputed: a sentence for each chosen effect in whose place another has much more evidence but fails a
             test.
@@ -129,7 +129,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: i
         threshold=threshold,
         rivals=_rivals(accepted),
         left=left,
-        named=_named_squares(accepted, left),
+        named=accepted.regression.reduction(accepted.chosen, accepted.fit, left.noise).credited,
         judgements=tuple(judgements),
         disputed=disputed,
     )
@@ -316,18 +316,6 @@ def _rivals(accepted: Accepted, *, of_its_name: bool = False) -> dict[int, list[
                 close.append((rival, float(odds)))
         rivals[index] = sorted(close, key=lambda item: -item[1])
     return rivals
-
-
-def _named_squares(accepted: Accepted, left: Left) -> Array:
-    """Squares (6,) by which the effects reduce the residual, in variances of the noise of `left`."""
-    columns, found = accepted.regression.columns, accepted.fit
-    weights = residual_weights(len(found.left), ())
-    weights[columns.tolerances] = found.left[columns.tolerances]
-    named = np.zeros(len(AXES))
-    for place, (rows, band) in enumerate(zip(accepted.regression.left(found), columns.bands, strict=True)):
-        without = columns.combined(place, weights)
-        named += np.sum((without**2 - rows**2) / left.noise[:, band], axis=1)
-    return named
 
 
 def _sizeable(regression: Regression, chosen: Sequence[int], found: Fit) -> bool:

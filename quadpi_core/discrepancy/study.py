@@ -207,7 +207,7 @@ def discover(
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
     gap = found.closing.gap()
-    judged = checks(found, effects, share, gap, "" if worst is None else AXES[worst])
+    judged = checks(found, effects, share, gap, held, "" if worst is None else AXES[worst])
     against = not all(check.passed for check in judged)
     return Discovery(
         verdict="unknown" if against else "effects" if effects else "none",

@@ -20,8 +20,6 @@ MOST_CANDIDATES = 8
 _NEAR, _MOST_NEAR = 0.3, 3
 # Share of the gap of an axis that is worth a word.
 _LEAST_SHARE = 0.01
-# Share of a gap from which a contribution is mostly balanced by coefficients that move the other way.
-_CANCELLED = 1.5
 
 # Why a candidate was refused, before the sentence of the test that it failed.
 _REFUSED = {
@@ -130,12 +128,13 @@ def amount(candidate: RankedCandidate) -> str:
 
 def closes(candidate: RankedCandidate) -> str:
     """Share of the gap of each axis that goes with a candidate, and of those that it makes worse."""
-    better = {axis: share for axis, share in candidate.closes.items() if _LEAST_SHARE <= share <= _CANCELLED}
-    against = [axis for axis, share in candidate.closes.items() if share > _CANCELLED]
+    better = {axis: share for axis, share in candidate.closes.items() if share >= _LEAST_SHARE}
     worse = {axis: -share for axis, share in candidate.closes.items() if share <= -_LEAST_SHARE}
+    cancels = [axis for axis in candidate.cancels if axis in worse]
+    worse = {axis: share for axis, share in worse.items() if axis not in cancels}
     parts = [", ".join(f"{axis} {100.0 * share:.0f} %" for axis, share in better.items())] if better else []
-    if against:
-        parts.append(f"more than all of {listing(against)}, as coefficients move against it")
+    if cancels:
+        parts.append(f"nothing of {listing(cancels)} but with coefficients that move against it")
     if worse:
         grown = ", ".join(f"{axis} by {100.0 * share:.0f} %" for axis, share in worse.items())
         parts.append(f"makes {grown} worse")

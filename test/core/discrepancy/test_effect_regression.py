@@ -70,6 +70,32 @@ def test_energy_and_loudness_are_those_of_the_contribution(regression, drag):
     assert regression.loudness(drag, fit) == pytest.approx(np.sqrt(np.max(squares / noise)))
 
 
+def test_what_coefficients_undo_speaks_for_no_effect(regression, drag):
+    """Drag of a hundred times its size, and coefficients that take away what is too much of it."""
+    block, tolerances = regression.block(drag), regression.columns.tolerances
+    fit = regression.fit((drag,), form=False)
+    honest = regression.reduction((drag,), fit)
+    assert honest.credited[:2].min() > 0.0
+    np.testing.assert_allclose(honest.credited[:2], honest.fitted[:2], rtol=0.3)
+    along = regression.columns.rows(0, block.parameters) @ fit.of(block.parameters)
+    undoing = regression.columns.rows(0, tolerances).reshape(-1, len(tolerances))
+    weights = fit.left.copy()
+    weights[block.parameters] *= 100.0
+    weights[tolerances] += 99.0 * np.linalg.lstsq(undoing, along.ravel(), rcond=None)[0]
+    cancelled = regression.reduction((drag,), fit._replace(left=weights))
+    assert cancelled.fitted[:2].min() > 10.0 * honest.fitted[:2].max()
+    assert cancelled.credited[:2].max() < 0.0
+
+
+def test_squares_are_counted_in_variances_of_the_noise(regression, drag):
+    fit = regression.fit((drag,), form=False)
+    noise = np.tile(np.arange(1.0, 7.0)[:, None], regression.noise.shape[1])
+    np.testing.assert_allclose(
+        regression.reduction((drag,), fit, noise).fitted * noise[:, 0],
+        regression.reduction((drag,), fit).fitted,
+    )
+
+
 def test_twice_the_noise_is_half_the_weight(regression):
     louder = regression.weighted(2.0 * regression.noise)
     np.testing.assert_allclose(louder.gram, 0.5 * regression.gram, rtol=1e-9, atol=1e-6)

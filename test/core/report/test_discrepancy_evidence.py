@@ -38,6 +38,7 @@ REFUSED = RankedCandidate(
     test="flights left out",
     reason="worst axis of flights left out grows by 0.80, 0.5 allowed",
     closes={"Fx": 0.93, "Fy": 0.004, "Mz": -0.8},
+    cancels=(),
     rivals={},
 )
 WEAK = replace(
@@ -72,11 +73,8 @@ def test_evidence_is_told_beside_what_is_needed(gain, needed, words):
 def test_axes_that_get_better_and_worse_are_told_apart():
     assert closes(REFUSED) == "Fx 93 %; makes Mz by 80 % worse"
     assert closes(replace(REFUSED, closes={"Fy": 0.004})) == "nothing"
-    balanced = {"Fx": 0.5, "Mx": 14.9, "My": 30.5}
-    assert (
-        closes(replace(REFUSED, closes=balanced))
-        == "Fx 50 %; more than all of Mx and My, as coefficients move against it"
-    )
+    cancelled = replace(REFUSED, closes={"Fx": 0.5, "Mx": -14.9, "My": -30.5}, cancels=("Mx", "My"))
+    assert closes(cancelled) == "Fx 50 %; nothing of Mx and My but with coefficients that move against it"
     assert closes(replace(REFUSED, closes={})) == ""
     assert closes(replace(REFUSED, closes={"Fx": 2.0})).startswith("more than all of Fx")
     assert closes(replace(REFUSED, closes={"Fx": 0.016, "Fy": -0.016})) == "Fx 2 %; makes Fy by 2 % worse"
