@@ -326,7 +326,7 @@ class Compared:
     flights: tuple[tuple[str, float], ...]
     fastest: int
     remarks: tuple[str, ...]
-    earlier: Mapping[str, str] = field(default_factory=dict)
+    earlier: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 def read(job: Job, data_set: DataSet) -> tuple[list[PreparedFlight], Vehicle, list[str]]:
@@ -366,7 +366,7 @@ def compared(job: Job, data_set: DataSet) -> Compared:
     flights = spread_over_speeds(everything, job.most_flights)
     if len(flights) < len(everything):
         remarks.append(f"{len(flights)} of {len(everything)} flights, evenly over their speeds")
-    judged, fastest, earlier = {}, 0, {}
+    judged, fastest, earlier = {}, 0, dict[str, frozenset[str]]()
     for method in job.methods:
         found: dict[str, list[Judged]] = {IN_TURN: [], FASTEST_OUT: []}
         errors: dict[str, str] = {}
@@ -380,7 +380,7 @@ def compared(job: Job, data_set: DataSet) -> Compared:
                 missing.append(case.name)
                 continue
             if result["code"] != code(method):
-                earlier[method] = result["version"]
+                earlier[method] = earlier.get(method, frozenset()) | {result["version"]}
             if "error" in result:
                 errors[case.name] = f"without {names}: {result['error']}"
             else:
@@ -506,10 +506,14 @@ def tables(job: Job) -> dict[str, str]:
     sets = [compared(job, data_set) for data_set in job.sets]
     chosen = best(sets, job.methods)
     said = "No method has results on all data sets." if chosen is None else f"Best: **{chosen}**."
-    earlier = {method: version for own in sets for method, version in own.earlier.items()}
-    dated = "; ".join([stamp(), *(f"{method}: {version}" for method, version in earlier.items())])
+    dated = [stamp()]
+    for method in job.methods:
+        versions = frozenset[str]().union(*(own.earlier.get(method, ()) for own in sets))
+        if versions:
+            commits = sorted(version.partition("commit ")[2] or version for version in versions)
+            dated.append(f"{method}: {', '.join(commits)}")
     return {
-        "summary": f"{markdown_table(summary(sets, job.methods))}\n\n{said}\n\n*{dated}*",
+        "summary": f"{markdown_table(summary(sets, job.methods))}\n\n{said}\n\n*{'; '.join(dated)}*",
         "sets": "\n\n".join(section(own, job.methods) for own in sets),
     }
 
