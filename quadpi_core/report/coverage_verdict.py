@@ -54,11 +54,12 @@ class Coverage:
         return Holding.FAILS if high < confidence else Holding.NOT_SHOWN
 
     def sentence(self) -> str:
-        """Subject and numbers, such as "Fx 83.4 %, 61.9 % to 95.5 %"."""
+        """Subject and numbers, such as "Fx 83.4 %, 95 % confidence interval 61.9 % to 95.5 %"."""
         if self.interval is None:
             return f"{self.subject} {percent(self.estimate)}, its precision unknown"
         low, high = self.interval
-        return f"{self.subject} {percent(self.estimate)}, {percent(low)} to {percent(high)}"
+        precision = f"95 % confidence interval {percent(low)} to {percent(high)}"
+        return f"{self.subject} {percent(self.estimate)}, {precision}"
 
 
 def axis_coverages(axes: Mapping[str, AxisMetrics]) -> list[Coverage]:

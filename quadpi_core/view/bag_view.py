@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import queue
+import shlex
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,11 +13,11 @@ from pathlib import Path
 from typing import Protocol
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.logs.cut_off import is_cut_off
+from quadpi_core.logs.cut_off import is_cut_off, whole_part
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.view.flight_parts import Part, flight_parts
+from quadpi_core.view.flight_parts import Part, flight_parts, holds_only_results
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 
 # An hour at 20 blocks a second, 50 MB with one model.
@@ -124,7 +125,8 @@ def open_bag(
 
     Args:
         bag: with sensor topics to judge by the models, or with results.
-        models: the first gives the alarm; none: those whose results the bag holds.
+        models: the first gives the alarm; none: those whose results the bag holds. Of a bag with
+            results alone their training ranges are shown.
         vehicle: of the models.
         confidence: of the intervals; each model's own unless given.
 
@@ -132,8 +134,11 @@ def open_bag(
         QuadpiError: for a bag that cannot be read or holds no results, and models of another vehicle.
     """
     known = {model.identity: model.described() for model in models}
-    parts = _started(flight_parts(bag, models, vehicle, confidence, f"quadpi view {bag}"))
-    about = f"judged by {', '.join(model.name for model in models)}" if models else "results as recorded"
+    command = f"quadpi view {shlex.quote(str(bag))}"
+    parts = _started(flight_parts(bag, models, vehicle, confidence, command))
+    with whole_part(bag) as readable:
+        judges = models and not holds_only_results(readable)
+    about = f"judged by {', '.join(model.name for model in models)}" if judges else "results as recorded"
     whole = ", as far as the file goes: it is cut off" if is_cut_off(bag) else ""
     return BagSource(f"{bag.name}, {about}{whole}", bag.stem, parts, known)
 

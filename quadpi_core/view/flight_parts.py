@@ -17,7 +17,9 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.cut_off import is_cut_off, whole_part
+from quadpi_core.logs.readers import identify_format
 from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.model_description import DescribedModel, MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads, Topic
@@ -108,15 +110,27 @@ def _parts(
     command: str,
 ) -> Iterator[Part]:
     with whole_part(bag) as readable:
-        if models:
+        if models and not holds_only_results(readable):
             assert vehicle is not None
             parts = judged(readable, models, vehicle, confidence)
+        elif models and confidence is not None:
+            raise QuadpiError(f"--confidence: {bag} holds results, whose intervals have theirs")
         else:
-            parts = recorded(readable, command)
+            parts = recorded(readable, command, models)
         for number, part in enumerate(parts):
             yield part
             if number == 0 and is_cut_off(bag):
                 yield lambda view: view.take_missing([("bag", CUT_OFF)])
+
+
+def holds_only_results(bag: Path) -> bool:
+    """Whether a bag holds predictions and no IMU that a model could judge, as those of `quadpi replay`."""
+    if identify_format(bag).container is None:
+        return False
+    with Bag(bag) as opened:
+        adapted = {one.type_name for one in known_adapters().values() if one.kind == "imu"}
+        sensed = find_topic(opened, "imu") or adapted & {one.msgtype for one in opened.connections}
+        return find_topic(opened, "prediction") is not None and not sensed
 
 
 def judged(
@@ -176,8 +190,17 @@ def _judged_part(
     return show
 
 
-def recorded(bag: Path, command: str) -> Iterator[Part]:
-    """Parts of the results that a bag holds; without any, `command` is advised with a model."""
+def recorded(bag: Path, command: str, models: Sequence[AerodynamicModel] = ()) -> Iterator[Part]:
+    """Parts of the results that a bag holds; without any, `command` is advised with a model.
+
+    Args:
+        bag: with predictions.
+        command: see :func:`flight_parts`.
+        models: whose training ranges are shown.
+
+    Raises:
+        QuadpiError: for a bag without predictions, and a model that made none of them.
+    """
     with Bag(bag) as opened:
         names = {}
         for topic in _RESULTS:
@@ -199,16 +222,34 @@ def recorded(bag: Path, command: str) -> Iterator[Part]:
                 and connection.msgtype == sensor_messages.PREDICTION
             }
         )
+        made_by = _made_by(opened, [names["prediction"], *further])
+        for model in models:
+            if model.identity not in made_by:
+                held = ", ".join(sorted(made_by))
+                raise QuadpiError(f"--model: {bag} holds predictions of {held}, none of {model.identity}")
         description, lacks = _description(opened)
+        learned = {**description.models, **{model.identity: model.described() for model in models}}
         vehicle, without = _rotor_vehicle(opened, names, description.vehicle)
         inputs = _RecordedInputs(description)
         for number, block in enumerate(opened.blocks([*names.values(), *further])):
             topics = {topic: block[name] for topic, name in names.items() if len(block[name].payloads)}
             others = [block[name] for name in further if len(block[name].payloads)]
             part = _recorded_part(bag, topics, others, vehicle, inputs)
-            yield _after_learning(description.models, part) if number == 0 else part
+            yield _after_learning(learned, part) if number == 0 else part
             if number == 0:
                 yield lambda view: view.take_missing([*lacks, *without, *inputs.lacks])
+
+
+def _made_by(opened: Bag, topics: Sequence[str]) -> set[str]:
+    """Identities of the models whose predictions a bag begins with."""
+    block = next(iter(opened.blocks(topics)), {})
+    return {
+        unpacked_topic(
+            opened.path, topic, lambda payloads: result_messages.unpack_model(payloads[0])
+        ).identity
+        for topic in block.values()
+        if len(topic.payloads)
+    }
 
 
 def _after_learning(models: Mapping[str, DescribedModel], part: Part) -> Part:

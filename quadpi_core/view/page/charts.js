@@ -192,7 +192,7 @@ export function drawEnvelope(canvas, store, cursor) {
   context.textBaseline = "middle";
   if (!inputs.length || inputs[0].lower === null) {
     context.fillStyle = colours["--soft"];
-    context.fillText("Training ranges are not known here: quadpi view --model MODEL", 8, 20);
+    context.fillText("Training ranges are not known here: add --model MODEL to quadpi view", 8, 20);
     return null;
   }
   const last = Math.floor(cursor / store.blockS), first = Math.max(0, last - Math.round(WINDOW_S / store.blockS));

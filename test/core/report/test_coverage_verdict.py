@@ -44,7 +44,8 @@ def test_of_several_the_worst_counts_and_the_lowest_comes_first():
 def test_cells_are_counted_and_what_does_not_hold_is_named():
     cells = {"a": [Coverage("m Fx", 0.96, (0.95, 0.97)), Coverage("m Fy", 0.834, (0.619, 0.955))]}
     assert count_verdicts(cells, 0.95) == (
-        "hold in 1 of 2 on a; are not shown to hold in 1 on a (m Fy 83.4 %, 61.9 % to 95.5 %)"
+        "hold in 1 of 2 on a; are not shown to hold in 1 on a "
+        "(m Fy 83.4 %, 95 % confidence interval 61.9 % to 95.5 %)"
     )
 
 
@@ -53,10 +54,10 @@ def test_headlines_of_page_and_comparison_go_by_the_same_rule(case, with_coverag
     evaluation = replace(case.evaluation, groups={"few": few})
     assert evaluation_verdict(evaluation, []) == (
         "95\u00a0% prediction intervals are not shown to hold on few "
-        "(1 of 6 axes; Mz 83.4 %, 61.9 % to 95.5 %)."
+        "(1 of 6 axes; Mz 83.4 %, 95 % confidence interval 61.9 % to 95.5 %)."
     )
     compared = Comparison("0", "v", 0.95, False, {"few": []}, None, {"m": evaluation})
     assert comparison_verdict(compared) == (
         "Over the axes of all models, 95\u00a0% prediction intervals hold in 5 of 6 on few; are not shown to "
-        "hold in 1 on few (m Mz 83.4 %, 61.9 % to 95.5 %)."
+        "hold in 1 on few (m Mz 83.4 %, 95 % confidence interval 61.9 % to 95.5 %)."
     )

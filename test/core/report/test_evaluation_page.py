@@ -97,7 +97,8 @@ def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
     low, high = axes[worst].picp_ci
     assert evaluation_verdict(case.evaluation, ["slow", "mid", "another"]) == (
         "95\u00a0% prediction intervals hold on known (in sample), and do not hold on new & fast "
-        f"(6 of 6 axes; {worst} {percent(axes[worst].picp)}, {percent(low)} to {percent(high)})."
+        f"(6 of 6 axes; {worst} {percent(axes[worst].picp)}, "
+        f"95 % confidence interval {percent(low)} to {percent(high)})."
     )
 
 
@@ -110,7 +111,7 @@ def test_verdict_lists_the_groups_on_which_intervals_hold(case):
 def test_verdict_tells_the_least_coverage_that_is_still_called_holding(case, with_coverage):
     few = with_coverage(case.evaluation.groups["known"], "Mz", 0.94, [0.92, 0.96])
     assert evaluation_verdict(replace(case.evaluation, groups={"few": few}), []) == (
-        "95\u00a0% prediction intervals hold on few (Mz 94.0 %, 92.0 % to 96.0 %)."
+        "95\u00a0% prediction intervals hold on few (Mz 94.0 %, 95 % confidence interval 92.0 % to 96.0 %)."
     )
 
 

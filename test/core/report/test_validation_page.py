@@ -38,8 +38,16 @@ def test_validation_has_both_settings_above_the_papers_numbers(markdown_cells):
 @pytest.mark.parametrize(
     ("spread", "said"),
     [
-        (0.001, "do not hold in 1 on the measurement variation (m Fx 90.0 %, 89.9 % to 90.1 %)"),
-        (0.1, "are not shown to hold in 1 on the measurement variation (m Fx 90.0 %, 82.8 % to 97.2 %)"),
+        (
+            0.001,
+            "do not hold in 1 on the measurement variation "
+            "(m Fx 90.0 %, 95 % confidence interval 89.9 % to 90.1 %)",
+        ),
+        (
+            0.1,
+            "are not shown to hold in 1 on the measurement variation "
+            "(m Fx 90.0 %, 95 % confidence interval 82.8 % to 97.2 %)",
+        ),
         (None, "m Fx 90.0 %, its precision unknown"),
     ],
 )

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import RotorSpeedStream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
@@ -50,6 +50,19 @@ def recorded(results: Path, target: Path, more: Sequence[Topic]) -> Path:
 
 def rotor_topic(rotors: RotorSpeedStream) -> Topic:
     return output_topic("rotor_speeds", rotors.time_ns, pack_rotor_speeds(rotors))
+
+
+def test_a_replayed_bag_takes_its_training_ranges_from_the_model(results_bag, judged_view, model, vehicle):
+    source = open_bag(results_bag, [model], vehicle)
+    assert source.title == f"{results_bag.name}, results as recorded"
+    given, judged = read_whole(source).describe(), judged_view.describe()
+    assert given["inputs"] == judged["inputs"]
+    assert given["inputs"][0]["upper"] is not None
+    other = replace(model, identity="other@1")
+    with pytest.raises(QuadpiError, match=rf"holds predictions of {model.identity}, none of other@1$"):
+        open_bag(results_bag, [other], vehicle)
+    with pytest.raises(QuadpiError, match=r"--confidence: .* holds results, whose intervals have theirs"):
+        open_bag(results_bag, [model], vehicle, 0.9)
 
 
 def test_ranges_and_inputs_come_with_the_description_of_the_monitor(
