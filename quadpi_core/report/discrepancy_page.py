@@ -319,6 +319,12 @@ def _segment_table(study: Study) -> Table:
 def _verdict(study: Study) -> str:
     """What to do, and the result in one or two sentences."""
     discovery, simulation = study.discovery, study.simulation.name
+    if discovery.verdict == "none" and discovery.within_intervals and not discovery.candidates:
+        return (
+            f"Keep the simulation for flights like these: the intervals of {simulation} hold all axes of "
+            f"{len(study.flights)} flights. No effect was looked for; one that stays inside the intervals "
+            "may still be missing."
+        )
     if discovery.verdict == "none":
         return (
             f"Keep the simulation. No missing effect was found: {simulation} and {len(study.flights)} "

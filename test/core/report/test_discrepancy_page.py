@@ -47,6 +47,10 @@ def test_everything_stands_on_it(page_file, read_page, found):
     ("changes", "first"),
     [
         ({"verdict": "none", "effects": ()}, "Keep the simulation. No missing effect was found"),
+        (
+            {"verdict": "none", "effects": (), "candidates": (), "within_intervals": ("wind",)},
+            "Keep the simulation for flights like these: the intervals of bebop2 hold all axes of",
+        ),
         ({"verdict": "unknown", "effects": ()}, "Add nothing yet: bebop2 lacks something"),
         ({"verdict": "unknown", "rejected": True}, "Add nothing yet: bebop2 lacks something"),
         ({"verdict": "unknown", "gap": 0.2}, "Add nothing yet: bebop2 lacks something"),
