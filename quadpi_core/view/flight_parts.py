@@ -40,7 +40,7 @@ _STRING, _DESCRIPTION = "std_msgs/msg/String", "description"
 _WITHOUT = {
     "extrapolation_alarm": "nobody says whether the model can be trusted",
     "odometry": "flight, speed and height are not shown",
-    "rotor_speeds": "rotor speeds are not shown",
+    "rotor_speeds": "rotor speeds, and inputs of the models, are not shown",
 }
 
 
