@@ -57,9 +57,9 @@ def bags(tmp_path_factory):
 def refused(refused, tmp_path):
     """refused(message, argument, …): as of every command, for a search with all kinds of output."""
 
-    def run(message, *arguments):
+    def run(message, *arguments, finding=""):
         written = ("-o", tmp_path / "out", "--json", tmp_path / "data.json", "--html", tmp_path / "page.html")
-        refused(message, "discrepancy", *arguments, *written)
+        refused(message, "discrepancy", *arguments, *written, finding=finding)
 
     return run
 
@@ -135,7 +135,8 @@ class TestRefusals:
             altered.append(tmp_path / path.name)
             write_bag(altered[-1], replace(recording, rotor_speeds=None if speeds == "absent" else constant))
         says = "is missing" if speeds == "absent" else r"rotor 1 has the same speed throughout, .* rad/s"
-        refused(f"train_1.mcap: topic rotor_speeds:? {says}", "bebop2", *altered)
+        finding = "" if speeds == "absent" else "leave this flight out"
+        refused(f"train_1.mcap: topic rotor_speeds:? {says}", "bebop2", *altered, finding=finding)
 
     def test_code_that_a_file_names(self, refused, tmp_path):
         addition = tmp_path / "addition.json"
