@@ -234,16 +234,8 @@ class Regression:
                 without[block.parameters] = without[block.form] = 0.0
                 if block.offset is not None:
                     without[block.offset] = 0.0
-            reduced.append(self._squares(without, noise) - self._squares(left, noise))
+            reduced.append(self.columns.squares(without, noise) - self.columns.squares(left, noise))
         return Reduction(*reduced)
-
-    def _squares(self, weights: Array, noise: Array | None) -> Array:
-        """Squares (6,) of weighted columns, see :meth:`reduction`."""
-        squares = np.zeros(len(AXES))
-        for place, band in enumerate(self.columns.bands):
-            rows = np.square(self.columns.combined(place, weights))
-            squares += np.sum(rows if noise is None else rows / noise[:, band], axis=1)
-        return squares
 
     def _added(self, place: int, chosen: Sequence[int], found: Fit) -> Array:
         """Rows (6, B) of the contribution of candidates to a flight in a fit."""

@@ -133,10 +133,15 @@ class Linearisation:
                 total += table[:, :, : len(own)] @ own
         return total
 
-    def squares(self, weights: Array) -> Array:
-        """Squares (6,) of the sum of the columns, each times its weight (K,), over all flights."""
-        each = [np.square(self.combined(place, weights)).sum(axis=1) for place in range(len(self.flights))]
-        squares: Array = np.sum(each, axis=0)
+    def squares(self, weights: Array, noise: Array | None = None) -> Array:
+        """Squares (6,) of the sum of the columns, each times its weight (K,), over all flights.
+
+        They are in variances of a noise (6, C) of C bands where it is given.
+        """
+        squares = np.zeros(len(AXES))
+        for place, band in enumerate(self.bands):
+            rows = np.square(self.combined(place, weights))
+            squares += np.sum(rows if noise is None else rows / noise[:, band], axis=1)
         return squares
 
     def moved(self, points: Mapping[int, Array]) -> Linearisation:
