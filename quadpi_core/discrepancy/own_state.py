@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.frames import Array
-from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
+from quadpi_core.simulation.applied_effects import remembered_wrenches
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.state_records import MEMORY
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -93,7 +93,7 @@ def started(
     stride = max(1, round(1.0 / (_RATE_HZ * step_s)))
     shown = slice(0, max(round(SEEN_S.value / step_s), 2 * stride), stride)
     seen = _Seen(effect, values, states[shown].copy(), vehicle, stride * step_s)
-    target = _forces(residual[shown])
+    target = _forces(residual[shown, :, np.newaxis])[:, 0]
     at = seen.found_from(target)
     strength = max(float(at.shape @ target) / max(float(at.shape @ at.shape), _TINY), 0.0)
     left = target - strength * at.shape
@@ -132,7 +132,7 @@ class _Seen(NamedTuple):
         rest, spread = np.asarray(self.effect.at_rest, dtype=float), np.asarray(self.effect.start_spread)
         independent = INDEPENDENT_HZ.value * self.step_s
         variance = max(float(target @ target) / len(target), _TINY)
-        at = self._from(rest, spread)
+        at = self._from(rest, self._shapes(rest[np.newaxis])[:, 0], spread)
         strength = _FIRST * _ratio(target, at.shape)
 
         def cost(strength: float, memory: Array, shape: Array) -> float:
@@ -153,32 +153,33 @@ class _Seen(NamedTuple):
             step = np.clip(solved[1:] / max(strength, _TINY), -_LONGEST, _LONGEST)
             for _ in range(_HALVINGS):
                 memory = at.memory + step * spread
-                if cost(strength, memory, self._shape(memory)) <= before:
+                shape = self._shapes(memory[np.newaxis])[:, 0]
+                if cost(strength, memory, shape) <= before:
                     break
                 step = 0.5 * step
             else:
                 break
-            at = self._from(memory, spread)
+            at = self._from(memory, shape, spread)
             if np.abs(step).max() < _SMALL:
                 break
         return at
 
-    def _from(self, memory: Array, spread: Array) -> _Start:
-        shape = self._shape(memory)
-        slopes = [(self._shape(memory + step) - shape) / _STEP for step in np.diag(_STEP * spread)]
-        return _Start(memory, shape, np.stack(slopes, axis=1))
+    def _from(self, memory: Array, shape: Array, spread: Array) -> _Start:
+        moved = self._shapes(memory + np.diag(_STEP * spread))
+        return _Start(memory, shape, (moved - shape[:, np.newaxis]) / _STEP)
 
-    def _shape(self, memory: Array) -> Array:
-        """Contribution of unit strength from a state on, as :func:`_forces`."""
+    def _shapes(self, starts: Array) -> Array:
+        """Contributions (·, K) of unit strength from states (K, 6) on, as :func:`_forces`."""
         parameters = {p.name: float(v) for p, v in zip(self.effect.parameters, self.values, strict=True)}
         parameters[self.effect.parameters[0].name] = 1.0
-        states = with_memory(self.effect.name, parameters, self.states, self.vehicle, memory, self.step_s)
-        return _forces(effect_wrench(self.effect.name, parameters, states, self.vehicle))
+        flown = self.effect.name, parameters, self.states, self.vehicle
+        return _forces(remembered_wrenches(*flown, starts, self.step_s))
 
 
-def _forces(wrench: Array) -> Array:
-    """Forces of wrenches (N, 6) without their means, which a coefficient explains as well, in a row."""
-    varying: Array = (wrench[:, :3] - wrench[:, :3].mean(axis=0)).ravel()
+def _forces(wrenches: Array) -> Array:
+    """Forces (·, K) of wrenches (N, 6, K) without their means, which a coefficient explains as well."""
+    forces = wrenches[:, :3]
+    varying: Array = (forces - forces.mean(axis=0)).reshape(-1, wrenches.shape[2])
     return varying
 
 

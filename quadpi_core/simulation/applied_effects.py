@@ -25,7 +25,13 @@ from quadpi_core.simulation.effect_definition import (
     modulators,
     shaped,
 )
-from quadpi_core.simulation.effect_registry import EFFECTS, WRENCH_INDEX, added_wrench
+from quadpi_core.simulation.effect_registry import (
+    EFFECTS,
+    MEMORY_INDEX,
+    WRENCH_INDEX,
+    added_wrench,
+    remembering_wrench,
+)
 from quadpi_core.simulation.state_records import MEMORY, State, VehicleNumbers
 from quadpi_core.simulation.wrench_functions import SIGNATURE, passable
 from quadpi_core.vehicle import Vehicle, is_rigid_body
@@ -192,7 +198,7 @@ def with_memory(
     filled = states.copy()
     if len(filled):
         filled["memory"][0] = start
-        _remember(WRENCH_INDEX[name], filled, vehicle, _values(EFFECTS[name], parameters), step_s)
+        _remember(MEMORY_INDEX[name], filled, vehicle, _values(EFFECTS[name], parameters), step_s)
     return filled
 
 
@@ -204,16 +210,69 @@ def _limited(change: float) -> float:
 
 @njit(cache=True)
 def _remember(index: int, states: Records, vehicles: Records, p: Array, step_s: float) -> None:
-    vehicle = vehicles[0]
     for i in range(len(states) - 1):
-        now, ahead = states[i], states[i + 1]
-        added_wrench(index, now, vehicle, p)
-        for number in range(MEMORY):
-            ahead.memory[number] = now.memory[number] + _limited(step_s * now.memory_slope[number])
-        added_wrench(index, ahead, vehicle, p)
-        for number in range(MEMORY):
-            slope = 0.5 * (now.memory_slope[number] + ahead.memory_slope[number])
-            ahead.memory[number] = now.memory[number] + _limited(step_s * slope)
+        _stepped(index, states[i], states[i + 1], vehicles[0], p, step_s)
+
+
+@njit(cache=True)
+def _stepped(
+    index: int, now: State, ahead: State, vehicle: VehicleNumbers, p: Array, step_s: float
+) -> Wrench:
+    """Wrench of an effect with a state of its own, which is brought forward by a step."""
+    wrench = remembering_wrench(index, now, vehicle, p)
+    for number in range(MEMORY):
+        ahead.memory[number] = now.memory[number] + _limited(step_s * now.memory_slope[number])
+    remembering_wrench(index, ahead, vehicle, p)
+    for number in range(MEMORY):
+        slope = 0.5 * (now.memory_slope[number] + ahead.memory_slope[number])
+        ahead.memory[number] = now.memory[number] + _limited(step_s * slope)
+    return wrench
+
+
+def remembered_wrenches(
+    name: str,
+    parameters: Mapping[str, float],
+    states: npt.NDArray[np.void],
+    vehicle: npt.NDArray[np.void],
+    starts: Array,
+    step_s: float,
+) -> Array:
+    """Wrenches (N, 6, K) [N, Nm] of one effect along a flight, with its own state from K starts on.
+
+    They are what :func:`effect_wrench` gives for the states of :func:`with_memory`.
+
+    Args:
+        name: name of an effect with a state of its own.
+        parameters: all parameters, within their bounds or not; none shapes the law.
+        states: (N,) of `state_records.STATE`, one flight with the measured force in it.
+        vehicle: (1,) of `state_records.VEHICLE`.
+        starts: (K, 6) the effect's own state at the first of them.
+        step_s: seconds between them.
+    """
+    values = _values(EFFECTS[name], parameters)
+    found: Array = _remembered_wrenches(MEMORY_INDEX[name], states, vehicle, values, starts, step_s)
+    return found
+
+
+@njit(cache=True)
+def _remembered_wrenches(
+    index: int, states: Records, vehicles: Records, p: Array, starts: Array, step_s: float
+) -> Array:
+    memory, added = starts.copy(), np.empty((len(states), 6, len(starts)))
+    # No copy of the flight: a page of memory costs more than the steps in it.
+    pair = np.empty(2, states.dtype)
+    now, ahead = pair[0], pair[1]
+    for i in range(len(states)):
+        pair[0], pair[1] = states[i], states[min(i + 1, len(states) - 1)]
+        for start in range(len(starts)):
+            for number in range(MEMORY):
+                now.memory[number] = memory[start, number]
+            wrench = _stepped(index, now, ahead, vehicles[0], p, step_s)
+            for number in range(MEMORY):
+                memory[start, number] = ahead.memory[number]
+            for axis in range(6):
+                added[i, axis, start] = wrench[axis]
+    return added
 
 
 def altered_vehicle(effects: Effects, vehicle: Vehicle) -> Vehicle:

@@ -44,6 +44,9 @@ depends_on(__file__, {getfile(sys.modules[effect.function.__module__]) for effec
 _WRENCH_EFFECTS = tuple(effect for effect in EFFECTS.values() if effect.kind == "wrench")
 WRENCH_INDEX = {effect.name: index for index, effect in enumerate(_WRENCH_EFFECTS)}
 _WRENCH_FUNCTIONS = tuple(effect.function for effect in _WRENCH_EFFECTS)
+_REMEMBERING = tuple(effect for effect in _WRENCH_EFFECTS if effect.at_rest)
+MEMORY_INDEX = {effect.name: index for index, effect in enumerate(_REMEMBERING)}
+_REMEMBERING_FUNCTIONS = tuple(effect.function for effect in _REMEMBERING)
 
 
 # In this file because its cache on disk must be renewed whenever the set or the order of effects changes.
@@ -53,6 +56,19 @@ def added_wrench(index: int, state: State, vehicle: VehicleNumbers, p: Array) ->
     wrench = NO_WRENCH
     candidate = 0
     for function in literal_unroll(_WRENCH_FUNCTIONS):
+        if candidate == index:
+            wrench = function(state, vehicle, p)
+        candidate += 1  # noqa: SIM113
+    return wrench
+
+
+# To find one of all effects takes as long as its wrench; here there are few.
+@njit(cache=True)
+def remembering_wrench(index: int, state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
+    """Wrench of the effect with this index of `MEMORY_INDEX`; zero for any other index."""
+    wrench = NO_WRENCH
+    candidate = 0
+    for function in literal_unroll(_REMEMBERING_FUNCTIONS):
         if candidate == index:
             wrench = function(state, vehicle, p)
         candidate += 1  # noqa: SIM113

@@ -10,7 +10,12 @@ from numba import types
 
 from quadpi_core.compiled import njit
 from quadpi_core.errors import SimulationError
-from quadpi_core.simulation.applied_effects import compose, effect_wrench
+from quadpi_core.simulation.applied_effects import (
+    compose,
+    effect_wrench,
+    remembered_wrenches,
+    with_memory,
+)
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
 from quadpi_core.simulation.wrench_functions import FUNCTION_TYPE
@@ -110,3 +115,17 @@ def test_what_is_no_wrench_effect_is_refused(states, record):
         effect_wrench("rotor_darg", {}, states, record)
     with pytest.raises(SimulationError, match="no effect on the wrench"):
         effect_wrench("payload", {"mass_kg": 1.0}, states, record)
+
+
+@pytest.mark.parametrize("length", [0, 1, 2, None])
+@pytest.mark.parametrize("name", [name for name in WRENCH if EFFECTS[name].at_rest])
+def test_wrenches_from_several_starts_are_those_from_each(states, record, name, length):
+    (parameters,), flight = read_effects({name: None}, "test").values(), states[:length]
+    before, spread = flight.tobytes(), np.diag(EFFECTS[name].start_spread)
+    starts = np.array(EFFECTS[name].at_rest) + 0.1 * spread
+    found = remembered_wrenches(name, parameters, flight, record, starts, 0.01)
+    assert flight.tobytes() == before
+    assert found.shape == (len(flight), 6, len(starts))
+    for start, wrench in zip(starts, found.transpose(2, 0, 1), strict=True):
+        own = with_memory(name, parameters, flight, record, start, 0.01)
+        assert np.array_equal(wrench, effect_wrench(name, parameters, own, record))
