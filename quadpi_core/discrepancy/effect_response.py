@@ -31,7 +31,7 @@ from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSp
 from quadpi_core.frames import Array
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
+from quadpi_core.simulation.applied_effects import effect_wrench, remembered_wrenches
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -81,6 +81,7 @@ class Compared:
     ) -> None:
         self.simulation = simulation
         self.highest_hz = highest_hz
+        self._started: dict[tuple[str, bytes], Started] = {}
         self._clean = clean
         self._imu_rate_hz = flight.rate_hz
         step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
@@ -176,8 +177,12 @@ class Compared:
 
     def started(self, effect: Effect, values: Array) -> Started:
         """State at the start of the flight of an effect that has one of its own."""
-        step_s = 1.0 / self.thinned.rate_hz
-        return started(effect, values, self.states, self.record, self.residual, step_s)
+        # The strength has no part in it, and a search asks again for what surrounds a point.
+        key = effect.name, values[1:].tobytes()
+        if key not in self._started:
+            step_s = 1.0 / self.thinned.rate_hz
+            self._started[key] = started(effect, values, self.states, self.record, self.residual, step_s)
+        return self._started[key]
 
     def spectrum(self, columns: Array) -> Spectrum:
         """Spectrum of columns (M, ·, K) of this flight, as far as it is compared."""
@@ -270,11 +275,12 @@ def _every(flight: Flight, step: int) -> Flight:
 
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
     parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
-    states = compared.states
+    flown = effect.name, parameters, compared.states, compared.record
     if effect.at_rest:
-        start, step_s = compared.started(effect, values).memory, 1.0 / compared.thinned.rate_hz
-        states = with_memory(effect.name, parameters, states, compared.record, start, step_s)
-    added = effect_wrench(effect.name, parameters, states, compared.record)
+        starts = compared.started(effect, values).memory[np.newaxis]
+        added = remembered_wrenches(*flown, starts, 1.0 / compared.thinned.rate_hz)[:, :, 0]
+    else:
+        added = effect_wrench(*flown)
     return compared.simulation.recorded(compared.thinned, added)
 
 
