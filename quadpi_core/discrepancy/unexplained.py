@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from quadpi_core.discrepancy.effect_response import Compared, residual
-from quadpi_core.discrepancy.whitening import Spectrum, band_means, settled_noise
+from quadpi_core.discrepancy.whitening import Spectrum, band_means, band_products, settled_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import inside_interval
@@ -281,7 +281,7 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
             Spectrum(np.column_stack((rows[axis], flight.rows[axis]))[None], flight.band)
             for rows, flight in zip(left, spectra, strict=True)
         ]
-        noise[axis] = settled_noise(own, noise[axis : axis + 1], _least_penalty)[0]
+        noise[axis] = settled_noise(own, band_products(own), noise[axis : axis + 1], _least_penalty)[0]
         grams, projections = _projections(own, noise[axis])
         gain[axis], coefficients = left_out_gain(grams, projections)
         size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams))

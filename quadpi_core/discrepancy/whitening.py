@@ -102,25 +102,42 @@ def estimate_noise(spectra: Sequence[Spectrum], most: Array | None = None) -> Ar
             may leave more than that in another, whose noise would then be overstated, and bend it further.
     """
     most = np.full((len(AXES), 1), np.inf) if most is None else most
-    last = max(int(flight.band.max()) for flight in spectra)
+    products = band_products(spectra)
+    last = products.shape[1] - 1
     alone = []
     for axis in range(len(AXES)):
         own = [Spectrum(flight.rows[axis : axis + 1], flight.band) for flight in spectra]
         # Starting from too little noise, where the fit is that of least squares, the rounds converge quickly.
         highest = np.concatenate([flight.rows[0, flight.band == last, 0] for flight in own])
         first = np.full((1, last + 1), np.mean(np.square(highest)))
-        alone.append(settled_noise(own, first, _prior, most[axis : axis + 1]))
+        alone.append(settled_noise(own, products[axis : axis + 1], first, _prior, most[axis : axis + 1]))
     # Fitted together from the start, an axis with too little noise would bend the fit, and the error that
     # this leaves in another axis would count as its noise for good.
-    return settled_noise(spectra, np.concatenate(alone), _prior, most)
+    return settled_noise(spectra, products, np.concatenate(alone), _prior, most)
 
 
 def _prior(gram: Array) -> Array:
     return np.eye(len(gram))
 
 
+def band_products(spectra: Sequence[Spectrum]) -> Array:
+    """Products (A, C, K, K) of the columns with each other, summed over the rows of each band of all flights.
+
+    Noise is white within a band, so the Gram matrix of whitened columns is a weighted sum of them.
+    """
+    bands = 1 + max(int(flight.band.max()) for flight in spectra)
+    axes, _, columns = spectra[0].rows.shape
+    products = np.zeros((axes, bands, columns, columns))
+    for rows, band in spectra:
+        for index in range(bands):
+            own = rows[:, band == index]
+            products[:, index] += np.swapaxes(own, 1, 2) @ own
+    return products
+
+
 def settled_noise(
     spectra: Sequence[Spectrum],
+    products: Array,
     noise: Array,
     penalty: Callable[[Array], Array],
     most: Array | float = np.inf,
@@ -132,39 +149,28 @@ def settled_noise(
 
     Args:
         spectra: per flight the residual, and the columns that may explain it.
+        products: (A, C, K, K) see :func:`band_products`.
         noise: (A, C) variance to start from.
         penalty: (K, K) matrix to add to the Gram matrix (K, K) of the whitened columns, such as the precision
             of their prior.
         most: (A, C) what no variance exceeds.
     """
     bands = [flight.band for flight in spectra]
+    counts = np.bincount(np.concatenate(bands))
     # A band that no flight is long enough for has the noise of the next.
-    filled = np.unique(np.concatenate(bands))
+    filled = np.flatnonzero(counts)
     for _ in range(_ROUNDS):
-        noise = np.maximum(noise, np.finfo(float).tiny)
-        weighted = [flight.rows / np.sqrt(noise[:, flight.band])[:, :, None] for flight in spectra]
-        gram = np.sum([cross_gram(rows, rows) for rows in weighted], axis=0)
+        gram = np.tensordot(1.0 / np.maximum(noise, np.finfo(float).tiny), products, axes=2)
         lower = cholesky(gram[1:, 1:] + penalty(gram[1:, 1:]), lower=True)
         fit = cho_solve((lower, True), gram[1:, 0])
-        means = band_means([expected_squares(flight.rows, fit, lower) for flight in spectra], bands)
+        # Not by the covariance, whose products with the columns cancel.
+        whitening = solve_triangular(lower, np.eye(len(lower)), lower=True)
+        left = [np.square(flight.rows[:, :, 0] - flight.rows[:, :, 1:] @ fit) for flight in spectra]
+        spread = np.sum((whitening @ products[:, :, 1:, 1:]) * whitening, axis=(2, 3))
+        means = band_means(left, bands) + spread / np.maximum(counts, 1)
         noise = np.stack([np.interp(np.arange(len(own)), filled, own[filled]) for own in means])
         noise = np.minimum(noise, most)
     return np.maximum(noise, np.finfo(float).tiny)
-
-
-def expected_squares(rows: Array, coefficients: Array, lower: Array) -> Array:
-    """Expected squares (A, B) of each row after a fit: squared residual plus the variance of the fit.
-
-    Args:
-        rows: (A, B, 1 + k): the fitted row, and the columns.
-        coefficients: (k,) of the fit.
-        lower: (k, k) Cholesky factor of the inverse of their covariance.
-    """
-    left = rows[:, :, 0] - rows[:, :, 1:] @ coefficients
-    columns = rows[:, :, 1:].reshape(-1, len(coefficients))
-    spread = np.square(solve_triangular(lower, columns.T, lower=True)).sum(axis=0)
-    squares: Array = np.square(left) + spread.reshape(left.shape)
-    return squares
 
 
 def band_means(values: Sequence[Array], bands: Sequence[npt.NDArray[np.intp]]) -> Array:

@@ -10,9 +10,9 @@ import pytest
 from quadpi_core.discrepancy.whitening import (
     Spectrum,
     band_means,
+    band_products,
     cross_gram,
     estimate_noise,
-    expected_squares,
     settled_noise,
     spectrum,
     taper,
@@ -33,6 +33,11 @@ def noisy_spectra(columns, deviation, flights=4, rows=90, seed=0):
         residual = table @ weights + deviation[:, band] * rng.standard_normal((6, rows))
         made.append(Spectrum(np.concatenate((residual[:, :, None], table), axis=2), band))
     return made
+
+
+def times(factor):
+    """A penalty."""
+    return lambda gram: factor * np.eye(len(gram))
 
 
 def test_squares_stay_as_they_are_under_the_taper():
@@ -84,17 +89,29 @@ def test_products_are_summed_over_axes_and_rows():
     np.testing.assert_allclose(cross_gram(first, second), np.einsum("abi,abj->ij", first, second))
 
 
-def test_expected_squares_hold_the_variance_of_the_fit():
-    rng = np.random.default_rng(3)
-    rows, coefficients = rng.standard_normal((2, 10, 4)), rng.standard_normal(3)
-    precision = np.array([[2.0, 0.3, 0.0], [0.3, 1.0, 0.2], [0.0, 0.2, 3.0]])
-    covariance = np.linalg.inv(precision)
-    columns = rows[:, :, 1:]
-    left = rows[:, :, 0] - columns @ coefficients
-    expected = left**2 + np.einsum("abi,ij,abj->ab", columns, covariance, columns)
-    np.testing.assert_allclose(
-        expected_squares(rows, coefficients, np.linalg.cholesky(precision)), expected, rtol=1e-12
-    )
+def test_products_of_a_band_are_those_of_its_rows_in_all_flights():
+    spectra = noisy_spectra(2, np.ones((6, BANDS)))
+    products = band_products(spectra)
+    for band in range(BANDS):
+        rows = [flight.rows[:, flight.band == band] for flight in spectra]
+        expected = sum(np.einsum("ani,anj->aij", own, own) for own in rows)
+        np.testing.assert_allclose(products[:, band], expected, atol=1e-10)
+
+
+def test_settled_noise_is_the_squares_after_the_fit_and_the_variance_of_the_fit():
+    """Where the rounds end they change nothing any more."""
+    spectra = noisy_spectra(5, np.full((6, BANDS), 0.5))
+    noise = estimate_noise(spectra)
+    whitened = [own.rows / np.sqrt(noise[:, own.band])[:, :, None] for own in spectra]
+    gram = sum(cross_gram(rows, rows) for rows in whitened)
+    covariance = np.linalg.inv(gram[1:, 1:] + np.eye(5))
+    fit = covariance @ gram[1:, 0]
+    expected = [
+        np.square(own.rows[:, :, 0] - own.rows[:, :, 1:] @ fit)
+        + np.einsum("abi,ij,abj->ab", own.rows[:, :, 1:], covariance, own.rows[:, :, 1:])
+        for own in spectra
+    ]
+    np.testing.assert_allclose(noise, band_means(expected, [own.band for own in spectra]), rtol=1e-4)
 
 
 def test_means_of_a_band_are_over_all_flights():
@@ -118,7 +135,7 @@ def test_many_columns_do_not_make_the_noise_look_small():
     for seed in range(8):
         spectra = noisy_spectra(60, np.ones((6, BANDS)), rows=30, seed=seed)
         alone = [Spectrum(own.rows[:1], own.band) for own in spectra]
-        found.append(settled_noise(alone, np.ones((1, BANDS)), lambda gram: np.eye(len(gram))).mean())
+        found.append(settled_noise(alone, band_products(alone), np.ones((1, BANDS)), times(1.0)).mean())
     assert np.mean(found) == pytest.approx(1.0, abs=0.15)
 
 
@@ -147,8 +164,8 @@ def test_noise_is_no_more_than_what_it_may_be():
 def test_a_penalty_keeps_columns_from_explaining_noise():
     spectra = noisy_spectra(3, np.ones((6, BANDS)))
     start = np.ones((6, BANDS))
-    free = settled_noise(spectra, start, lambda gram: 1e-9 * np.eye(len(gram)))
-    bound = settled_noise(spectra, start, lambda gram: 1e9 * np.eye(len(gram)))
+    free = settled_noise(spectra, band_products(spectra), start, times(1e-9))
+    bound = settled_noise(spectra, band_products(spectra), start, times(1e9))
     np.testing.assert_allclose(free, 1.0, atol=0.35)
     squares = band_means([np.square(own.rows[:, :, 0]) for own in spectra], [own.band for own in spectra])
     np.testing.assert_allclose(bound, squares, rtol=1e-3)
