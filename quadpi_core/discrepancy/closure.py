@@ -147,11 +147,14 @@ class Closing:
         return [self.fits(place)[1] for place in range(len(self.regression.flights))]
 
     def left_out_squares(self) -> Array:
-        """Squares (6,) of the flights, each after the fit of all others, in variances of the noise."""
+        """Squares (6,) of the flights, each after the fit of all others, in variances of the noise.
+
+        They are 0 in axes that say nothing about effects, see :meth:`Regression.of`.
+        """
         regression, squares = self.regression, np.zeros(len(AXES))
         for place, (found, band) in enumerate(zip(self.left_out, regression.columns.bands, strict=True)):
             left = np.square(regression.columns.combined(place, found.left))
-            squares += np.sum(left / regression.noise[:, band], axis=1)
+            squares += np.sum(left * regression.weighting.precision[:, band], axis=1)
         return squares
 
     def gap(self, *, adjusted: bool = True) -> Gap:

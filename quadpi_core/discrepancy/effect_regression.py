@@ -6,9 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.effect_response import Compared
@@ -23,6 +25,8 @@ from quadpi_core.thresholds import CONVENTION, Threshold
 _ACCELERATION_ROUNDS = 2
 # Steps to the point of linearisation of candidates.
 _ROUNDS = 3
+# Axes of a simulation that states no intervals.
+NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
 STEP_LOSS = Threshold(
     "evidence that a step may lose",
     5.0,
@@ -55,21 +59,29 @@ class NoiseWeighting:
 
     Attributes:
         noise: (6, C) variance in C bands of frequency.
+        held: axes (6,) that say nothing, as the simulation's own intervals hold them; their weight is 0.
         per_flight: (F, K, K) Gram matrices of the whitened columns.
         gram: (K, K) their sum.
     """
 
     noise: Array
+    held: npt.NDArray[np.bool_]
     per_flight: Array
     gram: Array
     _whitened: tuple[tuple[Array, ...], ...]
 
     @classmethod
-    def of(cls, columns: Linearisation, noise: Array) -> NoiseWeighting:
+    def of(cls, columns: Linearisation, noise: Array, held: npt.NDArray[np.bool_]) -> NoiseWeighting:
         """Weighting of all columns by a noise (6, C)."""
         flights = len(columns.flights)
         none = np.zeros((flights, 0, 0))
-        return cls(noise, none, none.sum(axis=0), ((),) * flights).extended(columns)
+        return cls(noise, held, none, none.sum(axis=0), ((),) * flights).extended(columns)
+
+    @cached_property
+    def precision(self) -> Array:
+        """Squared weights (6, C): one over the variance, 0 in axes that say nothing."""
+        squared: Array = np.where(self.held[:, None], 0.0, 1.0 / self.noise)
+        return squared
 
     def extended(self, columns: Linearisation) -> NoiseWeighting:
         """The weighting with columns that were appended since."""
@@ -80,7 +92,7 @@ class NoiseWeighting:
         grown[:, :known, :known] = self.per_flight
         whitened = []
         for place, (band, done) in enumerate(zip(columns.bands, self._whitened, strict=True)):
-            weights = 1.0 / np.sqrt(self.noise[:, band])
+            weights = np.sqrt(self.precision[:, band])
             fresh = [rows * weights[:, :, None] for rows in columns.tables[place][len(done) :]]
             added = np.concatenate(fresh, axis=2)
             for first, rows in zip(table_starts(done), done, strict=True):
@@ -108,15 +120,27 @@ class Regression:
     explained: tuple[Array, ...]
 
     @classmethod
-    def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
-        """Regression with every candidate linearised at zero, and the noise that all of them leave."""
+    def of(
+        cls,
+        flights: Sequence[Compared],
+        candidates: Sequence[Candidate],
+        held: npt.NDArray[np.bool_] = NONE_HELD,
+    ) -> Regression:
+        """Regression with every candidate linearised at zero, and the noise that all of them leave.
+
+        Args:
+            flights: beside their simulation.
+            candidates: effects to look for.
+            held: axes (6,) that the simulation's own intervals hold: what is inside them is known no better,
+                so that it speaks neither for nor against an effect or a coefficient.
+        """
         columns = Linearisation.of(flights, candidates)
         explained = tuple(_rows(flight, flight.expected_measured) for flight in flights)
-        regression = cls(columns, NoiseWeighting.of(columns, _estimated_noise(columns, ())), explained)
+        noise = _estimated_noise(columns, ())
+        regression = cls(columns, NoiseWeighting.of(columns, noise, held), explained)
         for _ in range(_ACCELERATION_ROUNDS):
             accelerated = regression.accelerated(_require(regression.fit(())))
-            noise = _estimated_noise(accelerated.columns, ())
-            regression = replace(accelerated, weighting=NoiseWeighting.of(accelerated.columns, noise))
+            regression = accelerated.weighted(_estimated_noise(accelerated.columns, ()))
         return regression
 
     def accelerated(self, found: Fit) -> Regression:
@@ -167,7 +191,7 @@ class Regression:
 
     def weighted(self, noise: Array) -> Regression:
         """The regression with another noise (6, C)."""
-        return replace(self, weighting=NoiseWeighting.of(self.columns, noise))
+        return replace(self, weighting=NoiseWeighting.of(self.columns, noise, self.weighting.held))
 
     def beside(self, chosen: Sequence[int], found: Fit) -> Regression:
         """The regression with at least the residual after a set of effects as noise, as far as there was any.
@@ -176,6 +200,8 @@ class Regression:
         of the accelerations that the set explains.
         """
         left = band_means([np.square(rows) for rows in self.left(found)], self.columns.bands)
+        # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
+        left[self.weighting.held] = 0.0
         accelerated = self.accelerated(found)
         noise = np.maximum(_estimated_noise(accelerated.columns, chosen), left)
         return accelerated.weighted(np.minimum(noise, _residual_squares(self.columns)))
@@ -214,7 +240,8 @@ class Regression:
         """Evidence of candidates in a fit: half of the squares that they add, in variances of the noise."""
         squares = 0.0
         for place, band in enumerate(self.columns.bands):
-            squares += float(np.sum(np.square(self._added(place, chosen, found)) / self.noise[:, band]))
+            added = np.square(self._added(place, chosen, found))
+            squares += float(np.sum(added * self.weighting.precision[:, band]))
         return 0.5 * squares
 
     def reduction(self, chosen: Sequence[int], found: Fit, noise: Array | None = None) -> Reduction:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.discrepancy.acceptance import (
     NAMED_ALONE,
@@ -97,9 +98,18 @@ class Accepted:
         return tuple(self.regression.candidates[index].name for index in self.chosen)
 
 
-def search(flights: Sequence[Compared], candidates: Sequence[Candidate], seed: int) -> Found:
-    """Search flights, at least two, for candidates; the seed is that of the calibration of the threshold."""
-    regression = Regression.of(flights, candidates)
+def search(
+    flights: Sequence[Compared], candidates: Sequence[Candidate], seed: int, held: npt.NDArray[np.bool_]
+) -> Found:
+    """Search flights for candidates.
+
+    Args:
+        flights: at least two, beside their simulation.
+        candidates: effects to look for.
+        seed: seed of the calibration of the threshold.
+        held: see :meth:`Regression.of`.
+    """
+    regression = Regression.of(flights, candidates, held)
     threshold = _calibrated_threshold(regression, seed)
     none = _require(regression.fit(()))
     accepted = Accepted(settled(regression), (), none)

@@ -199,7 +199,7 @@ def discover(
     sought = [candidate for candidate in known if candidate.name not in inside]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
-        found = search(compared, sought, seed)
+        found = search(compared, sought, seed, held)
     rows = sum(len(band) for band in found.regression.columns.bands)
     left = np.where(held, 0.0, predictable(found.left.gain, rows))
     named = np.maximum(found.named, 0.0)

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from quadpi_core.discrepancy.by_condition import Range, locate
 from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.effect_regression import NONE_HELD
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.residual_bins import (
     Cells,
@@ -26,7 +27,7 @@ NOISE = np.array([0.03, 0.03, 0.03, 3e-3, 3e-3, 3e-3])
 
 def searched(simulation, flights, names=SOUGHT):
     compared = [Compared(flight, simulation) for flight in flights]
-    return search(compared, candidates(simulation.vehicle, names), seed=0)
+    return search(compared, candidates(simulation.vehicle, names), 0, NONE_HELD)
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.effect_regression import NoiseWeighting, Regression, refined, settled
+from quadpi_core.discrepancy.effect_regression import NONE_HELD, NoiseWeighting, Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.whitening import band_means
+from quadpi_core.flight import AXES
 
 WIND = np.array([0.8, -0.5, 0.0])
 
@@ -102,11 +103,51 @@ def test_twice_the_noise_is_half_the_weight(regression):
     np.testing.assert_allclose(louder.weighting.per_flight.sum(axis=0), louder.gram)
 
 
+@pytest.fixture(scope="module")
+def forces_alone(regression):
+    """The same flights beside a simulation whose own intervals hold the moments."""
+    held = np.array([axis.startswith("M") for axis in AXES])
+    return Regression.of(regression.flights, regression.candidates, held)
+
+
+def test_axes_that_the_simulation_holds_have_no_weight(forces_alone):
+    whole = forces_alone.weighting.precision[3:]
+    assert not whole.any()
+    for place, band in enumerate(forces_alone.columns.bands):
+        rows = forces_alone.columns.rows(place, np.arange(forces_alone.columns.width))[:3]
+        rows = rows / np.sqrt(forces_alone.noise[:3, band])[:, :, None]
+        expected = np.einsum("abk,abl->kl", rows, rows)
+        np.testing.assert_allclose(
+            forces_alone.weighting.per_flight[place], expected, atol=1e-9 * np.abs(expected).max()
+        )
+    assert forces_alone.moved({}).weighted(forces_alone.noise).weighting.held.sum() == 3
+
+
+def test_what_no_axis_tells_moves_no_coefficient(forces_alone, drag):
+    """The moments would tell the moments of inertia, but are known no better than they agree."""
+    columns = forces_alone.columns
+    values = dict(zip(columns.tolerance_names, forces_alone.fit((drag,)).of(columns.tolerances), strict=True))
+    assert abs(values["inertia.x_change"]) < 1e-9
+    assert abs(values["thrust"]) > 1e-3
+
+
+def test_what_is_left_of_axes_without_weight_is_no_noise(forces_alone, drag, monkeypatch):
+    """Nothing was fitted to them."""
+    fit = forces_alone.fit((drag,))
+    before = forces_alone.beside((drag,), fit).noise
+    monkeypatch.setattr(
+        Regression, "left", lambda own, _: [np.full((6, len(b)), 9e9) for b in own.columns.bands]
+    )
+    louder = forces_alone.beside((drag,), fit).noise / before
+    assert louder[:3].max() > 1.0
+    np.testing.assert_allclose(louder[3:], 1.0)
+
+
 def test_a_gram_matrix_grows_with_the_columns(regression, drag):
     """As if it had been made of all columns at once."""
     moved = regression.moved({drag: np.array([0.005, 0.009, 0.006])})
     assert moved.columns.width > regression.columns.width
-    whole = NoiseWeighting.of(moved.columns, regression.noise)
+    whole = NoiseWeighting.of(moved.columns, regression.noise, NONE_HELD)
     scale = np.abs(whole.gram).max()
     np.testing.assert_allclose(moved.gram, whole.gram, atol=1e-9 * scale)
 
