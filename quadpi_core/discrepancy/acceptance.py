@@ -382,6 +382,36 @@ def judge_coefficients(multiples: Mapping[str, float], shares: Mapping[str, floa
     return _verdict(FAR_COEFFICIENT, "coefficients", off, passed, sentence)
 
 
+def allowed_squares(count: int) -> float:
+    """Sum of squares of coefficients, in tolerances, as unlikely as one at `FAR_COEFFICIENT`."""
+    return float(chi2.isf(chi2.sf(FAR_COEFFICIENT.value**2, 1), count)) if count else 0.0
+
+
+def judge_coefficients_together(squares: float, count: int, share: float) -> Verdict:
+    """Whether coefficients are together as near their stated values as a single one has to be.
+
+    Many that are each wrong by three or four tolerances are as unlikely as one that is wrong by more than
+    `FAR_COEFFICIENT`.
+
+    Args:
+        squares: sum of the squares of what they are wrong by, in their tolerances.
+        count: number of coefficients.
+        share: squares that their part beyond what is allowed explains, of those and the squares that the
+            named effects explain.
+    """
+    allowed = allowed_squares(count)
+    off, most = (float(np.sqrt(value / max(count, 1))) for value in (squares, allowed))
+    far = squares > allowed
+    sentence = (
+        f"{count} coefficients would be wrong by {off:.1f} of their tolerances, root mean square, "
+        f"{most:.1f} allowed"
+    )
+    if far and share <= UNEXPLAINED.value:
+        sentence += f", but explain no more than {_percent(share)} by that"
+    passed = not far or share <= UNEXPLAINED.value
+    return Verdict("coefficients together", passed, off, most, "tolerances", sentence)
+
+
 def judge_colour(colour: Array, shares: Array, axes: Sequence[str]) -> Verdict:
     """Whether no axis has much noise that is slower than that of sensors.
 

@@ -3,8 +3,9 @@
 """Why the result of a search is not believed, so that the verdict is "unknown".
 
 A search can only choose among the effects of its library. What is missing may be something else, which then
-shows in one of four ways: a residual that other flights predict; noise that no sensor has; a coefficient that
-moves far beyond its tolerance; or effects that do not close the gap, or whose parameters may be zero.
+shows in one of four ways: a residual that other flights predict; noise that no sensor has; coefficients that
+move, alone or together, far beyond their tolerances; or effects that do not close the gap, or whose parameters
+may be zero.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import numpy.typing as npt
 from quadpi_core.discrepancy.acceptance import (
     FAR_COEFFICIENT,
     Verdict,
+    allowed_squares,
     judge_closed,
     judge_coefficients,
+    judge_coefficients_together,
     judge_colour,
     judge_disputed,
     judge_diverged,
@@ -60,7 +63,7 @@ def checks(
     named = _named(found, sensors)
     verdicts = [
         judge_unexplained(unexplained, axis),
-        _coefficients(found, sensors, named),
+        *_coefficients(found, sensors, named),
         _noise(found, sensors, named),
     ]
     if effects:
@@ -91,8 +94,8 @@ def may_be_zero(effect: FoundEffect) -> bool:
     return all(parameter.lower < 0.0 < parameter.upper for parameter in estimated) and bool(estimated)
 
 
-def _coefficients(found: Found, sensors: Array, named: float) -> Verdict:
-    """Whether coefficients explain little beyond what they may, beside the named effects."""
+def _coefficients(found: Found, sensors: Array, named: float) -> tuple[Verdict, Verdict]:
+    """Whether coefficients, each and together, explain little beyond what they may beside the effects."""
     regression = found.regression
     columns = regression.columns
     own_tolerance = {
@@ -100,17 +103,25 @@ def _coefficients(found: Found, sensors: Array, named: float) -> Verdict:
     }
     # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
     moved = {regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
-    multiples, shares = {}, {}
-    values = found.fit.of(columns.tolerances)
-    for name, index, value in zip(columns.tolerance_names, columns.tolerances, values, strict=True):
-        if abs(value) <= FAR_COEFFICIENT.value or own_tolerance.get(name) in moved:
-            continue
+    judged = [own_tolerance.get(name) not in moved for name in columns.tolerance_names]
+    values = np.where(judged, found.fit.of(columns.tolerances), 0.0)
+
+    def share(beyond: Array) -> float:
+        """Squares that parts of coefficients explain, of those and the squares of the named effects."""
         weights = np.zeros(columns.width)
-        weights[index] = np.abs(value) - FAR_COEFFICIENT.value
-        multiples[name] = float(value)
-        beyond = float(np.sum(columns.squares(weights) / sensors))
-        shares[name] = beyond / max(named + beyond, 1.0)
-    return judge_coefficients(multiples, shares)
+        weights[columns.tolerances] = beyond
+        explained = float(np.sum(columns.squares(weights) / sensors))
+        return explained / max(named + explained, 1.0)
+
+    excess, names = np.maximum(np.abs(values) - FAR_COEFFICIENT.value, 0.0), columns.tolerance_names
+    far = np.flatnonzero(excess)
+    each = judge_coefficients(
+        {names[index]: float(values[index]) for index in far},
+        {names[index]: share(np.diag(excess)[index]) for index in far},
+    )
+    squares, allowed = float(values @ values), allowed_squares(sum(judged))
+    beyond = 1.0 - np.sqrt(min(1.0, allowed / squares)) if squares > 0.0 else 0.0
+    return each, judge_coefficients_together(squares, sum(judged), share(beyond * values))
 
 
 def _noise(found: Found, sensors: Array, named: float) -> Verdict:

@@ -11,6 +11,7 @@ from quadpi_core.discrepancy.acceptance import (
     evidence_threshold,
     judge_closed,
     judge_coefficients,
+    judge_coefficients_together,
     judge_colour,
     judge_left_out,
     judge_rollouts,
@@ -60,6 +61,20 @@ def test_sentences_of_tests_that_hold_are_true():
         "roll-outs of flights left out do not get worse"
     )
     assert judge_closed(-4.35).sentence == "the gap of flights left out grows by 435 %"
+
+
+def test_coefficients_together_are_judged_as_one_alone():
+    assert judge_coefficients_together(24.9, 1, 1.0).passed
+    assert not judge_coefficients_together(25.1, 1, 1.0).passed
+    # Of thirty, each may be wrong by 1.67 tolerances.
+    assert judge_coefficients_together(30 * 1.66**2, 30, 1.0).passed
+    far = judge_coefficients_together(30 * 1.68**2, 30, 1.0)
+    assert not far.passed
+    assert far.sentence.endswith("wrong by 1.7 of their tolerances, root mean square, 1.7 allowed")
+    little = judge_coefficients_together(270.0, 30, 0.02)
+    assert little.passed
+    assert little.sentence.endswith("but explain no more than 2 % by that")
+    assert judge_coefficients_together(0.0, 0, 0.0).passed
 
 
 def test_candidates_without_draws_need_the_least_evidence():

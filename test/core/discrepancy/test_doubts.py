@@ -66,6 +66,21 @@ def test_a_coefficient_far_beyond_its_tolerance_stands_for_something_else(simula
     assert sentence.startswith("thrust would be wrong by ")
 
 
+def test_many_coefficients_near_their_limit_stand_for_something_else(found):
+    """None of them is far by itself."""
+    own = found.discovery.found
+    tolerances = own.regression.columns.tolerances
+    left = own.fit.left.copy()
+    left[tolerances] -= np.where(np.arange(len(tolerances)) % 2, 4.0, -4.0)
+    moved = (own.fit.columns[:, None] == tolerances).any(axis=1)
+    coefficients = np.where(moved, 4.0, own.fit.coefficients)
+    fit = own.fit._replace(coefficients=coefficients, left=left)
+    (sentence,) = doubted(found, found=replace(own, fit=fit))
+    assert sentence.startswith(f"{len(tolerances)} coefficients would be wrong by 4.0 of their tolerances")
+    # Axes that the simulation's own intervals hold raise no doubt.
+    assert doubted(found, found=replace(own, fit=fit), held=np.ones(6, dtype=bool)) == ()
+
+
 def test_an_effect_has_to_close_the_gap(found):
     (sentence,) = doubted(found, gap=found.discovery.gap._replace(reduction=0.2))
     assert sentence == "20 % of the gap is closed, 50 % needed"
