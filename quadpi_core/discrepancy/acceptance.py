@@ -461,6 +461,8 @@ def judge_rollouts(before: Mapping[str, float], after: Mapping[str, float]) -> V
     worse = most > WORSE_ROLLOUTS.value
     told = "get worse with it" if worse else "do not get worse with it"
     sentence = f"roll-outs of flights left out {told}" + (f": {name} {change}" if name else "")
+    if not before:
+        sentence = "no roll-out of flights left out can be compared"
     return _verdict(WORSE_ROLLOUTS, "roll-outs", most, most <= WORSE_ROLLOUTS.value, sentence)
 
 

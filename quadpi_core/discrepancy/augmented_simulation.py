@@ -339,7 +339,7 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
 
     For a vehicle file it is a vehicle file of the same name with `simulation.effects`; for any other
     simulation an `addition.json` that refers to it and loads in its place. Without effects, and with those
-    that make simulations of flights left out worse, nothing is written.
+    that flights left out do not support, nothing is written.
 
     Args:
         discovery: result of the search.

@@ -81,7 +81,8 @@ class Discovery:
         candidates: every candidate with its evidence, best first.
         adjusted: whether coefficients are moved with the effects, where flights left out are simulated better
             so.
-        rejected: whether flights left out are simulated worse with the effects, so that nothing is added.
+        rejected: whether flights left out do not support the effects, so that nothing is added: they are
+            simulated worse, or the verdict is "unknown" and no roll-out compares.
     """
 
     verdict: str

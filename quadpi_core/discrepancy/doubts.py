@@ -73,19 +73,26 @@ def checks(
 
 
 def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
-    """The discovery, rejected where flights left out, or roll-outs of them, get worse with its effects."""
+    """The discovery, rejected unless flights left out support its effects.
+
+    Their gap must not grow, and their roll-outs must get no worse, one by one or by those that diverge. A
+    verdict "unknown" needs roll-outs that compare: where all diverge, nothing is left that speaks for it.
+    """
     errors = {ERROR_NAMES[name]: error for name, error in rollouts.errors.items()}
     verdict = judge_rollouts(
         {name: error.before for name, error in errors.items()},
         {name: error.after for name, error in errors.items()},
     )
     lost = {when: rollouts.lost.get(when, 0) for when in ("before", "after")}
-    judged = (*discovery.checks, verdict, judge_diverged(lost["before"], lost["after"]))
-    discovery = replace(discovery, checks=judged)
-    if all(own.passed for own in judged[-2:]) and discovery.gap.reduction >= 0.0:
-        return discovery
+    judged = (verdict, judge_diverged(lost["before"], lost["after"]))
     # A gap that grows fails the test of the closed share already.
-    return replace(discovery, verdict="unknown", rejected=True)
+    worse = discovery.gap.reduction < 0.0 or not all(own.passed for own in judged)
+    return replace(
+        discovery,
+        checks=(*discovery.checks, *judged),
+        verdict="unknown" if worse else discovery.verdict,
+        rejected=worse or (discovery.verdict == "unknown" and not errors),
+    )
 
 
 def may_be_zero(effect: FoundEffect) -> bool:

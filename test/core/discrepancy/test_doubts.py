@@ -141,6 +141,21 @@ def test_what_makes_roll_outs_worse_is_not_added(found, tmp_path, rollouts, reas
     assert not list(tmp_path.iterdir())
 
 
+def diverged(before, after):
+    """Roll-outs that all diverge without the effects, and so compare nothing."""
+    return Rollouts(0.5, 0, {}, {"before": before, "after": after, "floor": 0})
+
+
+def test_roll_outs_that_all_diverge_support_no_doubtful_effect(found, tmp_path):
+    """Without doubts, flights left out a step ahead are enough."""
+    doubtful = replace(found.discovery, verdict="unknown")
+    assert write_addition(judged_by_rollouts(doubtful, diverged(209, 0)), tmp_path) == []
+    kept = judged_by_rollouts(found.discovery, diverged(209, 0))
+    assert kept.verdict == "effects"
+    assert "no roll-out of flights left out can be compared" in [check.sentence for check in kept.checks]
+    assert write_addition(kept, tmp_path)
+
+
 def test_what_makes_flights_left_out_worse_is_not_added(found, tmp_path):
     grown = replace(found.discovery, gap=found.discovery.gap._replace(reduction=-3.0))
     assert write_addition(judged_by_rollouts(grown, rolled_out(after=9.0)), tmp_path) == []
