@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation
+from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.version import __version__
 

@@ -4,8 +4,8 @@
 
 A search can only choose among the effects of its library. What is missing may be something else, which then
 shows in one of four ways: a residual that other flights predict; noise that no sensor has; coefficients that
-move, alone or together, far beyond their tolerances; or effects that do not close the gap, or whose parameters
-may be zero.
+move, alone or together, far beyond their tolerances; or effects that do not close the gap, or whose
+parameters may be zero.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.discrepancy.acceptance import (
+from quadpi_core.discrepancy.closure import Gap
+from quadpi_core.discrepancy.discrepancy_result import ERROR_NAMES, Discovery, FoundEffect, Rollouts
+from quadpi_core.discrepancy.result_verdicts import (
     FAR_COEFFICIENT,
-    Verdict,
     allowed_squares,
     judge_closed,
     judge_coefficients,
@@ -30,10 +31,9 @@ from quadpi_core.discrepancy.acceptance import (
     judge_rollouts,
     judge_unexplained,
 )
-from quadpi_core.discrepancy.closure import Gap
-from quadpi_core.discrepancy.discrepancy_result import ERROR_NAMES, Discovery, FoundEffect, Rollouts
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.unexplained import slow_state_noise
+from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_registry import EFFECTS

@@ -11,13 +11,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from quadpi_core.discrepancy.acceptance import (
-    LEAST_EVIDENCE,
-    judge_closed,
-    predictable,
-    unexplained_axis,
-    unexplained_share,
-)
+from quadpi_core.discrepancy.acceptance import LEAST_EVIDENCE
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -32,6 +26,12 @@ from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.ranked_evidence import ranked_candidates
 from quadpi_core.discrepancy.reflight import reflights
+from quadpi_core.discrepancy.result_verdicts import (
+    judge_closed,
+    predictable,
+    unexplained_axis,
+    unexplained_share,
+)
 from quadpi_core.discrepancy.search import Found, search
 from quadpi_core.discrepancy.simulations import Simulation, airspeed
 from quadpi_core.discrepancy.unexplained import within_intervals

@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 
 from quadpi_core.discrepancy.acceptance import (
-    Verdict,
     judge_difference,
     judge_evidence,
     judge_left_out,
@@ -27,6 +26,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.effect_regression import Regression, refined
 from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.frames import Array
 
 

@@ -18,7 +18,7 @@ from latex2mathml.converter import convert as mathml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from quadpi_core.discrepancy.acceptance import CLOSED, Judgement
+from quadpi_core.discrepancy.acceptance import Judgement
 from quadpi_core.discrepancy.discrepancy_result import (
     ERROR_NAMES,
     Discovery,
@@ -27,6 +27,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Study,
 )
 from quadpi_core.discrepancy.ranked_evidence import LEAST_ABOVE_FLOOR
+from quadpi_core.discrepancy.result_verdicts import CLOSED
 from quadpi_core.flight import AXES
 from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.discrepancy_evidence import (

@@ -17,7 +17,7 @@ import pytest
 from scipy.stats import chi2
 
 from quadpi_core import discrepancy, screening, simulation
-from quadpi_core.discrepancy import acceptance, residual_bins, study, unexplained, whitening
+from quadpi_core.discrepancy import acceptance, residual_bins, result_verdicts, study, unexplained, whitening
 from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, judge_loudness, judge_size
 from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
 from quadpi_core.discrepancy.by_condition import Range, holding_bulk
@@ -65,7 +65,7 @@ def beside(gain, *, energy=1e6, law=False, beside_law=False, scales=False):
 
 
 def share(left, named, rows):
-    return acceptance.unexplained_share(left, named, rows)
+    return result_verdicts.unexplained_share(left, named, rows)
 
 
 def refused(error: type[Exception], action: Callable[[], Any]) -> bool:
@@ -393,23 +393,27 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "FEW_FLIGHTS": (4.0, lambda x: judge_left_out(SQUARES, 9.0 * SQUARES, x).passed),
     "NAMED_ALONE": (4.6, lambda x: x < acceptance.rival_margin(0.0)),
     "ALIKE": (0.1, lambda x: 1000.0 * x < acceptance.rival_margin(1000.0)),
-    "PREDICTABLE": (0.3, lambda x: acceptance.predictable(first_axis(100.0 * x), 100).any()),
+    "PREDICTABLE": (0.3, lambda x: result_verdicts.predictable(first_axis(100.0 * x), 100).any()),
     "LOUD_AXIS": (0.8, lambda x: share(first_axis(100.0 * x), first_axis(9.0, 1e6), 100) > 0.5),
     "PART_OF_AXIS": (0.2, lambda x: share(first_axis(1e3 * x), first_axis(1e3, 1e9), 1) > 0.1),
-    "UNEXPLAINED": (0.05, lambda x: acceptance.judge_unexplained(x).passed),
+    "UNEXPLAINED": (0.05, lambda x: result_verdicts.judge_unexplained(x).passed),
     "DIFFERENT": (0.95, lambda x: acceptance.judge_difference(float(chi2.ppf(x, 2)), 2).passed),
     "FAR_COEFFICIENT": (
         5.0,
-        lambda x: acceptance.judge_coefficients({"near": 1.0, "far": -x}, {"near": 1.0, "far": 1.0}).passed,
+        lambda x: (
+            result_verdicts.judge_coefficients({"near": 1.0, "far": -x}, {"near": 1.0, "far": 1.0}).passed
+        ),
     ),
-    "COLOURED": (12.0, lambda x: acceptance.judge_colour(np.full(6, x), np.ones(6), AXES).passed),
+    "COLOURED": (12.0, lambda x: result_verdicts.judge_colour(np.full(6, x), np.ones(6), AXES).passed),
     "WORSE_ROLLOUTS": (
         0.02,
         lambda x: (
-            acceptance.judge_rollouts({"rates": 1.0, "none": 0.0}, {"rates": 1.0 + x, "none": 1.0}).passed
+            result_verdicts.judge_rollouts(
+                {"rates": 1.0, "none": 0.0}, {"rates": 1.0 + x, "none": 1.0}
+            ).passed
         ),
     ),
-    "CLOSED": (0.5, lambda x: acceptance.judge_closed(x).passed),
+    "CLOSED": (0.5, lambda x: result_verdicts.judge_closed(x).passed),
     # The others of the room, file by file.
     "LOST": (2.0, no_loss),
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),

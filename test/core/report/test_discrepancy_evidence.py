@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import pytest
 
-from quadpi_core.discrepancy.acceptance import (
+from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
+from quadpi_core.discrepancy.result_verdicts import (
     judge_closed,
     judge_coefficients,
     judge_disputed,
     judge_rollouts,
     judge_unexplained,
 )
-from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
 from quadpi_core.discrepancy.trial import ACCEPTANCE_TESTS
 from quadpi_core.report.discrepancy_evidence import (
     amount,
