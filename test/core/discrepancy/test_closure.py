@@ -11,6 +11,7 @@ from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.effect_regression import Regression, settled
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.flight import AXES
 from quadpi_core.simulation.applied_effects import effect_wrench
 
 DRAG = {"x_n_s2_m2": 0.006, "y_n_s2_m2": 0.006, "z_n_s2_m2": 0.006}
@@ -77,6 +78,16 @@ def test_without_effects_the_gap_stays(found):
     assert gap.reduction == 0.0
     law, whole = bare.fits()
     assert law is whole
+
+
+def test_axes_that_the_simulation_holds_are_not_judged_on_flights_left_out(closing):
+    """In the gap they count as all others."""
+    regression, held = closing.regression, np.array([axis.startswith("M") for axis in AXES])
+    forces = Regression.of(regression.flights, regression.candidates, held)
+    squares = Closing.by_laws(forces, closing.chosen).left_out_squares()
+    assert np.all(squares[:3] > 0.0)
+    assert not squares[3:].any()
+    assert np.all(Closing.by_laws(forces, closing.chosen).gap().floor > 0.0)
 
 
 def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
