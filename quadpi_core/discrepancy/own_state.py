@@ -37,11 +37,11 @@ INDEPENDENT_HZ = Threshold(
 )
 # Rate [Hz] at which the state is followed while its start is sought, several tens of samples in a swing.
 _RATE_HZ = 62.5
-_ITERATIONS, _HALVINGS = 10, 5
+_ITERATIONS, _HALVINGS = 15, 5
 # Instead of a division by zero.
 _TINY = 1e-30
 # Iterations end when the state moves by less than this share of its prior deviation.
-_SMALL = 1e-3
+_SMALL = 1e-5
 # Of the state, in prior deviations: a step for derivatives, and the longest of an iteration.
 _STEP, _LONGEST = 1e-4, 1.0
 # Least and first size of the contribution while the state is sought, in sizes of the residual: without a
