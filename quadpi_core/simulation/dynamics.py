@@ -226,6 +226,8 @@ def _differentiate(
         state.memory[number] = motion.memory[number]
         state.memory_slope[number] = 0.0
     aerodynamics(state, vehicle, numbers.aerodynamics)
+    for axis in range(6):
+        state.aerodynamics[axis] = state.wrench[axis]
     effects(state, vehicle, numbers.effects)
     for number in range(MEMORY):
         slope.memory[number] = state.memory_slope[number]

@@ -158,6 +158,7 @@ class SimulatedAerodynamics(ABC):
                 raise SimulationError(f"{name}: holds values that are not finite")
             states[name] = values
         apply_to_all(states, self.record(), self.function, self.numbers)
+        states["aerodynamics"] = states["wrench"]
         return states
 
 

@@ -32,6 +32,7 @@ class State:
         hub_velocity: m/s of each rotor's hub relative to the air, body axes.
         thrusts: N of each rotor along -z, of the aerodynamics alone.
         torques: Nm of each rotor on the body about z, of the aerodynamics alone.
+        aerodynamics: N and Nm of the aerodynamics alone.
         wrench: N and Nm of the aerodynamics and of the effects applied so far.
         force_is_measured: 1 where the force of `wrench` is the measured one, which every effect is already
             part of; else 0.
@@ -48,6 +49,7 @@ class State:
     hub_velocity: Annotated[Array, 4, 3]
     thrusts: Annotated[Array, 4]
     torques: Annotated[Array, 4]
+    aerodynamics: Annotated[Array, 6]
     wrench: Annotated[Array, 6]
     force_is_measured: float
     memory: Annotated[Array, MEMORY]

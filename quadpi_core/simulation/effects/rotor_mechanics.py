@@ -67,23 +67,22 @@ def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 
 @effect(
     "wrench",
-    "Fz Mx My Mz",
+    "Fx Fy Fz Mx My Mz",
     Parameter("change", "", 0.1, -0.9, 1.0),
     shown_by="roll and pitch pulses, throttle steps",
     scales_existing=True,
-    formula=r"\Delta T_i = k\,T_i,\quad \Delta Q_i = k\,Q_i",
+    formula=r"\Delta (F,\ M) = k\,(F,\ M)_{\mathrm{aerodynamic}}",
     symbols="k",
 )
 @njit(cache=True)
-def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
-    """Another thrust and torque coefficient of all rotors, or another air density.
+def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
+    """Another air density, or other blades: thrust, torque and drag grow together.
 
-    T_i and the torque of rotor i grow by the share k. Size: 10 %.
+    All aerodynamic forces and moments grow by the share k: they are in proportion to the density, and those
+    of a rotor to the lift of its blades. Size: 10 %.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        wrench = _with_shares(wrench, state, vehicle, rotor, p[0], p[0])
-    return wrench
+    f = state.aerodynamics
+    return p[0] * f[0], p[0] * f[1], p[0] * f[2], p[0] * f[3], p[0] * f[4], p[0] * f[5]
 
 
 @effect(

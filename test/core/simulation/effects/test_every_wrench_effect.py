@@ -124,7 +124,6 @@ def test_does_no_work(name, states, record):
         "ground_effect",
         "ceiling_effect",
         "gyroscopic",
-        "thrust_coefficient",
         "rotor_tilt",
         "weak_rotor",
     ],
@@ -133,6 +132,13 @@ def test_rotors_at_rest_do_nothing(name, degenerate_states, record):
     at_rest = degenerate_states[np.all(degenerate_states["rotor_speeds"] == 0.0, axis=1)]
     assert len(at_rest) > 0
     assert np.all(effect_wrench(name, typical(name), at_rest, record) == 0.0)
+
+
+def test_a_denser_air_drags_the_airframe_of_rotors_at_rest_too(degenerate_states, record):
+    at_rest = degenerate_states[np.all(degenerate_states["rotor_speeds"] == 0.0, axis=1)]
+    added = effect_wrench("thrust_coefficient", {"change": 0.1}, at_rest, record)
+    np.testing.assert_allclose(added, 0.1 * at_rest["aerodynamics"])
+    assert np.any(added != 0.0)
 
 
 SIZES = {

@@ -28,14 +28,33 @@ def test_the_body_gets_the_momentum_that_the_rotors_lose(states, added, model):
     np.testing.assert_allclose(added("spin_up", states)[:, 5], -change, atol=1e-9)
 
 
-def test_another_coefficient_is_that_of_every_rotor(states, added):
+def test_another_air_density_is_a_share_of_all_aerodynamics(states, added):
+    """Whatever else acts on the vehicle, such as another effect or a measured force."""
     whole = added("thrust_coefficient", states, change=0.2)
+    np.testing.assert_allclose(whole, 0.2 * states["aerodynamics"])
+    pushed = states.copy()
+    pushed["wrench"] += 3.0
+    pushed["force_is_measured"] = 1.0
+    np.testing.assert_array_equal(added("thrust_coefficient", pushed, change=0.2), whole)
+
+
+def test_coefficients_of_rotors_add_up_to_thrust_and_torque(states, added):
     names = [f"{name}_change" for name in ("first", "second", "third", "fourth")]
-    np.testing.assert_allclose(added("rotor_thrusts", states, **dict.fromkeys(names, 0.2)), whole)
+    whole = added("rotor_thrusts", states, **dict.fromkeys(names, 0.2))
     np.testing.assert_allclose(whole[:, 2], -0.2 * states["thrusts"].sum(axis=1))
     np.testing.assert_allclose(whole[:, 5], 0.2 * states["torques"].sum(axis=1), atol=1e-15)
     alone = sum(added("rotor_thrusts", states, **(dict.fromkeys(names, 0.0) | {name: 0.2})) for name in names)
     np.testing.assert_allclose(alone, whole, atol=1e-12)
+
+
+def test_rotors_in_still_air_are_all_that_is_denser_there(hover, added):
+    """Without airspeed and rates nothing but thrust and torque is in proportion to the density."""
+    names = [f"{name}_change" for name in ("first", "second", "third", "fourth")]
+    state = hover()
+    denser = added("thrust_coefficient", state, change=0.2)
+    np.testing.assert_allclose(
+        denser, added("rotor_thrusts", state, **dict.fromkeys(names, 0.2)), rtol=1e-9, atol=1e-12
+    )
 
 
 def test_one_weak_rotor_moves_all_axes_it_should(hover, added, model):
