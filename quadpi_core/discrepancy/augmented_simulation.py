@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -112,9 +112,25 @@ class AugmentedSimulation(Simulation):
         wrench = self._physics(flight)["wrench"]
         if not self._of("sensor"):
             return wrench
-        seen = predicted_flight(flight, self.physical)
+        known = self.knowing(flight)
+        seen = predicted_flight(flight, known.physical)
         corrected = self.corrected(seen)
-        return wrench + self._left(seen) - self._left(corrected)
+        return wrench + known._left(seen) - known._left(corrected)
+
+    def learned(self, flights: Sequence[tuple[Flight, Flight]]) -> AugmentedSimulation:
+        """See :class:`Simulation`; the base with what flights tell of it."""
+        return replace(self, base=self.base.learned(flights))
+
+    def knowing(self, flight: Flight) -> AugmentedSimulation:
+        """See :class:`Simulation`; the base."""
+        base = self.base.knowing(flight)
+        return self if base is self.base else replace(self, base=base)
+
+    def explained(self, flight: Flight) -> Array:
+        """See :class:`Simulation`; the base's part without noise."""
+        if not self.own_inputs:
+            return self.wrench(flight)
+        return self.wrench(flight) - self.base.wrench(flight) + self.base.explained(flight)
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; with the effects in the wrench."""
@@ -163,11 +179,15 @@ class AugmentedSimulation(Simulation):
 
     def _physics(self, flight: Flight) -> npt.NDArray[np.void]:
         """Records STATE (N,) with the wrench of the base and all effects except those on sensors."""
-        flight = self._in_wind(flight)
-        states = self.base.states(flight)
+        base, moved = self.base.knowing(flight), self._in_wind(flight)
+        states = base.states(moved)
+        if self.own_inputs and self._of("wind"):
+            # What was recorded is of the wind as it was known.
+            states["wrench"] += base.explained(moved) - base.explained(flight)
+        flight = moved
         if self.adjusted:
-            for name, wrench in self.base.uncertain(flight):
-                states["wrench"] += self.adjusted.get(name, 0.0) * wrench
+            for column in base.uncertain(flight):
+                states["wrench"] += self.adjusted.get(column.name, 0.0) * column.wrench
         record = self.record()
         for effect in self._of("wrench"):
             own = self._remembering(effect, flight, states) if effect.at_rest else states
@@ -203,6 +223,8 @@ class AugmentedSimulation(Simulation):
     def _left(self, flight: Flight) -> Array:
         """Measured less simulated wrench (N, 6), without the effects on sensors."""
         left: Array = measured_wrench(flight, self.vehicle) - self._physics(flight)["wrench"]
+        if self.own_inputs:
+            left += self.base.wrench(flight) - self.base.explained(flight)
         return left
 
     def _in_wind(self, flight: Flight) -> Flight:

@@ -32,14 +32,30 @@ class Gap(NamedTuple):
     Attributes:
         before, after: (6,) difference of measured and simulated wrench, after with the effects fitted on all
             other flights.
-        floor: (6,) noise, which no simulation can close.
-        reduction: closed share of the removable gap, all axes in units of their noise.
+        floor: (6,) noise of sensors and states, or what the simulation states that it may err by.
+        reduction: closed share of the removable gap, in units of the noise of each axis, of all axes but
+            those that the simulation's own intervals hold.
     """
 
     before: Array
     after: Array
     floor: Array
     reduction: float
+
+    @property
+    def removable(self) -> Array:
+        """Squares (6,) before, in those of the floor beyond it."""
+        return _beyond(self.before, self.floor)
+
+    @property
+    def kept(self) -> Array:
+        """Squares (6,) after, in those of the floor beyond it."""
+        return _beyond(self.after, self.floor)
+
+
+def _beyond(error: Array, floor: Array) -> Array:
+    beyond: Array = np.maximum(np.square(error / floor) - 1.0, 0.0)
+    return beyond
 
 
 @dataclass(frozen=True)
@@ -157,15 +173,17 @@ class Closing:
             squares += np.sum(left * regression.weighting.precision[:, band], axis=1)
         return squares
 
-    def gap(self, *, adjusted: bool = True) -> Gap:
+    def gap(self, noise: Array, stated: Array, *, adjusted: bool = True) -> Gap:
         """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
 
         Coefficients alone are not fitted: without the missing effect they would exceed their tolerances.
 
         Args:
+            noise: (6, C) variance in C bands, which no simulation can close.
+            stated: (6,) mean squares that are no gap either, as the simulation states that it errs by them.
             adjusted: whether coefficients are moved as fitted, or stay as they are stated.
         """
-        columns, noise = self.regression.columns, self.regression.noise
+        columns = self.regression.columns
         before, after, floor = np.zeros(len(AXES)), np.zeros(len(AXES)), np.zeros(len(AXES))
         samples = 0
         unchanged = residual_weights(1, ())
@@ -177,14 +195,12 @@ class Closing:
             after += np.square(columns.combined(place, left)).sum(axis=1)
             floor += noise[:, columns.bands[place]].sum(axis=1)
             samples += len(columns.flights[place].thinned)
-        removable = np.sum(np.maximum(before - floor, 0.0) / floor)
-        kept = np.sum(np.maximum(after - floor, 0.0) / floor)
-        return Gap(
-            before=np.sqrt(before / samples),
-            after=np.sqrt(after / samples),
-            floor=np.sqrt(floor / samples),
-            reduction=float(1.0 - kept / removable) if removable > 0.0 else 0.0,
-        )
+        floor = np.maximum(floor, stated * samples)
+        before, after, floor = (np.sqrt(squares / samples) for squares in (before, after, floor))
+        gap = Gap(before, after, floor, reduction=0.0)
+        counted = ~self.regression.weighting.held
+        removable, kept = float(gap.removable[counted].sum()), float(gap.kept[counted].sum())
+        return gap._replace(reduction=1.0 - kept / removable if removable > 0.0 else 0.0)
 
     def shape(self, index: int, law: Fit, found: Fit) -> dict[str, float]:
         """Parameters of `effect_definition.SHAPE` by which the flights shape the law of a candidate.

@@ -32,7 +32,7 @@ from quadpi_core.discrepancy.result_verdicts import (
     judge_unexplained,
 )
 from quadpi_core.discrepancy.search import Found
-from quadpi_core.discrepancy.unexplained import slow_state_noise
+from quadpi_core.discrepancy.uncertain_parts import of_coefficient
 from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -58,7 +58,7 @@ def checks(
             noise in them is doubted.
         axis: the axis that `unexplained` is of; empty for all together.
     """
-    sensors = found.left.noise[:, -1] + slow_state_noise(found.regression.flights)
+    sensors = found.sensors
     sensors[held] = np.inf
     named = _named(found, sensors)
     verdicts = [
@@ -110,20 +110,27 @@ def _coefficients(found: Found, sensors: Array, named: float) -> tuple[Verdict, 
     }
     # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
     moved = {regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
-    judged = [own_tolerance.get(name) not in moved for name in columns.tolerance_names]
+    names = columns.tolerance_names
+    judged = [own_tolerance.get(name) not in moved for name in names]
     values = np.where(judged, found.fit.of(columns.tolerances), 0.0)
 
     def share(beyond: Array) -> float:
         """Squares that parts of coefficients explain, of those and the squares of the named effects."""
         weights = np.zeros(columns.width)
         weights[columns.tolerances] = beyond
-        explained = float(np.sum(columns.squares(weights) / sensors))
+        explained = float(np.sum(columns.squares(weights, sensors)))
         return explained / max(named + explained, 1.0)
 
-    excess, names = np.maximum(np.abs(values) - FAR_COEFFICIENT.value, 0.0), columns.tolerance_names
+    off, own = values.copy(), np.ones(len(values))
+    for index, law in enumerate(columns.tolerance_laws):
+        if law:
+            shared = names.index(law)
+            off[index], own[index] = of_coefficient(values[index], values[shared]), of_coefficient(1.0, 0.0)
+            off[shared] = 0.0
+    excess = np.maximum(np.abs(off) - FAR_COEFFICIENT.value, 0.0) / own
     far = np.flatnonzero(excess)
     each = judge_coefficients(
-        {names[index]: float(values[index]) for index in far},
+        {names[index]: float(off[index]) for index in far},
         {names[index]: share(np.diag(excess)[index]) for index in far},
     )
     squares, allowed = float(values @ values), allowed_squares(sum(judged))
@@ -134,16 +141,16 @@ def _coefficients(found: Found, sensors: Array, named: float) -> tuple[Verdict, 
 def _noise(found: Found, sensors: Array, named: float) -> Verdict:
     """Whether the noise of each axis can be that of sensors, or is little beside the named effects.
 
-    The noise (6,) of sensors is infinite in an axis that is not judged.
+    The noise (6, C) of sensors is infinite in an axis that is not judged.
     """
-    noise = found.left.noise
-    rows = sum(np.bincount(band, minlength=noise.shape[1]) for band in found.regression.columns.bands)
-    more = np.maximum(noise / sensors[:, None] - 1.0, 0.0) @ rows
+    ratio = found.left.noise / sensors
+    rows = sum(np.bincount(band, minlength=ratio.shape[1]) for band in found.regression.columns.bands)
+    more = np.maximum(ratio - 1.0, 0.0) @ rows
     share = more / max(named + float(np.sum(more)), 1.0)
-    return judge_colour(np.sqrt(noise.max(axis=1) / sensors), share, AXES)
+    return judge_colour(np.sqrt(ratio.max(axis=1)), share, AXES)
 
 
 def _named(found: Found, sensors: Array) -> float:
     """Squares that are credited to the effects, in variances of the sensors."""
-    reduction = found.regression.reduction(found.chosen, found.fit)
-    return max(0.0, float(np.sum(reduction.credited / sensors)))
+    reduction = found.regression.reduction(found.chosen, found.fit, sensors)
+    return max(0.0, float(np.sum(reduction.credited)))

@@ -15,14 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from quadpi_core.discrepancy.bias_response import BiasResponse
-from quadpi_core.discrepancy.instruments import explained, instruments
 from quadpi_core.discrepancy.own_state import Started, started
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
@@ -54,13 +53,6 @@ SLOW_HZ = Threshold(
 _NO_NUMBERS = np.random.default_rng(0)
 
 
-class Clean(NamedTuple):
-    """Wrench and tolerances (N, 6) of a simulation with inputs of its own, as the flight explains them."""
-
-    wrench: Array
-    uncertain: list[Column]
-
-
 class Compared:
     """A flight beside the simulation that it is compared with.
 
@@ -77,12 +69,10 @@ class Compared:
         flight: Flight,
         simulation: Simulation,
         highest_hz: float = BAND_HZ.value,
-        clean: Clean | None = None,
     ) -> None:
         self.simulation = simulation
         self.highest_hz = highest_hz
         self._started: dict[tuple[str, bytes], Started] = {}
-        self._clean = clean
         self._imu_rate_hz = flight.rate_hz
         step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
         self.thinned = _every(flight, step)
@@ -98,19 +88,8 @@ class Compared:
         compared = [cls(flight, simulation, highest_hz) for flight in flights]
         if not simulation.own_inputs:
             return compared
-        speed = simulation.hover_rotor_speed
-        functions = [instruments(own.quiet, simulation.vehicle, speed) for own in compared]
-        uncertain = [simulation.uncertain(own.flight) for own in compared]
-        noisy = [
-            np.stack((simulation.wrench(own.flight), *(column.wrench for column in columns)), axis=2)
-            for own, columns in zip(compared, uncertain, strict=True)
-        ]
-        return [
-            cls(flight, simulation, highest_hz, Clean(values[:, :, 0], [
-                Column(column.name, values[:, :, 1 + index]) for index, column in enumerate(columns)
-            ]))
-            for flight, values, columns in zip(flights, explained(noisy, functions), uncertain, strict=True)
-        ]  # fmt: skip
+        learned = simulation.learned([(own.flight, own.quiet) for own in compared])
+        return [cls(flight, learned, highest_hz) for flight in flights]
 
     @cached_property
     def simulated(self) -> Array:
@@ -120,9 +99,7 @@ class Compared:
     @cached_property
     def quiet_wrench(self) -> Array:
         """Wrench (N, 6) of the simulation for the quiet flight, as the recording would have it."""
-        if self._clean is not None:
-            return self.simulation.recorded(self.quiet, self._clean.wrench)
-        return recorded_wrench(self.quiet, self.simulation)
+        return explained_wrench(self.quiet, self.simulation)
 
     @cached_property
     def measured(self) -> Array:
@@ -168,7 +145,7 @@ class Compared:
     @cached_property
     def expected_residual(self) -> Array:
         """Residual (M, 6) of the flight :attr:`expected`, thinned."""
-        return residual(self.expected, self.simulation)[:: self.step]
+        return _explained_residual(self.expected, self.simulation)[:: self.step]
 
     @cached_property
     def bias_response(self) -> BiasResponse:
@@ -191,9 +168,9 @@ class Compared:
     def uncertain(self) -> list[Column]:
         """Columns (M, 6) of the tolerances, one each."""
         tolerances = self.simulation.tolerances
-        own = self.simulation.uncertain(self.quiet) if self._clean is None else self._clean.uncertain
         columns = [
-            Column(name, self.simulation.recorded(self.quiet, wrench)[:: self.step]) for name, wrench in own
+            column._replace(wrench=self.simulation.recorded(self.quiet, column.wrench)[:: self.step])
+            for column in self.simulation.uncertain(self.quiet)
         ]
         for effect, deviation in body_tolerances(tolerances):
             deviations = deviation * np.eye(len(effect.parameters))
@@ -266,6 +243,15 @@ def residual(flight: Flight, simulation: Simulation) -> Array:
     return measured_wrench(flight, simulation.vehicle) - recorded_wrench(flight, simulation)
 
 
+def explained_wrench(flight: Flight, simulation: Simulation) -> Array:
+    """As :func:`recorded_wrench`, without the noise of inputs that the simulation has of its own."""
+    return simulation.recorded(flight, simulation.explained(flight))
+
+
+def _explained_residual(flight: Flight, simulation: Simulation) -> Array:
+    return measured_wrench(flight, simulation.vehicle) - explained_wrench(flight, simulation)
+
+
 def _every(flight: Flight, step: int) -> Flight:
     """Every `step`-th sample, side by side in memory as the kernels want them."""
     taken = flight.slice(slice(None, None, step))
@@ -292,14 +278,14 @@ def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
 def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
     flight = compared.quiet
     wind = flight.wind + effect.function(flight.time, values, _NO_NUMBERS)
-    windy = recorded_wrench(replace(flight, wind=wind), compared.simulation)[:: compared.step]
+    windy = explained_wrench(replace(flight, wind=wind), compared.simulation)[:: compared.step]
     return windy - compared.quiet_wrench[:: compared.step]
 
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
     vehicle, biases = compared.simulation.vehicle, compared.bias_response
     altered = without_sensor_effect(compared.expected, effect, vehicle, values, biases)
-    return compared.expected_residual - residual(altered, compared.simulation)[:: compared.step]
+    return compared.expected_residual - _explained_residual(altered, compared.simulation)[:: compared.step]
 
 
 def without_sensor_effect(

@@ -1,17 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulations other than quadpi's own, known only by the wrench that they give.
-
-A function from a flight to its wrench, an identified model, or a wrench that was recorded in bags.
-"""
+"""Simulations other than quadpi's own that can be called: a function from a flight to its wrench, a model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,24 +17,16 @@ from quadpi_core.discrepancy.simulations import (
     Margins,
     Simulation,
     Tolerances,
-    axis_columns,
     read_tolerances,
 )
+from quadpi_core.discrepancy.uncertain_parts import EVEN, LINEAR, SQUARED, Part, part_columns
+from quadpi_core.discrepancy.uncertain_parts import ROTORS as OF_ROTORS
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps, WrenchStream
+from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, flight_derivatives, flight_inputs
-from quadpi_core.logs import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.model_kind import CUTOFF_HZ, Evaluation
-from quadpi_core.signals.filters import zero_phase
-from quadpi_core.signals.resample import (
-    first_gap,
-    interpolate,
-    interpolate_columns,
-    nominal_rate,
-    uniform_stamps,
-)
+from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -57,7 +45,7 @@ class CallableSimulation(Simulation):
     """Any function from a flight to its wrench.
 
     Its wrench for the same rotor speeds in still air without rotation counts as thrust and torque of the
-    rotors. What body rates add, and what the airspeed adds, have one uncertain coefficient per axis each.
+    rotors. What body rates add, and what the airspeed adds in each order, may be wrong by itself.
     """
 
     name: str
@@ -113,7 +101,7 @@ class CallableSimulation(Simulation):
 
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """See :class:`Simulation`; those of hover, shared among the rotors by their squared speeds."""
-        still = self.wrench(_still(flight))
+        still = self.wrench(_moving(flight, 0.0, 0.0))
         squares = np.square(flight.rotor_speeds)
         total = squares.sum(axis=1)
         thrust = -(still[:, 2] @ total) / max(float(total @ total), np.finfo(float).tiny)
@@ -122,10 +110,30 @@ class CallableSimulation(Simulation):
         return thrust * squares, torque * squares * self.vehicle.rotor_spins
 
     def uncertain(self, flight: Flight) -> list[Column]:
-        """Per axis the parts of the rotors at rest, of body rates and of the airspeed."""
-        moved, still = self.wrench(_without_airspeed(flight)), self.wrench(_still(flight))
-        parts = {"rotors": still, "rates": moved - still, "airspeed": self.wrench(flight) - moved}
-        return [column for column in axis_columns(parts, self.tolerances) if np.any(column.wrench)]
+        """See :class:`Simulation`; by :func:`part_columns`."""
+        still, turning = self.wrench(_moving(flight, 0.0, 0.0)), self.wrench(_moving(flight, 0.0, 1.0))
+        parts = [Part(OF_ROTORS, still, OF_ROTORS), Part("rates", turning - still, LINEAR)]
+        return part_columns(parts + self._by_airspeed(flight), self.tolerances)
+
+    def _by_airspeed(self, flight: Flight) -> list[Part]:
+        """What the airspeed adds, by order and parity in the motion.
+
+        Drag of rotors is of the first order, lift is even, and drag of the airframe reverses with its square:
+        coefficients of different laws, of which one may be wrong alone. As the motion is halved, the first
+        order halves and the second quarters; what is of other orders is shared between the two. Rates are
+        reversed and halved with the airspeed, as a rotor feels both in the velocity of its hub.
+        """
+
+        def added(share: float) -> Array:
+            return self.wrench(_moving(flight, share, share)) - self.wrench(_moving(flight, 0.0, share))
+
+        ahead, back = added(1.0), added(-1.0)
+        odd, odd_of_half = 0.5 * (ahead - back), 0.5 * (added(0.5) - added(-0.5))
+        return [
+            Part("airspeed", 4.0 * odd_of_half - odd, LINEAR),
+            Part(EVEN, 0.5 * (ahead + back), EVEN),
+            Part(SQUARED, 2.0 * odd - 4.0 * odd_of_half, SQUARED),
+        ]
 
 
 @dataclass(frozen=True)
@@ -185,6 +193,10 @@ class ModelSimulation(CallableSimulation):
         rows = np.arange(len(wrench))
         return np.column_stack([np.interp(rows, rows[finite], axis[finite]) for axis in wrench.T])
 
+    def _by_airspeed(self, flight: Flight) -> list[Part]:
+        """See :class:`CallableSimulation`; as a whole, as a model knows nothing of a motion reversed."""
+        return [Part("airspeed", self.wrench(flight) - self.wrench(_moving(flight, 0.0, 1.0)), LINEAR)]
+
     def intervals(self, flight: Flight) -> tuple[Array, Array]:
         """Lower and upper bounds (N, 6) at the confidence of the model."""
         found = self._evaluated(flight)
@@ -209,14 +221,15 @@ class ModelSimulation(CallableSimulation):
         return float(np.mean((envelope.lower[index], envelope.upper[index])))
 
 
-def _without_airspeed(flight: Flight) -> Flight:
-    none = np.zeros((len(flight), 3))
-    return replace(flight, velocity=none, wind=none)
-
-
-def _still(flight: Flight) -> Flight:
-    none = np.zeros((len(flight), 3))
-    return replace(_without_airspeed(flight), rates=none, angular_acceleration=none)
+def _moving(flight: Flight, airspeed: float, rates: float) -> Flight:
+    """The flight with shares, negative ones too, of its airspeed and of its rates."""
+    return replace(
+        flight,
+        velocity=airspeed * flight.velocity,
+        wind=airspeed * flight.wind,
+        rates=rates * flight.rates,
+        angular_acceleration=rates * flight.angular_acceleration,
+    )
 
 
 def _hover(vehicle: Vehicle, rotor_speed: float) -> Flight:
@@ -238,118 +251,3 @@ def _hover(vehicle: Vehicle, rotor_speed: float) -> Flight:
         rotor_speeds=np.full((2, ROTORS), rotor_speed),
         wind=none,
     )
-
-
-class Recorded(NamedTuple):
-    """Wrench (N, 6) of one flight at even stamps (N,), low-passed as flights are."""
-
-    time_ns: Stamps
-    wrench: Array
-
-
-@dataclass(frozen=True)
-class RecordedSimulation(Simulation):
-    """Wrench of each flight that a simulation of any kind recorded on the topic `simulation/wrench`.
-
-    It cannot be evaluated for other wind or rotor speeds, so neither wind nor errors of rotor speeds are
-    found with it. The part in proportion to the squared rotor speeds counts as thrust and torque.
-
-    Attributes:
-        wrenches: recorded wrench by the source of the flight.
-        thrust_n_s2: thrust of a rotor over its squared speed.
-    """
-
-    vehicle: Vehicle
-    wrenches: Mapping[str, Recorded]
-    thrust_n_s2: float
-    tolerances: Tolerances = field(default_factory=Tolerances)
-    vehicle_file: str = ""
-    name: str = "recorded"
-    own_inputs: ClassVar[bool] = True
-
-    @classmethod
-    def load(cls, vehicle: str, bags: Sequence[Path], mapping: str | None = None) -> RecordedSimulation:
-        """Read the topic from bags, and low-pass it as flights are.
-
-        Args:
-            vehicle: name or path of the vehicle file.
-            bags: bags or logs of the flights.
-            mapping: see :func:`quadpi_core.logs.read_recording`.
-
-        Raises:
-            DiscrepancyError: for bags without the topic, or without rotor speeds.
-            LogError: for bags and samples that cannot be read, and pauses that cannot be bridged.
-        """
-        flown, wrenches = Vehicle.load(vehicle), {}
-        thrust, load = 0.0, 0.0
-        for bag in bags:
-            recording = read_recording(bag, flown, mapping)
-            if recording.simulated is None:
-                raise DiscrepancyError(f"{bag}: topic {WrenchStream.topic}: missing: no simulated wrench")
-            if recording.rotor_speeds is None:
-                raise DiscrepancyError(f"{bag}: topic rotor_speeds: missing")
-            found = _even(recording.simulated, str(bag))
-            wrenches[recording.source] = found
-            rotors = recording.rotor_speeds
-            squares = np.square(rotors.speeds).sum(axis=1)
-            force = np.interp(rotors.time_ns, found.time_ns, found.wrench[:, 2])
-            thrust -= float(squares @ force)
-            load += float(squares @ squares)
-        if thrust <= 0.0:
-            raise DiscrepancyError(f"topic {WrenchStream.topic}: its Fz gives no thrust as rotors turn")
-        return cls(flown, wrenches, thrust / load, read_tolerances(vehicle), vehicle)
-
-    def wrench(self, flight: Flight) -> Array:
-        """See :class:`Simulation`."""
-        where = f"{flight.source}: topic {WrenchStream.topic}"
-        if flight.source not in self.wrenches:
-            raise DiscrepancyError(f"{where}: was not read")
-        recorded = self.wrenches[flight.source]
-        stamps = flight.start_ns + np.round(1e9 * flight.time).astype(np.int64)
-        first, last = recorded.time_ns[0] - stamps[0], recorded.time_ns[-1] - stamps[0]
-        end = stamps[-1] - stamps[0]
-        if first > MAX_GAP_NS or last < end - MAX_GAP_NS:
-            raise DiscrepancyError(
-                f"{where}: its stamps, {1e-9 * first:.3f} to {1e-9 * last:.3f} s after the start of the "
-                f"flight, do not cover it, 0 to {1e-9 * end:.3f} s; they must be on the clock of the sensors"
-            )
-        return interpolate_columns(recorded.time_ns, recorded.wrench, stamps)
-
-    @property
-    def hover_rotor_speed(self) -> float:
-        """See :class:`Simulation`."""
-        weight = self.vehicle.mass_kg * self.vehicle.gravity_m_s2
-        return float(np.sqrt(weight / (ROTORS * self.thrust_n_s2)))
-
-    def thrusts(self, flight: Flight) -> tuple[Array, Array]:
-        """See :class:`Simulation`."""
-        squares = np.square(flight.rotor_speeds)
-        signed = squares @ self.vehicle.rotor_spins
-        torque = (self.wrench(flight)[:, 5] @ signed) / max(float(signed @ signed), np.finfo(float).tiny)
-        return self.thrust_n_s2 * squares, torque * squares * self.vehicle.rotor_spins
-
-    def uncertain(self, flight: Flight) -> list[Column]:
-        """Per axis the part of thrust and torque, and the rest."""
-        wrench = self.wrench(flight)
-        thrusts, torques = self.thrusts(flight)
-        x, y, _ = self.vehicle.rotor_positions.T
-        rotors = np.zeros_like(wrench)
-        rotors[:, 2], rotors[:, 5] = -thrusts.sum(axis=1), torques.sum(axis=1)
-        rotors[:, 3], rotors[:, 4] = -thrusts @ y, thrusts @ x
-        return axis_columns({"rotors": rotors, "the rest": wrench - rotors}, self.tolerances)
-
-
-def _even(stream: WrenchStream, source: str) -> Recorded:
-    stream.check(source)
-    gap = first_gap(stream.time_ns, MAX_GAP_NS)
-    if gap is not None:
-        raise DiscrepancyError(
-            f"{source}: topic {stream.topic}: sample {gap}: comes more than "
-            f"{1e-9 * MAX_GAP_NS:g} s after the one before"
-        )
-    grid = uniform_stamps(stream.time_ns)
-    wrench = interpolate(stream.time_ns, stream.wrench, grid, MAX_GAP_NS).values
-    rate_hz, cutoff_hz = nominal_rate(grid), CUTOFF_HZ["default"]
-    if 2.0 * cutoff_hz < rate_hz:
-        wrench = zero_phase(wrench, cutoff_hz, rate_hz, slice(0)).value
-    return Recorded(grid, wrench)

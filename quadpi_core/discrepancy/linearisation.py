@@ -12,6 +12,7 @@ import numpy as np
 from quadpi_core.discrepancy.candidates import Candidate, first_point, linearise, start_cost
 from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Indices
+from quadpi_core.discrepancy.simulations import Column, Tolerances
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import state_modulators
@@ -67,6 +68,7 @@ class Linearisation:
         points: free parameters at which each candidate is linearised.
         blocks: columns of each candidate.
         tolerance_names, tolerances: names and indices of the columns of the tolerances.
+        tolerance_laws: for each the name of the one of what it shares with others; empty without.
         bands: per flight (B,) the frequency band of each row.
         tables: per flight, tables (6, B, ·) of columns.
     """
@@ -76,6 +78,7 @@ class Linearisation:
     points: tuple[Array, ...]
     blocks: tuple[Block, ...]
     tolerance_names: tuple[str, ...]
+    tolerance_laws: tuple[str, ...]
     tolerances: Indices
     bands: tuple[Indices, ...]
     tables: tuple[tuple[Array, ...], ...]
@@ -86,7 +89,7 @@ class Linearisation:
     @classmethod
     def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Linearisation:
         """Every candidate linearised at no effect."""
-        uncertain = [flight.uncertain() for flight in flights]
+        uncertain = _felt([flight.uncertain() for flight in flights], flights[0].simulation.tolerances)
         names = tuple(column.name for column in uncertain[0])
         first = [
             flight.spectrum(np.stack((flight.residual, *(column.wrench for column in columns)), axis=2))
@@ -98,6 +101,7 @@ class Linearisation:
             points=tuple(first_point(candidate, flights) for candidate in candidates),
             blocks=(),
             tolerance_names=names,
+            tolerance_laws=tuple(column.law for column in uncertain[0]),
             tolerances=np.arange(1, 1 + len(names)),
             bands=tuple(found.band for found in first),
             tables=tuple((found.rows,) for found in first),
@@ -253,6 +257,21 @@ class Linearisation:
             for own, added, flight in zip(self.tables, columns, self.flights, strict=True)
         )
         return replace(self, tables=tables)
+
+
+def _felt(uncertain: Sequence[list[Column]], tolerances: Tolerances) -> list[list[Column]]:
+    """The columns of each flight without those of coefficients that are zero in every flight.
+
+    Those of the body, which come last, stay: moves make them of other accelerations.
+    """
+    body = sum(len(effect.parameters) for effect, _ in body_tolerances(tolerances))
+    everything = range(len(uncertain[0]))
+    kept = [
+        index
+        for index in everything
+        if index >= len(everything) - body or any(np.any(own[index].wrench) for own in uncertain)
+    ]
+    return [[own[index] for index in kept] for own in uncertain]
 
 
 def table_starts(tables: Sequence[Array]) -> list[int]:

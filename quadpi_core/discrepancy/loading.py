@@ -14,11 +14,8 @@ from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config import is_config_path, nearest
 from quadpi_core.config_schema import Section, Text, Within, parse_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
-from quadpi_core.discrepancy.external_simulations import (
-    CallableSimulation,
-    ModelSimulation,
-    RecordedSimulation,
-)
+from quadpi_core.discrepancy.external_simulations import CallableSimulation, ModelSimulation
+from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
 from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.paths import config_directory

@@ -122,7 +122,7 @@ class _Closed:
 
     @classmethod
     def of(cls, found: Found) -> _Closed:
-        gap = found.closing.gap()
+        gap = found.gap()
         squares = found.regression.columns.squares(residual_weights(1, ()))
         above = np.square(gap.before) - np.square(gap.floor)
         is_gap = above > LEAST_ABOVE_FLOOR * np.square(gap.floor)

@@ -22,12 +22,18 @@ from quadpi_core.discrepancy.acceptance import (
     scales_beside_law,
 )
 from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.closure import Closing
+from quadpi_core.discrepancy.closure import Closing, Gap
 from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit, null_gains
 from quadpi_core.discrepancy.trial import Trial
-from quadpi_core.discrepancy.unexplained import Left, generic_spectra, predicted
+from quadpi_core.discrepancy.unexplained import (
+    Left,
+    generic_spectra,
+    predicted,
+    slow_state_noise,
+    stated_squares,
+)
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
 
@@ -82,6 +88,21 @@ class Found:
     named: Array
     judgements: tuple[Judgement, ...]
     disputed: tuple[str, ...] = ()
+
+    @property
+    def sensors(self) -> Array:
+        """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
+
+        That of sensors is what is left at the highest frequencies: white in a force, and in a moment largest
+        there.
+        """
+        noise = self.left.noise
+        return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
+
+    def gap(self, *, adjusted: bool = True) -> Gap:
+        """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
+        stated = stated_squares(self.regression.flights)
+        return self.closing.gap(np.minimum(self.regression.noise, self.sensors), stated, adjusted=adjusted)
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,17 @@ a coefficient. A discrepancy is a difference that no coefficient within its tole
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.config_schema import Section, Share, parse_config
 from quadpi_core.errors import DiscrepancyError, VehicleError
-from quadpi_core.flight import AXES, Flight
+from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.signals.force_bandwidth import band_limited
@@ -65,10 +65,17 @@ def read_tolerances(vehicle: str | Path) -> Tolerances:
 
 
 class Column(NamedTuple):
-    """Change of the wrench (N, 6) by one standard deviation of a named uncertainty."""
+    """Change of the wrench (N, 6) by one standard deviation of a named uncertainty.
+
+    Attributes:
+        name: of the uncertainty.
+        wrench: (N, 6) N, Nm.
+        law: name of the column of what it shares with others, see :mod:`.uncertain_parts`; empty without.
+    """
 
     name: str
     wrench: Array
+    law: str = ""
 
 
 class Margins(NamedTuple):
@@ -79,16 +86,7 @@ class Margins(NamedTuple):
     confidence: float
 
 
-def axis_columns(parts: Mapping[str, Array], tolerances: Tolerances) -> list[Column]:
-    """One column per part (N, 6) of a wrench and axis; the part `rotors` has the thrust as its Fz."""
-    columns = []
-    for part, wrench in parts.items():
-        for axis, name in enumerate(AXES):
-            share = tolerances.thrust if (part, name) == ("rotors", "Fz") else tolerances.coefficient
-            single = np.zeros_like(wrench)
-            single[:, axis] = share * wrench[:, axis]
-            columns.append(Column(f"{name} of {part}", single))
-    return columns
+Own = TypeVar("Own", bound="Simulation")
 
 
 class Simulation(ABC):
@@ -141,6 +139,22 @@ class Simulation(ABC):
         """
         return wrench
 
+    def learned(self: Own, flights: Sequence[tuple[Flight, Flight]]) -> Own:  # noqa: ARG002 - for own inputs
+        """The simulation, for one with own inputs with what these flights tell of it.
+
+        Args:
+            flights: flights as recorded, each with the quiet one, see :mod:`.quiet_flight`.
+        """
+        return self
+
+    def knowing(self: Own, flight: Flight) -> Own:  # noqa: ARG002 - for own inputs
+        """The simulation, for one with own inputs that learned nothing of this flight with what it tells."""
+        return self
+
+    def explained(self, flight: Flight) -> Array:
+        """The wrench (N, 6), without the noise of own inputs; see :mod:`.instruments`."""
+        return self.wrench(flight)
+
     def margins(self, flight: Flight) -> Margins | None:  # noqa: ARG002 - for those that have any
         """Its intervals for a flight; None for a simulation without intervals."""
         return None
@@ -161,7 +175,9 @@ class Simulation(ABC):
             flight.rates[:, None], self.vehicle.rotor_positions[None]
         )
         states["thrusts"], states["torques"] = self.thrusts(flight)
-        states["wrench"] = self.wrench(flight)
+        states["aerodynamics"] = states["wrench"] = self.wrench(flight)
+        if self.own_inputs:
+            states["aerodynamics"] = self.explained(flight)
         return states
 
     def record(self) -> npt.NDArray[np.void]:

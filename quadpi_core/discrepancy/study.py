@@ -154,7 +154,7 @@ def _flown_again(discovery: Discovery) -> tuple[Discovery, Reflights]:
     judged = judged_by_rollouts(discovery, flown.rollout)
     if not judged.rejected or not len(discovery.found.closing.adjusted):
         return judged, flown
-    gap = discovery.found.closing.gap(adjusted=False)
+    gap = discovery.found.gap(adjusted=False)
     closed = judge_closed(gap.reduction)
     tests = tuple(closed if check.test == closed.test else check for check in discovery.checks)
     verdict = "effects" if all(check.passed for check in tests) else "unknown"
@@ -206,7 +206,7 @@ def discover(
     share, worst = unexplained_share(left, named, rows), unexplained_axis(left, named, rows)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
-    gap = found.closing.gap()
+    gap = found.gap()
     judged = checks(found, effects, share, gap, held, "" if worst is None else AXES[worst])
     against = not all(check.passed for check in judged)
     return Discovery(
@@ -231,8 +231,8 @@ def discover(
 def _without_trace(found: Found) -> tuple[str, ...]:
     """Effects that could not gain the least evidence here, even as large as the prior expects.
 
-    So it is with wind beside a recorded wrench, which is the same in any wind, and with the ground where no
-    flight comes near it.
+    So it is with wind beside a simulation of thrust alone, which is the same in any wind, and with the ground
+    where no flight comes near it.
     """
     regression, squares = found.regression, np.diag(found.regression.gram)
     shown = {

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
+from scipy.special import ndtri
 
 from quadpi_core.discrepancy.effect_response import Compared, residual
-from quadpi_core.discrepancy.whitening import Spectrum, band_means, band_products, settled_noise
+from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum, band_means, band_products, settled_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import inside_interval
@@ -87,22 +88,24 @@ MISSED = Threshold(
 )
 
 
-def slow_state_noise(flights: Sequence[Compared]) -> Array:
-    """Variance (6,) that slow errors of the velocity add to rows of the residual; 0 for smoothed states.
+def slow_state_noise(flights: Sequence[Compared], bands: int) -> Array:
+    """Variance (6, C), in C bands, that slow errors of the velocity add to rows; 0 for smoothed states.
 
-    They are proportional to the slope of the simulated wrench over the velocity, in every simulation.
+    They are proportional to the slope of the simulated wrench over the velocity, in every simulation, and
+    those of a process of first order.
     """
     simulation = flights[0].simulation
     if not simulation.own_inputs and all(own.flight.biases_estimated for own in flights):
-        return np.zeros(len(AXES))
+        return np.zeros((len(AXES), bands))
     loads = np.concatenate([np.square(own.quiet.rotor_speeds[:: own.step]).sum(axis=1) for own in flights])
     velocity = np.concatenate([own.quiet.velocity[:: own.step] for own in flights])
     wrench = np.concatenate([own.quiet_wrench[:: own.step] for own in flights])
     known = np.column_stack((np.ones_like(loads), loads / loads.mean(), velocity))
     slopes = np.linalg.norm(np.linalg.lstsq(known, wrench, rcond=None)[0][2:], axis=0)
-    variance: Array = (
-        np.square(WANDER_M_S.value * slopes) * flights[0].thinned.rate_hz / (2.0 * WANDER_HZ.value)
-    )
+    slowest = np.square(WANDER_M_S.value * slopes) * flights[0].thinned.rate_hz / (2.0 * WANDER_HZ.value)
+    # The lower edge of a band is where most of its noise is.
+    share = 1.0 / (1.0 + np.square(np.array(EDGES_HZ.value[:bands]) / WANDER_HZ.value))
+    variance: Array = slowest[:, None] * share
     return variance
 
 
@@ -121,6 +124,22 @@ def within_intervals(flights: Sequence[Compared]) -> npt.NDArray[np.bool_]:
         shares.append(inside_interval(left, margins.lower, margins.upper).mean(axis=0))
         confidence = margins.confidence
     return as_many_as_stated(np.array(shares), confidence)
+
+
+def stated_squares(flights: Sequence[Compared]) -> Array:
+    """Mean squares (6,) of the errors that the simulation's own intervals state; 0 without intervals.
+
+    They are those of a normal distribution of which the intervals hold what they say.
+    """
+    squares = []
+    for own in flights:
+        margins = own.simulation.margins(own.flight)
+        if margins is None:
+            return np.zeros(len(AXES))
+        deviation = 0.5 * (margins.upper - margins.lower) / ndtri(0.5 + 0.5 * margins.confidence)
+        squares.append(np.square(deviation))
+    stated: Array = np.nanmean(np.concatenate(squares), axis=0)
+    return stated
 
 
 def as_many_as_stated(shares: Array, confidence: float) -> npt.NDArray[np.bool_]:

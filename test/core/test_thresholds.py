@@ -30,6 +30,8 @@ from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
+from quadpi_core.discrepancy.simulations import Tolerances
+from quadpi_core.discrepancy.uncertain_parts import Part, part_columns
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight, ImuStream, Recording, RotorSpeedStream
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
@@ -218,7 +220,7 @@ def wandering():
         step=1,
         thinned=SimpleNamespace(rate_hz=100.0),
     )
-    return unexplained.slow_state_noise([own])[0] / 2.0**2 / (100.0 / 2.0)
+    return unexplained.slow_state_noise([own], 1)[0, 0] / 2.0**2 / (100.0 / 2.0)
 
 
 class OneStep:
@@ -364,6 +366,13 @@ def no_loss(deviations):
     return len(Adjustment([flight], np.full(1, 1e-9), 1).chosen()) == 1
 
 
+def common_to_axes():
+    """Share of the variance of a coefficient that is in the column of its law."""
+    columns = part_columns([Part("lift", np.ones((1, 6)), "lift")], Tolerances(coefficient=0.1))
+    (shared,) = (column.wrench for column in columns if column.name == "Fx, Fy and Mz of lift")
+    return np.square(shared[0, 0] / 0.1)
+
+
 def bridged(share):
     """Whether a model that gives nothing for a share of a flight is taken."""
 
@@ -413,12 +422,13 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
             ).passed
         ),
     ),
-    "CLOSED": (0.5, lambda x: result_verdicts.judge_closed(x).passed),
+    "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x).passed),
     # The others of the room, file by file.
     "LOST": (2.0, no_loss),
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),
     "DIVERGED_RATE": (60.0, lambda x: rolls_out(yaw_rate=x)),
     "UNJUDGED_MOST": (0.05, bridged),
+    "TOGETHER": (0.5, lambda x: x < common_to_axes()),
     "WANDER_M_S": (0.03, lambda x: x**2 < wandering() * 0.5),
     "WANDER_HZ": (0.5, lambda x: x < 0.03**2 / wandering()),
     "BULK": (0.8, lambda x: holding_bulk(np.array([x, 1.0 - x]), np.ones(2), np.full(2, True)).all()),

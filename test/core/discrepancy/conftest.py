@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.uncertain_parts import of_coefficient
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.simulation.effect_registry import read_effects
@@ -65,14 +66,21 @@ def flight(flown):
 
 @pytest.fixture(scope="session")
 def moved_tolerances():
-    """moved_tolerances(flights, simulation) → by name what a fit without effects moves each tolerance by."""
+    """moved_tolerances(flights, simulation) → by name what a fit without effects moves a coefficient by.
+
+    In its tolerances; of axes that a law moves together, with what it moves them by.
+    """
 
     def moved(flights, simulation):
         compared = Compared.together(flights, simulation)
         regression = Regression.of(compared, candidates(simulation.vehicle, ["payload"]))
         found = regression.fit(())
         assert found is not None
-        values = found.of(regression.columns.tolerances)
-        return dict(zip(regression.columns.tolerance_names, values, strict=True))
+        columns = regression.columns
+        values = dict(zip(columns.tolerance_names, found.of(columns.tolerances), strict=True))
+        laws = zip(columns.tolerance_names, columns.tolerance_laws, strict=True)
+        return {
+            name: of_coefficient(values[name], values[law]) if law else values[name] for name, law in laws
+        }
 
     return moved

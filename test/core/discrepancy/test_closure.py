@@ -22,12 +22,17 @@ def closing(found):
     return found.discovery.found.closing
 
 
+def gap_of(closing, stated=0.0, **changes):
+    """The gap above the noise of the regression, of a simulation that states errors in all axes."""
+    return closing.gap(closing.regression.noise, np.full(6, stated), **changes)
+
+
 def rms(rows, samples):
     return np.sqrt(sum(np.square(own).sum(axis=1) for own in rows) / samples)
 
 
 def test_the_gap_is_that_of_the_residual_and_of_what_flights_left_out_leave(closing):
-    regression, gap = closing.regression, closing.gap()
+    regression, gap = closing.regression, gap_of(closing)
     samples = sum(len(flight.thinned) for flight in regression.flights)
     residual = [flight.spectrum(flight.residual[:, :, None]).rows[:, :, 0] for flight in regression.flights]
     np.testing.assert_allclose(gap.before, rms(residual, samples), rtol=1e-9)
@@ -59,7 +64,7 @@ def test_squares_left_are_in_variances_of_the_noise(closing):
 
 
 def test_the_gap_with_coefficients_as_stated_is_what_their_columns_leave(closing):
-    regression, gap = closing.regression, closing.gap(adjusted=False)
+    regression, gap = closing.regression, gap_of(closing, adjusted=False)
     samples = sum(len(flight.thinned) for flight in regression.flights)
     left = []
     for place, fit in enumerate(closing.left_out):
@@ -67,13 +72,31 @@ def test_the_gap_with_coefficients_as_stated_is_what_their_columns_leave(closing
         weights[regression.columns.tolerances] = 0.0
         left.append(regression.columns.combined(place, weights))
     np.testing.assert_allclose(gap.after, rms(left, samples), rtol=1e-9)
-    assert not np.allclose(gap.after, closing.gap().after, rtol=1e-6)
-    np.testing.assert_array_equal(gap.before, closing.gap().before)
+    assert not np.allclose(gap.after, gap_of(closing).after, rtol=1e-6)
+    np.testing.assert_array_equal(gap.before, gap_of(closing).before)
+
+
+def test_what_the_simulation_states_that_it_errs_by_is_no_gap(closing):
+    """Of each axis, where that is more than the noise; all of it, where it is more than the residual."""
+    regression, noisy = closing.regression, gap_of(closing)
+    stated = np.square(noisy.floor) * [4.0, 0.5, 4.0, 0.5, 4.0, 0.5]
+    gap = closing.gap(regression.noise, stated)
+    np.testing.assert_allclose(gap.floor, noisy.floor * [2.0, 1.0, 2.0, 1.0, 2.0, 1.0])
+    np.testing.assert_array_equal(gap.before, noisy.before)
+    within = closing.gap(regression.noise, 1.001 * np.square(noisy.before))
+    assert not within.removable.any()
+    assert within.reduction == 0.0
+
+
+def test_squares_beyond_the_floor_are_in_those_of_the_floor(closing):
+    gap = gap_of(closing)._replace(before=np.full(6, 3.0), after=np.arange(6.0), floor=np.full(6, 2.0))
+    np.testing.assert_allclose(gap.removable, 1.25)
+    np.testing.assert_allclose(gap.kept, [0.0, 0.0, 0.0, 1.25, 3.0, 5.25])
 
 
 def test_without_effects_the_gap_stays(found):
     bare = Closing.of(found.discovery.found.regression, ())
-    gap = bare.gap()
+    gap = gap_of(bare)
     np.testing.assert_array_equal(gap.after, gap.before)
     assert gap.reduction == 0.0
     law, whole = bare.fits()
@@ -81,13 +104,16 @@ def test_without_effects_the_gap_stays(found):
 
 
 def test_axes_that_the_simulation_holds_are_not_judged_on_flights_left_out(closing):
-    """In the gap they count as all others."""
+    """The gap tells them as all others, but its closed share is that of the rest."""
     regression, held = closing.regression, np.array([axis.startswith("M") for axis in AXES])
     forces = Regression.of(regression.flights, regression.candidates, held)
     squares = Closing.by_laws(forces, closing.chosen).left_out_squares()
     assert np.all(squares[:3] > 0.0)
     assert not squares[3:].any()
-    assert np.all(Closing.by_laws(forces, closing.chosen).gap().floor > 0.0)
+    gap = gap_of(Closing.by_laws(forces, closing.chosen))
+    assert np.all(gap.floor > 0.0)
+    assert np.all(gap.before > 0.0)
+    assert gap.reduction == pytest.approx(1.0 - gap.kept[:3].sum() / gap.removable[:3].sum())
 
 
 def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
@@ -121,12 +147,12 @@ def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
     again = halved.shape(0, *halved.fits())
     assert again["shape_speed"] == pytest.approx(shape["shape_speed"], rel=0.2)
     exact = closing.by_laws(closing.regression, (0,))
-    assert closing.gap().reduction > exact.gap().reduction
+    assert gap_of(closing).reduction > gap_of(exact).reduction
 
 
 def test_a_law_that_holds_needs_no_shape(closing):
     law, whole = closing.fits()
     (index,) = closing.chosen
     shape = closing.shape(index, law, whole)
-    assert closing.gap().reduction > 0.98
+    assert gap_of(closing).reduction > 0.98
     assert all(abs(value) < 0.2 for value in shape.values())

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.discrepancy import CallableSimulation
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
 from quadpi_core.discrepancy.linearisation import Linearisation, Modulators, table_starts
@@ -34,6 +35,34 @@ def test_the_first_column_is_the_residual_and_tolerances_follow(columns):
         for found, column in zip(tolerances, flight.uncertain(), strict=True):
             np.testing.assert_allclose(found, rows_of(columns, place, column.wrench), atol=1e-12)
     assert columns.tolerance_names == tuple(column.name for column in columns.flights[0].uncertain())
+
+
+def test_what_no_flight_feels_is_no_column_and_what_one_feels_is_one_of_all(simulation, flights):
+    """A force along x in one of two flights, none along y in either."""
+
+    def pushing(flight):
+        wrench = simulation.wrench(flight)
+        wrench[:, 0] = 0.1 if flight.source == flights[0].source else 0.0
+        wrench[:, 1] = 0.0
+        return wrench
+
+    outside = CallableSimulation("outside", simulation.vehicle, pushing)
+    compared = [Compared(flight.slice(slice(0, 500)), outside) for flight in flights[:2]]
+    columns = Linearisation.of(compared, ())
+    names = columns.tolerance_names
+    assert len(names) == len(columns.tolerance_laws) == len(columns.tolerances)
+    assert len(names) < len(compared[0].uncertain())
+    assert "Fx of rotors" in names
+    assert not any(name.startswith("Fy of ") for name in names)
+    of_force = columns.tolerances[[names.index("Fx of rotors")]]
+    first, second = (columns.rows(place, of_force).any() for place in range(2))
+    assert first
+    assert not second
+    # Of the body, all: moves change them.
+    body = [name for name in (column.name for column in compared[0].uncertain()) if "." in name]
+    assert names[-len(body) :] == tuple(body)
+    for law in filter(None, columns.tolerance_laws):
+        assert law in names
 
 
 def test_blocks_follow_each_other_and_only_curved_candidates_have_an_offset(columns):

@@ -44,9 +44,15 @@ def test_a_slow_log_stays_as_it_is(flown):
 
 
 def test_noise_of_the_inputs_does_not_shrink_the_simulation(flown, moved_tolerances):
-    """Rotor speeds so noisy that they make most of the noise of a moment move no tolerance by two."""
+    """Rotor speeds so noisy that they make most of the noise of a moment move no tolerance by two.
+
+    Of the moments of the rotors that they make, which are known to a fiftieth, they move a twentieth at most.
+    """
     base = VehicleSimulation.load("bebop2")
     flights = [noisy(flight, seed) for seed, flight in enumerate(flown())]
     function = CallableSimulation("function", base.vehicle, base.wrench, base.tolerances)
     moved = moved_tolerances(flights, function)
+    share = base.tolerances.inertia
+    moments = [share * abs(moved.pop(f"{axis} of rotors")) for axis in ("Mx", "My")]
+    assert max(moments) < 0.05, moments
     assert max(map(abs, moved.values())) < 2.0, moved

@@ -19,6 +19,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Rollouts,
     discovery_json,
 )
+from quadpi_core.discrepancy.result_verdicts import judge_closed
 from quadpi_core.discrepancy.simulations import Margins
 from quadpi_core.discrepancy.study import study
 from quadpi_core.errors import DiscrepancyError
@@ -202,8 +203,12 @@ def test_coefficients_that_spoil_roll_outs_stay_as_stated(simulation, dragged, m
     result = study(simulation, dragged, names=SOUGHT)
     discovery = result.discovery
     assert (discovery.adjusted, discovery.rejected, discovery.verdict) == (False, False, "effects")
-    stated = discovery.found.closing.gap(adjusted=False)
+    stated = discovery.found.gap(adjusted=False)
     np.testing.assert_array_equal(discovery.gap.after, stated.after)
+    tests = [check.test for check in discovery.checks]
+    anew = judge_closed(stated.reduction)
+    assert tests.count(anew.test) == 1
+    assert discovery.checks[tests.index(anew.test)] == anew
     assert result.flown_again.rollout.errors["attitude_deg"].after == 4.0
     base, flight = augmented(discovery).base, dragged[0]
     np.testing.assert_array_equal(base.wrench(flight), simulation.wrench(flight))

@@ -19,6 +19,8 @@ from quadpi_core.discrepancy.unexplained import (
     functions_of_place,
     left_out_gain,
     predicted,
+    slow_state_noise,
+    stated_squares,
     within_intervals,
 )
 from quadpi_core.discrepancy.whitening import Spectrum
@@ -126,6 +128,54 @@ def test_an_axis_is_explained_where_intervals_hold_as_much_as_they_say(simulatio
     stated = within_intervals([Compared(flight, model) for flight in flights[:2]])
     np.testing.assert_array_equal(stated, [held, True, False, False, False, False])
     assert not within_intervals(left).any()
+
+
+def with_intervals(simulation, margins):
+    return replace(simulation, intervals_of=SimpleNamespace(margins=margins))
+
+
+@pytest.mark.parametrize("confidence", [0.6827, 0.95])
+def test_intervals_state_the_squares_of_the_errors_that_they_hold(simulation, flights, confidence):
+    """Bounds between which a normal error lies as often as they say, not about zero."""
+    deviation = np.array([0.3, 0.2, 0.1, 3e-3, 2e-3, 1e-3])
+    errors = np.abs(np.random.default_rng(0).standard_normal((200_000, 6)) * deviation)
+    half, middle = np.quantile(errors, confidence, axis=0), 0.1 * deviation
+
+    def margins(flight):
+        bounds = np.tile(half, (len(flight), 1))
+        return Margins(middle - bounds, middle + bounds, confidence)
+
+    compared = [Compared(flight, with_intervals(simulation, margins)) for flight in flights[:2]]
+    np.testing.assert_allclose(stated_squares(compared), np.square(deviation), rtol=0.02)
+
+
+def test_samples_without_an_interval_state_nothing(simulation, flights):
+    """Half of the flight has intervals twice as wide, and some samples have none."""
+
+    def margins(flight):
+        upper = np.full((len(flight), 6), 1.96)
+        upper[: len(flight) // 2] *= 2.0
+        upper[::100] = np.nan
+        return Margins(-upper, upper, 0.95)
+
+    stated = stated_squares([Compared(flights[0], with_intervals(simulation, margins))])
+    np.testing.assert_allclose(stated, 2.5, rtol=0.01)
+    assert not stated_squares([Compared(flights[0], simulation)]).any()
+
+
+def test_slow_errors_of_a_velocity_are_noise_of_slow_bands(simulation, flights):
+    """Of a process of first order, 3 cm/s and half a hertz: half of it is left at half a hertz."""
+    recorded = replace(flights[0], biases_estimated=False)
+    noise = slow_state_noise([Compared(recorded, simulation)], 9)
+    assert noise.shape == (6, 9)
+    assert np.all(noise[:, 0] > 0.0)
+    lower_edges = np.array([0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0])
+    expected = noise[:, :1] / (1.0 + np.square(lower_edges / 0.5))
+    np.testing.assert_allclose(noise, expected)
+    # Of a comparison up to fewer hertz, the same bands.
+    np.testing.assert_array_equal(slow_state_noise([Compared(recorded, simulation)], 4), noise[:, :4])
+    smoothed = slow_state_noise([Compared(flights[0], simulation)], 9)
+    np.testing.assert_array_equal(smoothed, np.zeros((6, 9)))
 
 
 def test_a_flight_far_outside_is_noticed_among_many():

@@ -130,7 +130,7 @@ def test_the_three_that_come_nearest_are_told_from_a_third_of_the_evidence_on(fo
             "Leave out flights",
         ),
         (judge_coefficients({"thrust": 9.0}, {"thrust": 1.0}), "Thrust would be wrong by 9.0", "Measure"),
-        (judge_closed(0.2), "20 % of the gap is closed, 50 % needed.", "what else is missing"),
+        (judge_closed(0.2), "20 % of the gap is closed, 80 % needed.", "what else is missing"),
         (judge_rollouts({"rates": 1.0}, {"rates": 2.0}), "Roll-outs of flights left out get worse", "delays"),
         (judge_disputed("a has more evidence than b"), "A has more evidence than b.", "the one effect"),
     ],
@@ -152,7 +152,7 @@ def test_rivals_come_with_what_to_fly(found):
 
 
 def test_distance_from_the_limits_is_told(found):
-    assert "of the gap is closed, 50 % needed" in passed_checks(found.discovery)
+    assert "of the gap is closed, 80 % needed" in passed_checks(found.discovery)
     assert passed_checks(replace(found.discovery, checks=(judge_closed(0.2),))) == ""
 
 
