@@ -11,10 +11,8 @@ from typing import Any
 from blind.cases import NULL, OUT, SINGLE
 from blind.scoring import Answer, Figure
 
-from independent.searching import FUNCTION, MODES
+from independent.searching import MODES
 
-# A recorded wrench answers for no other wind or rotor speeds than those it was recorded with.
-NOT_BY_RECORDED = frozenset({"wind", "sensor_delay", "rotor_speed_scale"})
 # Said with at least this probability counts as confident.
 CONFIDENT = 0.9
 
@@ -65,11 +63,6 @@ class Finding:
         )
 
     @property
-    def findable(self) -> bool:
-        """Whether this kind of simulation can show what is hidden."""
-        return self.mode == FUNCTION or not NOT_BY_RECORDED & set(self.answer.hidden.effects)
-
-    @property
     def inside(self) -> list[bool]:
         """Of each estimate whether its interval holds the truth."""
         return [lower <= true <= upper for true, lower, upper in self.estimates.values()]
@@ -90,8 +83,7 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
     """Every share of the figures to reach, over the findings that it is about."""
     nulls = [f for f in findings if f.answer.hidden.kind == NULL]
     singles = [f for f in findings if f.answer.hidden.kind == SINGLE]
-    able = [f for f in singles if f.findable]
-    full, half = ([f for f in able if f.answer.hidden.size == size] for size in (1.0, 0.5))
+    full, half = ([f for f in singles if f.answer.hidden.size == size] for size in (1.0, 0.5))
     outside = [f for f in findings if f.answer.hidden.kind == OUT]
     confident = [
         (name in f.answer.hidden.effects)
@@ -124,13 +116,8 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
         figure("half size: named", (f.answer.right for f in half), 0.45),
         figure("… or one of the set that is reported", (f.answer.in_set for f in half), 0.45),
         figure("any size: wrong name", (bool(f.answer.wrong) for f in singles), 0.02, at_most=True),
-        figure("any size: `unknown`", (f.answer.verdict == "unknown" for f in able), 0.1, at_most=True),
+        figure("any size: `unknown`", (f.answer.verdict == "unknown" for f in singles), 0.1, at_most=True),
         figure("outside the library: `unknown`", (f.answer.verdict == "unknown" for f in outside), 0.9),
-        figure(
-            "by construction not to be found: no name",
-            (not f.answer.wrong for f in singles if not f.findable),
-            0.98,
-        ),
         figure("parameters inside their interval of 95 %", estimates, 0.9),
         figure(f"named with {CONFIDENT:.0%} or more: hidden", confident, 0.9),
     ]
