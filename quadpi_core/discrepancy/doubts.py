@@ -30,6 +30,7 @@ from quadpi_core.discrepancy.result_verdicts import (
     judge_not_zero,
     judge_rollouts,
     judge_unexplained,
+    predictable,
 )
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.uncertain_parts import of_coefficient
@@ -111,8 +112,12 @@ def _coefficients(found: Found, sensors: Array, named: float) -> tuple[Verdict, 
     # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
     moved = {regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
     names = columns.tolerance_names
-    judged = [own_tolerance.get(name) not in moved for name in names]
-    values = np.where(judged, found.fit.of(columns.tolerances), 0.0)
+    judged = np.array([own_tolerance.get(name) not in moved for name in names])
+    values = found.fit.of(columns.tolerances)
+    # In a hover whose motion is noise of the estimator, coefficients of motion move far and explain nothing.
+    rows = sum(map(len, columns.bands))
+    felt = predictable(np.square(values) * columns.squares_of_each(columns.tolerances, sensors), rows)
+    values = np.where(judged & felt.any(axis=0), values, 0.0)
 
     def share(beyond: Array) -> float:
         """Squares that parts of coefficients explain, of those and the squares of the named effects."""

@@ -148,6 +148,13 @@ class Linearisation:
             squares += np.sum(rows if noise is None else rows / noise[:, band], axis=1)
         return squares
 
+    def squares_of_each(self, wanted: Indices, noise: Array) -> Array:
+        """Squares (6, k) of k columns by themselves over all flights, in variances of a noise (6, C)."""
+        squares = np.zeros((len(AXES), len(wanted)))
+        for place, band in enumerate(self.bands):
+            squares += np.sum(np.square(self.rows(place, wanted)) / noise[:, band, None], axis=1)
+        return squares
+
     def moved(self, points: Mapping[int, Array]) -> Linearisation:
         """The linearisation about other points of candidates, by index, with form columns for their sizes."""
         value = self

@@ -152,3 +152,11 @@ def test_modulators_are_standardised_over_all_flights(columns):
 def test_tables_start_where_the_one_before_ends():
     assert table_starts([np.zeros((6, 2, width)) for width in (3, 1, 4)]) == [0, 3, 4]
     assert table_starts([]) == []
+
+
+def test_squares_of_each_column_are_those_of_it_alone(columns):
+    noise = np.random.default_rng(5).uniform(0.5, 2.0, (6, 20))
+    wanted = columns.tolerances[:4]
+    each = columns.squares_of_each(wanted, noise)
+    for place, index in enumerate(wanted):
+        np.testing.assert_allclose(each[:, place], columns.squares(np.eye(columns.width)[index], noise))
