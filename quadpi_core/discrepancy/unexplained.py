@@ -138,7 +138,9 @@ def stated_squares(flights: Sequence[Compared]) -> Array:
             return np.zeros(len(AXES))
         deviation = 0.5 * (margins.upper - margins.lower) / ndtri(0.5 + 0.5 * margins.confidence)
         squares.append(np.square(deviation))
-    stated: Array = np.nanmean(np.concatenate(squares), axis=0)
+    values = np.concatenate(squares)
+    known = np.isfinite(values)
+    stated: Array = np.sum(values, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
     return stated
 
 
